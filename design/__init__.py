@@ -1,0 +1,1 @@
+"""Pure mathematics: models, passivity, LMIs, couplings, certificates. No sockets, no clocks."""

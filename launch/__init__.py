@@ -1,0 +1,1 @@
+"""Session files, the supervisor, the command line."""

@@ -1,0 +1,1 @@
+"""A force-feedback device: samples x, applies f_v, paces the loop."""

@@ -1,0 +1,1 @@
+"""What crosses a process border: messages, codec, channels, clock, handshake, transports. See SPEC.md."""
