@@ -1,0 +1,170 @@
+"""Environments made of masses, springs and dampers, in any topology, discretised by backward Euler.
+
+The tool positions u = x_e (m ports) and the masses' positions q (n masses) are joined by links of
+stiffness k_l (N/m) and damping b_l (N*s/m). With the incidence of the links these give
+
+    K, B in R^{(m+n) x (m+n)},    energy = 1/2 [u; q]^T K [u; q] + 1/2 q'^T M q',
+
+and E maps u to the force that the tools must exert, so f_v = -E u. Backward Euler, s = (z-1)/(Tz)
+[Bianchini2010]_, makes the mechanical energy a storage function of the *transformed* environment
+E_hat = E * Tz/(z-1), from tool velocity to force: it is passive by construction. E_hat is given in
+coordinates in which that energy is (T times) half the squared norm of the state, the scaling in which the
+solvers are honest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manyhands.design.statespace import Matrix, StateSpace
+
+GROUND = "ground"
+
+_RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A spring and a damper, in parallel, between two ends.
+
+    Attributes:
+        ends: two of the network's ports, masses, or :data:`GROUND`.
+        stiffness: k >= 0, N/m.
+        damping: b >= 0, N*s/m.
+    """
+
+    ends: tuple[str, str]
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Network:
+    """A spring-mass-damper network with ports.
+
+    Attributes:
+        ports: names of the m ports, in order.
+        masses: name and mass (kg, > 0) of each of the n masses, in order.
+        links: the links.
+
+    Raises:
+        ValueError: a link to an unknown end or to itself, a negative parameter, a mass that is not positive.
+    """
+
+    ports: tuple[str, ...]
+    masses: tuple[tuple[str, float], ...]
+    links: tuple[Link, ...]
+
+    def __post_init__(self) -> None:
+        known = {*self.ports, *(name for name, _ in self.masses), GROUND}
+        for link in self.links:
+            if not set(link.ends) <= known or link.ends[0] == link.ends[1]:
+                raise ValueError(f"link between {link.ends}: expected two different ones of {sorted(known)}")
+            if link.stiffness < 0.0 or link.damping < 0.0:
+                raise ValueError(f"link between {link.ends}: expected stiffness and damping >= 0")
+        if any(mass <= 0.0 for _, mass in self.masses):
+            raise ValueError("expected every mass > 0")
+
+    def stiffness_matrix(self) -> Matrix:
+        """K, (m+n) x (m+n), N/m; ports first, then masses."""
+        return self._assemble([link.stiffness for link in self.links])
+
+    def damping_matrix(self) -> Matrix:
+        """B, (m+n) x (m+n), N*s/m; ports first, then masses."""
+        return self._assemble([link.damping for link in self.links])
+
+    def mass_matrix(self) -> Matrix:
+        """M, n x n diagonal, kg."""
+        return np.diag([mass for _, mass in self.masses]) if self.masses else np.zeros((0, 0))
+
+    def environment(self, T: float) -> StateSpace:
+        """E, from tool displacement x_e (m) to force E x_e (N), sampled with period T (s).
+
+        The state is (u, q, q') of the tick before, m + 2n entries, with
+
+            M (v_k - v_{k-1})/T = -K_qq q_k - K_qp u_k - B_qq v_k - B_qp (u_k - u_{k-1})/T,   v_k = (q_k - q_{k-1})/T.
+        """
+        m, n = len(self.ports), len(self.masses)
+        K, B, M = self.stiffness_matrix(), self.damping_matrix(), self.mass_matrix()
+        u_now = np.hstack([np.zeros((m, m + 2 * n)), np.eye(m)])  # rows over (u-, q-, v-, u)
+        u_old = np.hstack([np.eye(m), np.zeros((m, 2 * n + m))])
+        q_old = np.hstack([np.zeros((n, m)), np.eye(n), np.zeros((n, n + m))])
+        v_old = np.hstack([np.zeros((n, m + n)), np.eye(n), np.zeros((n, m))])
+        inertia = M / T**2 + K[m:, m:] + B[m:, m:] / T
+        load = (M / T**2 + B[m:, m:] / T) @ q_old + M / T @ v_old - K[m:, :m] @ u_now - B[m:, :m] / T @ (u_now - u_old)
+        q_now = np.linalg.solve(inertia, load) if n else load
+        v_now = (q_now - q_old) / T
+        force = K[:m, :m] @ u_now + K[:m, m:] @ q_now + B[:m, :m] / T @ (u_now - u_old) + B[:m, m:] @ v_now
+        state = np.vstack([u_now, q_now, v_now])
+        order = m + 2 * n
+        return StateSpace(state[:, :order], state[:, order:], force[:, :order], force[:, order:])
+
+    def transformed_environment(self, T: float) -> StateSpace:
+        """E_hat = E * Tz/(z-1), from tool velocity (m/s) to force (N), in energy coordinates.
+
+        With K = L L^T of full column rank r, the state is psi = (L^T [u; q], M^{1/2} q') / sqrt(2 T), of
+        order r + n, so that the mechanical energy divided by T is psi^T psi. Directions that
+        store no energy (a network floating freely) are unobservable in E_hat and are left out.
+        """
+        m, n = len(self.ports), len(self.masses)
+        L = full_rank_factor(self.stiffness_matrix())
+        B = self.damping_matrix()
+        root_M = np.sqrt(self.mass_matrix())
+        r = L.shape[1]
+        scale = np.sqrt(2.0 * T)
+        deflection = scale * np.hstack([np.eye(r), np.zeros((r, n + m))])  # rows over (psi, w)
+        velocity = scale * np.hstack([np.zeros((n, r)), _inverse_diagonal(root_M), np.zeros((n, m))])
+        w = np.hstack([np.zeros((m, r + n)), np.eye(m)])
+        # M (v - v-)/T = -L_q (e- + T L^T [w; v]) - B_q [w; v], solved for v
+        L_u, L_q = L[:m], L[m:]
+        inertia = self.mass_matrix() / T + T * L_q @ L_q.T + B[m:, m:]
+        load = self.mass_matrix() / T @ velocity - L_q @ (deflection + T * L_u.T @ w) - B[m:, :m] @ w
+        v_now = np.linalg.solve(inertia, load) if n else load
+        e_now = deflection + T * (L_u.T @ w + L_q.T @ v_now)
+        force = L_u @ e_now + B[:m, :m] @ w + B[:m, m:] @ v_now
+        state = np.vstack([e_now, root_M @ v_now]) / scale
+        order = r + n
+        return StateSpace(state[:, :order], state[:, order:], force[:, :order], force[:, order:])
+
+    def _assemble(self, weights: list[float]) -> Matrix:
+        index = {name: i for i, name in enumerate([*self.ports, *(name for name, _ in self.masses)])}
+        out = np.zeros((len(index), len(index)))
+        for link, weight in zip(self.links, weights, strict=True):
+            ends = [index[end] for end in link.ends if end != GROUND]
+            for i in ends:
+                out[i, i] += weight
+            if len(ends) == 2:
+                out[ends[0], ends[1]] -= weight
+                out[ends[1], ends[0]] -= weight
+        return out
+
+
+def full_rank_factor(K: Matrix) -> Matrix:
+    """L of full column rank with K = L L^T, for symmetric K >= 0 (pivoted Cholesky).
+
+    The factor is unique for its order of pivots, so the same K gives the same L on every machine up to
+    rounding; an eigenvalue factor would not where eigenvalues coincide.
+
+    Raises:
+        ValueError: K has a negative direction.
+    """
+    remainder = np.array(K, dtype=np.float64)
+    scale = float(np.max(np.abs(remainder), initial=0.0))
+    columns: list[Matrix] = []
+    for _ in range(remainder.shape[0]):
+        pivot = int(np.argmax(np.diag(remainder)))
+        value = float(remainder[pivot, pivot])
+        if value <= _RANK_TOLERANCE * scale:
+            break
+        column = remainder[:, pivot] / np.sqrt(value)
+        columns.append(column)
+        remainder = remainder - np.outer(column, column)
+    if float(np.max(np.abs(remainder), initial=0.0)) > 1e3 * _RANK_TOLERANCE * max(scale, 1e-300):
+        raise ValueError("expected a positive semidefinite matrix")
+    return np.stack(columns, axis=1) if columns else np.zeros((remainder.shape[0], 0))
+
+
+def _inverse_diagonal(D: Matrix) -> Matrix:
+    return np.diag(1.0 / np.diag(D)) if D.size else D

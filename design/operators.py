@@ -1,0 +1,192 @@
+"""The human operator H: rational transfer matrices in continuous time, and whether they are passive.
+
+Assumption 1(b) of [Bianchini2010]_ asks that each H_i, from velocity (m/s) to force (N), be a passive
+operator. For a stable proper H(s) that is
+
+    H(jw) + H(jw)^* >= 0    for all real w,
+
+which is checked here on a frequency grid refined around every local minimum of the smallest eigenvalue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
+
+Rational = tuple[tuple[float, ...], tuple[float, ...]]
+"""Numerator and denominator, descending powers of s."""
+
+_POINTS_PER_DECADE = 400
+_DECADES_BEYOND = 3
+_ROUNDING = 1e-12  # of the largest gain: below that, a negative eigenvalue is rounding of the evaluation
+
+
+@dataclass(frozen=True)
+class PassivityFinding:
+    """What the passivity check of an operator found.
+
+    Attributes:
+        passive: whether H is passive.
+        smallest: the least eigenvalue of the Hermitian part of H(jw) over w, in N*s/m.
+        frequency: where it is reached, in rad/s.
+        reason: one sentence, also when passive.
+    """
+
+    passive: bool
+    smallest: float
+    frequency: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class RationalMatrix:
+    """A square matrix of proper rational functions of s.
+
+    Attributes:
+        entries: rows of (numerator, denominator), each in descending powers of s.
+
+    Raises:
+        ValueError: not square, a zero denominator, or an improper entry.
+    """
+
+    entries: tuple[tuple[Rational, ...], ...]
+
+    def __post_init__(self) -> None:
+        size = len(self.entries)
+        if size == 0 or any(len(row) != size for row in self.entries):
+            raise ValueError("expected a square matrix of entries")
+        trimmed = []
+        for i, row in enumerate(self.entries):
+            for j, (num, den) in enumerate(row):
+                place = f"entry ({i + 1}, {j + 1})"
+                if not _trim(den):
+                    raise ValueError(f"{place}: the denominator is zero")
+                if len(_trim(num)) > len(_trim(den)):
+                    raise ValueError(
+                        f"{place}: improper, the numerator's degree {len(_trim(num)) - 1} exceeds the "
+                        f"denominator's {len(_trim(den)) - 1}; put inertia into the mass instead"
+                    )
+            trimmed.append(tuple((_trim(num), _trim(den)) for num, den in row))
+        object.__setattr__(self, "entries", tuple(trimmed))
+
+    @property
+    def size(self) -> int:
+        """Number m of ports."""
+        return len(self.entries)
+
+    def response(self, frequencies: Matrix) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+        """H(jw), frequencies x m x m, for ``frequencies`` w in rad/s."""
+        s = 1j * np.asarray(frequencies)
+        out = np.zeros((s.size, self.size, self.size), dtype=np.complex128)
+        for i, row in enumerate(self.entries):
+            for j, (num, den) in enumerate(row):
+                out[:, i, j] = np.polyval(num or (0.0,), s) / np.polyval(den, s)
+        return out
+
+    def poles(self) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+        """Roots of all denominators, rad/s."""
+        roots = [np.roots(den) for row in self.entries for _, den in row if len(den) > 1]
+        return np.concatenate(roots).astype(np.complex128) if roots else np.zeros(0, dtype=np.complex128)
+
+    def realisation(self) -> StateSpace:
+        """A continuous state space of H(s): one companion form for each entry, not minimal in general."""
+        m = self.size
+        A_parts: list[Matrix] = []
+        B = np.zeros((0, m))
+        C = np.zeros((m, 0))
+        D = np.zeros((m, m))
+        for i, row in enumerate(self.entries):
+            for j, (num, den) in enumerate(row):
+                A_entry, C_entry, D[i, j] = _companion(num, den)
+                order = A_entry.shape[0]
+                if not np.any(C_entry):
+                    continue  # a plain gain needs no states
+                A_parts.append(A_entry)
+                B_entry = np.zeros((order, m))
+                B_entry[-1, j] = 1.0
+                C_entry_wide = np.zeros((m, order))
+                C_entry_wide[i] = C_entry
+                B, C = np.vstack([B, B_entry]), np.hstack([C, C_entry_wide])
+        return StateSpace(block_diagonal(A_parts), B, C, D)
+
+    def passivity(self) -> PassivityFinding:
+        """Check passivity; see the module's equation."""
+        poles = self.poles()
+        unstable = poles[poles.real >= 0.0]
+        if unstable.size:
+            worst = unstable[np.argmax(unstable.real)]
+            return PassivityFinding(
+                False,
+                -np.inf,
+                float(abs(worst.imag)),
+                f"operator not passive: it has a pole at {worst:.3g} rad/s, not in the open left half plane",
+            )
+        frequency, smallest = self._least_eigenvalue(poles)
+        scale = float(np.max(np.abs(self.response(np.array([frequency])))))
+        if smallest < -_ROUNDING * max(scale, 1e-300):
+            return PassivityFinding(
+                False,
+                smallest,
+                frequency,
+                f"operator not passive at {frequency:.3g} rad/s: the least eigenvalue of its Hermitian part "
+                f"there is {smallest:.3g} N*s/m",
+            )
+        return PassivityFinding(
+            True,
+            smallest,
+            frequency,
+            f"passive: least eigenvalue {smallest:.3g} N*s/m at {frequency:.3g} rad/s",
+        )
+
+    def _least_eigenvalue(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:
+        """The frequency (rad/s) and value of the least eigenvalue of the Hermitian part."""
+        corners = [abs(p) for p in poles]
+        for row in self.entries:
+            for num, _ in row:
+                corners += [abs(z) for z in np.roots(num)] if len(num) > 1 else []
+        corners = [float(c) for c in corners if c > 0.0] or [1.0]
+        low = np.log10(min(corners)) - _DECADES_BEYOND
+        high = np.log10(max(corners)) + _DECADES_BEYOND
+        grid = np.logspace(low, high, int((high - low) * _POINTS_PER_DECADE))
+        grid = np.concatenate([np.zeros(1), grid])
+        values = self._smallest_at(grid)
+        for _ in range(4):  # each pass divides the spacing around every local minimum by 20
+            inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
+            deepest = inner[np.argsort(values[inner])[:8]]
+            fine = np.linspace(grid[deepest - 1], grid[deepest + 1], 41)
+            grid = np.unique(np.concatenate([grid, fine.ravel()]))
+            values = self._smallest_at(grid)
+        best = int(np.argmin(values))
+        return float(grid[best]), float(values[best])
+
+    def _smallest_at(self, frequencies: Matrix) -> Matrix:
+        H = self.response(frequencies)
+        hermitian = (H + np.conj(np.swapaxes(H, 1, 2))) / 2.0
+        return np.asarray(np.linalg.eigvalsh(hermitian)[:, 0])
+
+
+def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Drop leading zeros."""
+    for i, c in enumerate(coefficients):
+        if c != 0.0:
+            return tuple(float(x) for x in coefficients[i:])
+    return ()
+
+
+def _companion(num: tuple[float, ...], den: tuple[float, ...]) -> tuple[Matrix, Matrix, float]:
+    """Controllable companion form of num/den: A (n x n), C (n,), D; B is the last unit vector."""
+    order = len(den) - 1
+    monic = np.array(den) / den[0]
+    padded = np.zeros(order + 1)
+    if num:
+        padded[order + 1 - len(num) :] = np.array(num) / den[0]
+    D = float(padded[0])
+    C = (padded[1:] - D * monic[1:])[::-1]
+    A = np.zeros((order, order))
+    if order:
+        A[:-1, 1:] = np.eye(order - 1)
+        A[-1] = -monic[1:][::-1]
+    return A, C, D

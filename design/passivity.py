@@ -1,0 +1,136 @@
+"""Passivity of discrete systems in state space: Lemma 1 of [Bianchini2010]_, with facial reduction.
+
+Sigma = (A, B, C, D) is Delta-OSP and Phi-ISP (Definition 2) with storage psi^T P psi, P > 0, iff
+
+    M(P) = [ A^T P A - P + C^T Delta C        A^T P B - C^T/2 + C^T Delta D               ]
+           [ B^T P A - C/2 + D^T Delta C      B^T P B - (D + D^T)/2 + D^T Delta D + Phi  ]  <= 0.    (2)
+
+(2) is printed with <, which neither E_hat (an integrator a port) nor V_hat (a differentiator a port) can
+satisfy. A *neutral* pair (psi, w), one with
+
+    A psi + B w = psi    and    w = 0 (at the input of E_hat) or C psi + D w = 0 (at the output of V_hat),
+
+neither stores nor exchanges anything, so its quadratic form is zero whatever P is, and M(P) <= 0 forces
+M(P) (psi, w) = 0: linear equalities on P. They are imposed exactly, by writing P = P_0 + sum_i p_i N_i, and
+strictness is asked on a complement of the neutral pairs only. Handed the unreduced (2), a solver has no interior point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from manyhands.design.statespace import Matrix, StateSpace
+
+_RANK_TOLERANCE = 1e-9  # relative: static directions differ from slow ones (omega T of 1e-6 and more) by far more
+_EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution
+
+NeutralAt = Literal["input", "output"]
+"""Where a neutral pair is silent: E_hat's have no input (w = 0), V_hat's no output (C psi + D w = 0)."""
+
+
+def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
+    """The matrix M(P) of (2), (n+m) x (n+m); Delta and Phi default to zero (passivity).
+
+    Args:
+        system: (A, B, C, D) with as many inputs as outputs, m.
+        P: n x n symmetric.
+        Delta: m x m, output level.
+        Phi: m x m, input level.
+    """
+    A, B, C, D = system.A, system.B, system.C, system.D
+    m = system.inputs
+    Delta = np.zeros((m, m)) if Delta is None else Delta
+    Phi = np.zeros((m, m)) if Phi is None else Phi
+    off = A.T @ P @ B - C.T / 2.0 + C.T @ Delta @ D
+    return np.block(
+        [
+            [A.T @ P @ A - P + C.T @ Delta @ C, off],
+            [off.T, B.T @ P @ B - (D + D.T) / 2.0 + D.T @ Delta @ D + Phi],
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StorageFace:
+    """The affine set of storage matrices P that the neutral pairs allow, and where to ask strictness.
+
+    Attributes:
+        P_0: one of them, n x n symmetric.
+        directions: N_i stacked, d x n x n, symmetric: P = P_0 + sum_i p_i N_i.
+        complement: W, (n+m) x c with orthonormal columns: W^T M(P) W < 0 is what is left of (2).
+    """
+
+    P_0: Matrix
+    directions: Matrix
+    complement: Matrix
+
+
+def neutral_pairs(system: StateSpace, at: NeutralAt) -> Matrix:
+    """An orthonormal basis, (n+m) x d, of the neutral pairs (psi, w) of ``system``."""
+    n, m = system.order, system.inputs
+    steady = np.hstack([system.A - np.eye(n), system.B])
+    silent = np.hstack([np.zeros((m, n)), np.eye(m)]) if at == "input" else np.hstack([system.C, system.D])
+    return kernel(np.vstack([steady, silent]))
+
+
+def neutral_equalities(system: StateSpace, at: NeutralAt, pairs: Matrix) -> tuple[Matrix, Matrix]:
+    """What M(P) (psi, w) = 0 says about P for neutral ``pairs``: left-hand rows and right-hand side.
+
+    [A - I, B]^T P psi = c with c = (0, C psi / 2) for pairs silent at the input and (C^T w / 2, D^T w / 2)
+    at the output.
+
+    Returns:
+        psi (n x d) and c ((n+m) x d).
+    """
+    n = system.order
+    psi, w = pairs[:n], pairs[n:]
+    if at == "input":
+        return psi, np.vstack([np.zeros_like(psi), system.C @ psi / 2.0])
+    return psi, np.vstack([system.C.T @ w / 2.0, system.D.T @ w / 2.0])
+
+
+def equality_residual(system: StateSpace, P: Matrix, at: NeutralAt) -> float:
+    """How far P is from the neutral equalities, relative to the larger side (0: exactly on the face)."""
+    pairs = neutral_pairs(system, at)
+    psi, right = neutral_equalities(system, at, pairs)
+    left = np.hstack([system.A - np.eye(system.order), system.B]).T @ P @ psi
+    scale = max(float(np.max(np.abs(P), initial=0.0)), float(np.max(np.abs(right), initial=0.0)), 1e-300)
+    return float(np.max(np.abs(left - right), initial=0.0)) / scale
+
+
+def storage_face(system: StateSpace, at: NeutralAt) -> StorageFace | None:
+    """Solve the neutral equalities; None when they have no symmetric solution, so that (2) cannot hold.
+
+    None means, at the output of V_hat, that V(1) is not symmetric, and at the input of E_hat that its
+    static stiffness is not.
+    """
+    n = system.order
+    pairs = neutral_pairs(system, at)
+    complement = kernel(pairs.T)
+    rows, columns = np.triu_indices(n)
+    basis = np.zeros((rows.size, n, n))
+    basis[np.arange(rows.size), rows, columns] = 1.0
+    basis[np.arange(rows.size), columns, rows] = 1.0
+    if pairs.shape[1] == 0:
+        return StorageFace(np.zeros((n, n)), basis, complement)
+    psi, right = neutral_equalities(system, at, pairs)
+    left = np.hstack([system.A - np.eye(n), system.B]).T
+    equations = np.stack([(left @ N @ psi).ravel() for N in basis], axis=1)
+    coefficients, *_ = np.linalg.lstsq(equations, right.ravel(), rcond=_RANK_TOLERANCE)
+    residual = float(np.max(np.abs(equations @ coefficients - right.ravel())))
+    if residual > _EQUALITY_TOLERANCE * max(float(np.max(np.abs(right))), 1e-300):
+        return None
+    free = kernel(equations)
+    return StorageFace(np.tensordot(coefficients, basis, axes=1), np.tensordot(free.T, basis, axes=1), complement)
+
+
+def kernel(M: Matrix) -> Matrix:
+    """An orthonormal basis of the null space of M, columns x d, by singular values."""
+    if M.shape[0] == 0 or M.shape[1] == 0:
+        return np.eye(M.shape[1])
+    _, values, right = np.linalg.svd(M, full_matrices=True)
+    rank = int(np.sum(values > _RANK_TOLERANCE * max(float(values[0]), 1e-300)))
+    return np.asarray(right[rank:].T)

@@ -1,0 +1,123 @@
+"""Linear systems in state space, the common currency of this room.
+
+A system (A, B, C, D) has n states, p inputs and m outputs. Whether it is read in discrete time
+(psi+ = A psi + B u) or in continuous time (d psi/dt = A psi + B u) is said where it is made; nothing
+here depends on it but :meth:`StateSpace.simulate`, which is discrete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix = NDArray[np.float64]
+
+
+def matrix(data: ArrayLike, rows: int | None = None, columns: int | None = None) -> Matrix:
+    """Return ``data`` as a read-only float64 matrix of its own.
+
+    Raises:
+        ValueError: not two-dimensional, not of the wanted shape, or not finite.
+    """
+    out = np.array(data, dtype=np.float64)
+    if out.ndim != 2:
+        raise ValueError(f"expected a matrix, found {out.ndim} dimension(s)")
+    if (rows is not None and out.shape[0] != rows) or (columns is not None and out.shape[1] != columns):
+        raise ValueError(f"expected a {rows} x {columns} matrix, found {out.shape[0]} x {out.shape[1]}")
+    if not np.all(np.isfinite(out)):
+        raise ValueError("expected finite entries")
+    out.setflags(write=False)
+    return out
+
+
+def symmetric_part(M: NDArray[np.floating[Any]]) -> Matrix:
+    """The symmetric part (M + M^T)/2 of a square matrix."""
+    return np.asarray((M + M.T) / 2.0, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """A linear system (A, B, C, D).
+
+    Attributes:
+        A: n x n.
+        B: n x p.
+        C: m x n.
+        D: m x p.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+    def __post_init__(self) -> None:
+        A = matrix(self.A)
+        n = A.shape[0]
+        D = matrix(self.D)
+        object.__setattr__(self, "A", matrix(A, n, n))
+        object.__setattr__(self, "B", matrix(np.reshape(self.B, (n, D.shape[1])), n, D.shape[1]))
+        object.__setattr__(self, "C", matrix(np.reshape(self.C, (D.shape[0], n)), D.shape[0], n))
+        object.__setattr__(self, "D", D)
+
+    @classmethod
+    def static(cls, D: ArrayLike) -> StateSpace:
+        """A gain without states, y = D u."""
+        gain = matrix(D)
+        m, p = gain.shape
+        return cls(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), gain)
+
+    @property
+    def order(self) -> int:
+        """Number n of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def inputs(self) -> int:
+        """Number p of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def outputs(self) -> int:
+        """Number m of outputs."""
+        return int(self.D.shape[0])
+
+    def response(self, point: complex) -> NDArray[np.complex128]:
+        """C (point I - A)^{-1} B + D, m x p: the transfer matrix at one point of the z or s plane."""
+        resolvent = np.linalg.solve(point * np.eye(self.order) - self.A, self.B.astype(np.complex128))
+        return np.asarray(self.C @ resolvent + self.D)
+
+    def simulate(self, inputs: Matrix) -> Matrix:
+        """Outputs (ticks x m) of the discrete system from rest, for ``inputs`` (ticks x p)."""
+        state = np.zeros(self.order)
+        outputs = np.zeros((inputs.shape[0], self.outputs))
+        for k, u in enumerate(inputs):
+            outputs[k] = self.C @ state + self.D @ u
+            state = self.A @ state + self.B @ u
+        return outputs
+
+
+def block_diagonal(parts: Sequence[Matrix]) -> Matrix:
+    """The matrix with ``parts`` on its diagonal, in order; parts may be non-square or empty."""
+    rows = sum(part.shape[0] for part in parts)
+    columns = sum(part.shape[1] for part in parts)
+    out = np.zeros((rows, columns))
+    i = j = 0
+    for part in parts:
+        out[i : i + part.shape[0], j : j + part.shape[1]] = part
+        i, j = i + part.shape[0], j + part.shape[1]
+    return out
+
+
+def parallel_blocks(systems: Sequence[StateSpace]) -> StateSpace:
+    """The decoupled system blockdiag(S_1, ..., S_N), its states, inputs and outputs stacked in order."""
+    return StateSpace(
+        block_diagonal([s.A for s in systems]),
+        block_diagonal([s.B for s in systems]),
+        block_diagonal([s.C for s in systems]),
+        block_diagonal([s.D for s in systems]),
+    )

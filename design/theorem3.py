@@ -1,0 +1,154 @@
+"""Theorem 3 of [Bianchini2010]_: is the loop stable with a *given* coupling?
+
+One semidefinite program looks for storage functions and levels of all parties at once,
+
+    maximise t   subject to
+      E_hat is (-Phi_E)-ISP               (Lemma 1, storage P_E)
+      V_hat,i is Delta_V,i-OSP, each i    (Lemma 1, storage P_V,i)
+      [ Delta_D - Phi_E       -Phi_E       ]
+      [    -Phi_E        Delta_V - Phi_E   ]  >= t I                          (10)
+
+and the loop is certified when t > 0. Delta_V is given the structure of V: each block then keeps a promise
+of its own, which its process can watch from its own data. A second program fixes t just below its
+optimum and maximises the room left in the other inequalities, so that a check in floating point has something to hold.
+
+All of it is solved in ports scaled by S = Delta_D^{-1/2}, where Delta_D = I and, for networks in energy
+coordinates, P_E is near I.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from manyhands.design.contract import Levels
+from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.necessary import check_block
+from manyhands.design.passivity import storage_face
+from manyhands.design.problem import HapticLoop
+from manyhands.design.solver import (
+    ProgramInfeasible,
+    solve,
+    storage_inequality_expression,
+    storage_on,
+    symmetric,
+    value,
+)
+from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, symmetric_part
+from manyhands.design.transformation import transformed_coupling
+
+_GREATEST_LEVEL = 100.0  # of Delta_D: (10) gains nothing from more, and storage matrices grow with it
+_T_KEPT = 0.995  # part of the best t that the second program keeps
+_LEAST_STORAGE = 1e-9  # P > this, in scaled coordinates where P_E is near I
+_MOST_ROOM = 1e-2  # cap on the room asked in the Lemma 1 inequalities, same coordinates
+
+
+def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
+    """Find levels that prove the loop stable with the coupling blockdiag(``blocks``).
+
+    Args:
+        loop: the haptic loop.
+        blocks: realisations of V's blocks, in the partition's order; ports in the block's order.
+
+    Raises:
+        Infeasible: no levels exist; the coupling is not certified.
+        SolverFailure: the solver gave no usable answer.
+    """
+    m = len(loop.ports)
+    partition, S = loop.partition, loop.scaling
+    E_hat = scale_ports(loop.E_hat, S, S)
+    face_E = storage_face(E_hat, "input")
+    if face_E is None:
+        raise Infeasible("the environment's static stiffness is not symmetric: E_hat cannot be passive", ())
+    P_E, Phi_E = storage_on(face_E), cp.Variable((m, m), symmetric=True)
+    room, t = cp.Variable(), cp.Variable()
+    constraints = [
+        symmetric(P_E) >> _LEAST_STORAGE * np.eye(E_hat.order),
+        _reduced(storage_inequality_expression(E_hat, P_E, Phi=-Phi_E), face_E.complement, room),
+        room <= _MOST_ROOM,
+    ]
+    Delta_V: list[cp.Variable] = []
+    P_V = []
+    embedded: Any = np.zeros((m, m))
+    back: list[Matrix] = []
+    for name, block, select, S_i, K_i in zip(
+        partition.names,
+        blocks,
+        partition.selections(),
+        partition.restrict(S),
+        partition.restrict(loop.K),
+        strict=True,
+    ):
+        check_block(name, block, K_i, loop.period)
+        V_hat, states = _scaled_block(block, S_i, K_i, loop.period)
+        face = storage_face(V_hat, "output")
+        if face is None:
+            raise SolverFailure(f"coupling {name}: its steady states admit no storage function")
+        P, Delta = storage_on(face), cp.Variable((len(S_i), len(S_i)), symmetric=True)
+        constraints += [
+            symmetric(P) >> _LEAST_STORAGE * np.eye(V_hat.order),
+            _reduced(storage_inequality_expression(V_hat, P, Delta=Delta), face.complement, room),
+            Delta << _GREATEST_LEVEL * np.eye(len(S_i)),
+        ]
+        Delta_V.append(Delta)
+        P_V.append(P)
+        back.append(states)
+        embedded = embedded + select @ Delta @ select.T
+    square = block_diagonal([symmetric_part(S @ S)] * 2)
+    condition_10 = symmetric(cp.bmat([[np.eye(m) - Phi_E, -Phi_E], [-Phi_E, embedded - Phi_E]]))
+    constraints.append(condition_10 >> t * square)
+
+    what = "Theorem 3 for a given coupling"
+    try:
+        best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
+        if best <= 0.0:
+            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m, expected > 0", _RELAX)
+        solve(cp.Problem(cp.Maximize(room), [*constraints, t >= _T_KEPT * best]), what)
+    except ProgramInfeasible as error:
+        raise Infeasible("no levels satisfy Theorem 3 with this coupling", _RELAX) from error
+    if float(value(room)) <= 0.0:
+        raise SolverFailure(f"{what}: no room is left in the storage inequalities, so nothing can be verified")
+    inverse: Matrix = np.asarray(np.linalg.inv(S), dtype=np.float64)
+    return Levels(
+        Delta_V=partition.embed(
+            [symmetric_part(i @ value(D) @ i) for i, D in zip(partition.restrict(inverse), Delta_V, strict=True)]
+        ),
+        Phi_E=symmetric_part(inverse @ value(Phi_E) @ inverse),
+        P_E=symmetric_part(value(P_E)),
+        P_V=tuple(symmetric_part(X.T @ value(P) @ X) for X, P in zip(back, P_V, strict=True)),
+    )
+
+
+_RELAX = (
+    "lower the coupling's stiffness",
+    "shorten the period",
+    "use devices with more damping (a greater osp)",
+)
+
+
+def scale_ports(system: StateSpace, left: Matrix, right: Matrix) -> StateSpace:
+    """The system left * Sigma * right, for square matrices on its outputs and inputs."""
+    return StateSpace(system.A, system.B @ right, left @ system.C, left @ system.D @ right)
+
+
+def _reduced(M: Any, complement: Matrix, room: cp.Variable) -> Any:
+    """W^T M W <= -room I on the complement W of the neutral pairs."""
+    return symmetric(complement.T @ M @ complement) << -room * np.eye(complement.shape[1])
+
+
+def _scaled_block(block: StateSpace, S: Matrix, K: Matrix, T: float) -> tuple[StateSpace, Matrix]:
+    """V_hat of a block in scaled ports and states, and X with (scaled state) = X (state of (12)).
+
+    The force of the tick before is scaled like the ports. Of xi, with one entry a port (the spring-damper
+    class), a force times a second over a length, S is the scaling too; other states keep theirs.
+    """
+    inverse: Matrix = np.asarray(np.linalg.inv(S), dtype=np.float64)
+    K_scaled: Matrix = np.asarray(inverse @ K @ inverse)
+    V_hat = transformed_coupling(scale_ports(block, inverse, inverse), K_scaled, T)
+    X_xi: Matrix = S if block.order == block.inputs else np.eye(block.order)
+    X = block_diagonal([X_xi, np.eye(block.inputs)])  # the scaled V_hat remembers a scaled force already
+    X_inverse = np.linalg.inv(X)
+    scaled = StateSpace(X @ V_hat.A @ X_inverse, X @ V_hat.B, V_hat.C @ X_inverse, V_hat.D)
+    return scaled, block_diagonal([X_xi, S])
