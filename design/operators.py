@@ -143,10 +143,10 @@ class RationalMatrix:
 
     def _least_eigenvalue(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:
         """The frequency (rad/s) and value of the least eigenvalue of the Hermitian part."""
-        corners = [abs(p) for p in poles]
+        corners: list[float] = [float(abs(p)) for p in poles]
         for row in self.entries:
             for num, _ in row:
-                corners += [abs(z) for z in np.roots(num)] if len(num) > 1 else []
+                corners += [float(abs(z)) for z in np.roots(num)] if len(num) > 1 else []
         corners = [float(c) for c in corners if c > 0.0] or [1.0]
         low = np.log10(min(corners)) - _DECADES_BEYOND
         high = np.log10(max(corners)) + _DECADES_BEYOND

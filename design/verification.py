@@ -26,6 +26,15 @@ from manyhands.design.passivity import (
     neutral_pairs,
     storage_inequality,
 )
+from manyhands.design.problem import (
+    CouplingRequest,
+    DeviceLevel,
+    HapticLoop,
+    LinearGiven,
+    NoCoupling,
+    SpringDamperGiven,
+    SpringDamperWanted,
+)
 from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.design.transformation import transformed_coupling
 
@@ -79,6 +88,45 @@ def verify(certificate: Certificate, data: Mapping[str, Any]) -> tuple[Finding, 
         worst = max(abs(certificate.margins[k] - v) / max(abs(v), 1e-12) for k, v in found.items())
         findings.append(_equal("the stated margins are the ones found", worst, 1e-6))
     return tuple(findings)
+
+
+def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequest) -> list[str]:
+    """Where the certificate is about another loop, or another coupling, than these; empty when it fits."""
+    own = certificate.loop
+    out = [
+        f"{what} differs: the certificate has {mine}, the session {theirs}"
+        for what, mine, theirs in (
+            ("the session's name", own.session, loop.session),
+            ("the period", own.period, loop.period),
+            ("the ports", own.ports, loop.ports),
+            ("the block structure", own.partition, loop.partition),
+            ("the environment", own.network, loop.network),
+            ("the devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+        )
+        if mine != theirs
+    ]
+    match wanted:
+        case SpringDamperGiven(given):
+            held = certificate.coupling
+            if held is None or np.any(held.stiffness != given.stiffness) or np.any(held.damping != given.damping):
+                out.append("the coupling is not the one that the session gives")
+        case LinearGiven(blocks):
+            if [_system(b) for b in certificate.blocks] != [_system(b) for b in blocks]:
+                out.append("the coupling is not the one that the session gives")
+        case SpringDamperWanted():
+            if certificate.coupling is None:
+                out.append("the coupling is not of the spring-damper class that the session wants")
+        case NoCoupling():
+            out.append("the session wants no coupling")
+    return out
+
+
+def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]]]:
+    return device.name, device.ports, device.level.tolist()
+
+
+def _system(system: StateSpace) -> list[list[list[float]]]:
+    return [M.tolist() for M in (system.A, system.B, system.C, system.D)]
 
 
 def margins(certificate: Certificate) -> dict[str, float]:

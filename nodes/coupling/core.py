@@ -1,0 +1,55 @@
+"""A coupling block's tick without its I/O: V_i, seen from x and f_v of its own ports.
+
+    p(k) = x(k) + C_V xi(k)                       the tool's position were there no force
+    xi(k+1) = A_V xi(k) + B_V f_v(k)
+
+The environment, which knows D_V, completes x_e = p + D_V f_v. The block promises that V_hat,i is
+Delta_V,i-OSP, from f_v to the backward difference of (V_i - K_i) f_v ((7) of [Bianchini2010]_).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.statespace import StateSpace
+from manyhands.nodes.ledger import Ledger
+
+Vector = NDArray[np.float64]
+
+
+class CouplingCore:
+    """The state of one coupling block between ticks.
+
+    Attributes:
+        ledger: its energy ledger; None when the session is not certified, so that nothing was promised.
+    """
+
+    def __init__(self, block: StateSpace, K: Vector, level: Vector | None, T: float) -> None:
+        """Start at rest.
+
+        Args:
+            block: (A_V, B_V, C_V, D_V) of the block, force (N) to displacement (m).
+            K: the block of the loop transformation's K, m/N.
+            level: Delta_V,i, N*s/m, or None.
+            T: period, s.
+        """
+        self._V, self._K, self._level, self._T = block, K, level, T
+        self._xi = np.zeros(block.order)
+        self._offset = np.zeros(block.outputs)  # C_V xi(k)
+        self._y = np.zeros(block.outputs)  # (V - K) f_v of the tick before, m
+        self.ledger = None if level is None else Ledger()
+
+    def free_position(self, x: Vector) -> Vector:
+        """p(k), m, from the devices' displacement x(k), m."""
+        self._offset = self._V.C @ self._xi
+        return x + self._offset
+
+    def absorb(self, f: Vector) -> None:
+        """Take f_v(k), N, of this block's ports and step to the next tick."""
+        if self.ledger is not None and self._level is not None:
+            y = self._offset + self._V.D @ f - self._K @ f
+            w = (y - self._y) / self._T
+            self.ledger.enter(self._T * float(f @ w - w @ self._level @ w))
+            self._y = y
+        self._xi = self._V.A @ self._xi + self._V.B @ f

@@ -1,0 +1,35 @@
+"""What the loop asks of a force-feedback device, whichever it is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+class Driver(Protocol):
+    """A force-feedback device: displacement out, force in, one of each a tick."""
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        ...
+
+    def sample(self, tick: int) -> Vector:
+        """The displacement x(k), m, one entry an axis, at this moment."""
+        ...
+
+    def apply(self, f: Vector) -> None:
+        """Exert the force f (N) and hold it until the next call."""
+        ...
+
+    def release(self) -> None:
+        """Exert no force: what a device does that hears nothing."""
+        ...
+
+    def intended_work(self) -> float:
+        """Work done by the hand's intention between the last two samples, J; 0 where that is unknown."""
+        ...

@@ -1,0 +1,50 @@
+"""Percentiles of a stream of durations, in bounded memory and constant time a value.
+
+A run has no stated end, so values cannot be kept. They are counted in buckets whose widths grow with the
+value, one percent each: a percentile is exact to one percent, the maximum exactly.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_SMALLEST = 0.1  # us; anything below counts as zero
+_GROWTH = 0.01
+_BUCKETS = 2 + int(math.log(1e10) / math.log1p(_GROWTH))  # up to 1e9 us, a quarter of an hour
+_PER_LOG = 1.0 / math.log1p(_GROWTH)
+
+
+class Distribution:
+    """Counts durations, us."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BUCKETS, dtype=np.int64)
+        self._maximum = 0.0
+
+    def add(self, microseconds: float) -> None:
+        """Count one duration, us; negative ones count as zero."""
+        if microseconds > self._maximum:
+            self._maximum = microseconds
+        bucket = 0
+        if microseconds >= _SMALLEST:
+            bucket = min(1 + int(math.log(microseconds / _SMALLEST) * _PER_LOG), _BUCKETS - 1)
+        self._counts[bucket] += 1
+
+    def quantile(self, fraction: float) -> float:
+        """The duration (us) that ``fraction`` of all do not exceed; 0 when there are none."""
+        cumulative = np.cumsum(self._counts)
+        if cumulative[-1] == 0:
+            return 0.0
+        bucket = int(np.searchsorted(cumulative, fraction * cumulative[-1]))
+        return 0.0 if bucket == 0 else min(_SMALLEST * math.exp(bucket / _PER_LOG), self._maximum)
+
+    def percentiles(self) -> dict[str, float]:
+        """p50, p99, p999 and max, us."""
+        return {
+            "p50": self.quantile(0.5),
+            "p99": self.quantile(0.99),
+            "p999": self.quantile(0.999),
+            "max": self._maximum,
+        }
