@@ -1,0 +1,126 @@
+"""A device of a session: its axes, its declared OSP level, and the simulated mechanism and hand behind it."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+
+from manyhands.launch.session.fields import (
+    AXIS_NAME,
+    DAMPING,
+    MASS,
+    OSP_ENTRY,
+    OSP_LEVEL,
+    Choice,
+    Dof,
+    Items,
+    PerAxis,
+    Rows,
+    SessionModel,
+    defaulted,
+    matrix,
+    optional,
+    refusal,
+    refuse,
+    unsymmetric,
+)
+from manyhands.launch.session.hand import DEFAULT_HAND, HAND_AXES, Hand
+from manyhands.launch.session.limits import MAX_DOF
+
+_ROUNDING: Final = 1e-12  # of the largest entry: what the eigenvalues of a difference may lose
+_per_axis: Final = PerAxis(OSP_LEVEL)
+
+
+def _osp(value: object, info: ValidationInfo) -> object:
+    """Delta_D as a symmetric positive definite matrix, from a number, a list by axis, or the matrix itself."""
+    dof: int = info.data.get("dof", 1)
+    if not isinstance(value, list | tuple) or not any(isinstance(row, list | tuple) for row in value):
+        levels: Any = _per_axis(value, info)
+        return tuple(tuple(level if i == j else 0.0 for j in range(dof)) for i, level in enumerate(levels))
+    rows: Rows = matrix(OSP_ENTRY, value, dof, dof)
+    if problem := unsymmetric(rows):
+        raise refusal(problem)
+    least = float(np.linalg.eigvalsh(np.array(rows))[0])
+    if least <= _ROUNDING * np.abs(rows).max():
+        raise refuse(f"a matrix with the eigenvalue {least:.3g}", "a positive definite matrix in N·s/m")
+    return rows
+
+
+def _damping(value: object, info: ValidationInfo) -> object:
+    """The damping by axis; by default what the OSP level needs: itself, or its row sums if it has cross terms."""
+    if value is None:
+        osp = info.data.get("osp", ())  # an osp that was refused leaves nothing to derive from
+        return tuple(float(np.abs(row).sum()) for row in osp)
+    return PerAxis(DAMPING)(value, info)
+
+
+_axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
+
+
+class Device(SessionModel):
+    """A device and who holds it; every tuple has one entry for each axis.
+
+    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis.
+    """
+
+    dof: Dof = Field(description="the number of degrees of freedom")
+    axes: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_axis_names))] = Field(
+        default=None, description="names of the axes, for its ports"
+    )
+    osp: Annotated[Rows, BeforeValidator(_osp)] = Field(
+        description="the OSP level Delta_D in N·s/m: a number, one for each axis, or a matrix"
+    )
+    driver: Annotated[Literal["simulated"], BeforeValidator(Choice(("simulated",)))] = Field(
+        description="what moves it: simulated"
+    )
+    mass: Annotated[tuple[float, ...], BeforeValidator(PerAxis(MASS))] = Field(
+        description="the moving mass in kg, greater than 0: a number, or one for each axis"
+    )
+    damping: Annotated[tuple[float, ...], BeforeValidator(_damping)] = defaulted(
+        None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
+    )
+    hand: Hand = defaulted(None, "the simulated hand that holds it")
+
+    def ports(self, name: str) -> tuple[str, ...]:
+        """The ports of this device when it is called ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
+        if self.axes is None and self.dof == 1:
+            return (name,)
+        return tuple(f"{name}.{axis}" for axis in self.axes or range(self.dof))
+
+    @field_validator("axes", mode="after")
+    @classmethod
+    def _one_name_for_each_axis(cls, axes: tuple[str, ...] | None, info: ValidationInfo) -> tuple[str, ...] | None:
+        dof = info.data.get("dof")
+        if axes is None or dof is None:
+            return axes
+        if len(axes) != dof:
+            raise refuse(f"{len(axes)} axis names", f"{dof}, one for each degree of freedom")
+        if twice := [name for i, name in enumerate(axes) if name in axes[:i]]:
+            raise refuse(f"the axis {twice[0]!r} twice", "each name once")
+        return axes
+
+    @field_validator("damping", mode="after")
+    @classmethod
+    def _is_osp_as_declared(cls, damping: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if "osp" not in info.data or len(damping) != len(info.data["osp"]):
+            return damping
+        osp = np.array(info.data["osp"])
+        least = float(np.linalg.eigvalsh(np.diag(damping) - osp)[0])
+        if least < -_ROUNDING * np.abs(osp).max():
+            against = f"{osp[0, 0]:g}" if osp.size == 1 else "the one given"
+            raise refuse(
+                f"the damping {', '.join(f'{value:g}' for value in damping)} for an OSP level of {against}, "
+                "so the device would not be Delta_D-OSP at the declared level",
+                "a damping in N·s/m with diag(damping) - osp positive semidefinite, or a smaller osp",
+            )
+        return damping
+
+    @field_validator("hand", mode="wrap")
+    @classmethod
+    def _held_on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
+        """Tell the hand how many axes it holds; without a valid ``dof`` there is nothing to check it against."""
+        if "dof" not in info.data:
+            return value
+        written = DEFAULT_HAND if value is None else value
+        return handler({**written, HAND_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)

@@ -1,0 +1,45 @@
+"""The size of everything that a session file may hold, in one place.
+
+A session file may come from someone else; whatever it says, reading it takes bounded memory and time.
+"""
+
+from typing import Final
+
+# the text
+MAX_FILE_BYTES: Final = 1 << 20
+MAX_DEPTH: Final = 32
+MAX_NODES: Final = 200_000
+"""Keys, items and values after every alias is written out."""
+MAX_OVERRIDES: Final = 100
+MAX_OVERRIDE_CHARACTERS: Final = 1 << 16
+
+# the structure
+MAX_DEVICES: Final = 1024
+MAX_DOF: Final = 32
+MAX_PORTS: Final = 2048
+MAX_COUPLINGS: Final = 1024
+MAX_MASSES: Final = 4096
+MAX_LINKS: Final = 16_384
+MAX_ORDER: Final = 256
+"""States of one coupling block."""
+
+MAX_PROBLEMS: Final = 200
+"""Dangling or doubled names that are told apart in one file; each is compared with every valid name."""
+
+# numbers
+MAX_MAGNITUDE: Final = 1e12
+MIN_POSITIVE: Final = 1e-12
+"""Least quantity that must be greater than 0: dividing by it stays well inside double precision."""
+MAX_DEGREE: Final = 16
+MAX_COEFFICIENT: Final = 1e24
+SHORTEST_PERIOD: Final = 1e-5
+LONGEST_PERIOD: Final = 0.1
+
+# recorded traces
+MAX_TRACE_BYTES: Final = 1 << 26
+MAX_TRACE_ROWS: Final = 1_000_000
+MAX_TRACE_LINE: Final = 200
+
+# intended motions and forces are tried at this many times when the file is read
+PROBE_COUNT: Final = 600
+PROBE_SECONDS: Final = 60.0

@@ -1,0 +1,279 @@
+"""From the text of a session file to plain data that remembers where each value stands.
+
+YAML's surprises are closed off before anything is validated: scalars follow the core schema of YAML 1.2 (so
+``1e-3`` is a number and ``no`` a word), a key given twice is refused instead of the last one winning, tags
+cannot name types, and aliases are written out under a limit, so a short file cannot become a huge one. What
+is left is ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None``, with a :class:`Place` for
+every key and list item, which is what lets every later error name a line.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import yaml
+from yaml.composer import Composer
+from yaml.events import CollectionStartEvent, ScalarEvent
+from yaml.parser import Parser
+from yaml.reader import Reader, ReaderError
+from yaml.resolver import BaseResolver
+from yaml.scanner import Scanner
+
+from manyhands.launch.session.error import SessionError, key_text, one_of, show
+from manyhands.launch.session.limits import (
+    MAX_DEPTH,
+    MAX_FILE_BYTES,
+    MAX_NODES,
+    MAX_OVERRIDE_CHARACTERS,
+    MAX_OVERRIDES,
+)
+from manyhands.launch.session.scalars import plain_scalar
+
+__all__ = ["KeyPath", "Place", "SessionError", "SessionTree", "apply_overrides", "parse_tree", "read_tree"]
+
+KeyPath: TypeAlias = tuple[str | int, ...]
+
+_YAML: Final = "YAML: 'key: value' lines indented by spaces, with quotes around text that holds ': ' or ' #'"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a value stands: a file and line, or the ``--set`` that brought it (then there is no line)."""
+
+    source: str
+    line: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class SessionTree:
+    """Plain data of a session, with the place of every key and list item."""
+
+    source: str
+    data: dict[str, object]
+    places: Mapping[KeyPath, Place]
+
+    def locate(self, path: KeyPath) -> tuple[KeyPath, Place]:
+        """The place of ``path``, or of the nearest key around it that is written in the file."""
+        for length in range(len(path), 0, -1):
+            if path[:length] in self.places:
+                return path[:length], self.places[path[:length]]
+        return (), self.places[()]
+
+
+def read_tree(path: Path) -> SessionTree:
+    """Read a session file.
+
+    Raises:
+        SessionError: the file cannot be read, is too large, is not UTF-8 or is not acceptable YAML.
+    """
+    source = str(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SessionError(source, None, "", f"{reason.lower()}", "a session file that can be read") from None
+    if len(content) > MAX_FILE_BYTES:
+        raise SessionError(source, None, "", f"more than {MAX_FILE_BYTES} bytes", f"at most {MAX_FILE_BYTES} bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        found = f"the byte 0x{content[error.start]:02x}, which is not UTF-8"
+        raise SessionError(source, line, "", found, "a text file in UTF-8") from None
+    return parse_tree(text, source)
+
+
+def parse_tree(text: str, source: str) -> SessionTree:
+    """Turn the text of a session into plain data; ``source`` names it in errors.
+
+    Raises:
+        SessionError: the text is not acceptable YAML, or not a mapping.
+    """
+    node = _compose(text, source, has_lines=True)
+    builder = _Builder(source, has_lines=True)
+    data = None if node is None else builder.build(node, ())
+    if not isinstance(data, dict):
+        line = 1 if node is None else _line(node)
+        found = "an empty file" if data is None else f"{show(data)} at the top"
+        raise SessionError(source, line, "", found, "keys and values, beginning with 'session: NAME'")
+    return SessionTree(source, data, {(): Place(source, 1), **builder.places})
+
+
+class _Loader(Reader, Scanner, Parser, Composer, BaseResolver):
+    """PyYAML up to the node graph, without its YAML 1.1 scalars; depth, number and tags are checked as nodes come."""
+
+    def __init__(self, text: str, builder: "_Builder") -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+        Composer.__init__(self)
+        BaseResolver.__init__(self)
+        self._builder = builder
+        self._depth = 0
+        self._count = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose one node, refusing what would recurse or grow too far."""
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs leave it untyped
+        if isinstance(event, ScalarEvent | CollectionStartEvent) and event.tag is not None:
+            raise self._builder.error(event, (), f"the tag {event.tag}", "plain YAML, without tags")
+        if self._depth >= MAX_DEPTH:
+            raise self._builder.error(event, (), f"nesting deeper than {MAX_DEPTH}", "a flatter file")
+        self._count += 1
+        if self._count > MAX_NODES:
+            raise self._builder.error(event, (), f"more than {MAX_NODES} values", "a smaller file")
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+
+def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
+    """The node graph of one YAML document; ``None`` for an empty one."""
+    builder = _Builder(source, has_lines)
+    loader: _Loader | None = None
+    try:
+        loader = _Loader(text, builder)
+        return loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line + 1 if mark else None
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
+        found = f"text that is not YAML ({problem})"
+    except ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        found = f"the character {chr(int(error.character))!r}, which YAML does not allow"
+    except (ValueError, OverflowError) as error:  # PyYAML lets these through for numbers in escapes
+        line = loader.line + 1 if loader else None
+        found = f"text that is not YAML ({error})"
+    raise SessionError(source, line if has_lines else None, "", found, _YAML)
+
+
+class _Builder:
+    """Writes out a node graph as plain data, within the limits, noting places as it goes."""
+
+    def __init__(self, source: str, has_lines: bool) -> None:
+        self.source = source
+        self.has_lines = has_lines
+        self.places: dict[KeyPath, Place] = {}
+        self._open: set[int] = set()
+        self._count = 0
+
+    def place(self, node: yaml.Node | yaml.Event) -> Place:
+        """Where a node begins."""
+        return Place(self.source, _line(node) if self.has_lines else None)
+
+    def error(self, node: yaml.Node | yaml.Event, path: KeyPath, found: str, expected: str) -> SessionError:
+        """An error at a node."""
+        place = self.place(node)
+        return SessionError(place.source, place.line, key_text(path), found, expected)
+
+    def build(self, node: yaml.Node, path: KeyPath) -> object:
+        """The plain value of a node; every alias gets a copy of its own, so that overrides do not spread."""
+        self._count += 1
+        if self._count > MAX_NODES:
+            raise self.error(node, path, f"more than {MAX_NODES} values", "a smaller file, with fewer aliases")
+        if isinstance(node, yaml.ScalarNode):
+            return plain_scalar(node.value) if node.style is None else node.value
+        if id(node) in self._open:
+            raise self.error(node, path, "an anchor that holds an alias of itself", "an alias of something else")
+        if len(path) >= MAX_DEPTH:
+            raise self.error(node, path, f"nesting deeper than {MAX_DEPTH}", "a flatter file")
+        self._open.add(id(node))
+        value = self._sequence(node, path) if isinstance(node, yaml.SequenceNode) else self._mapping(node, path)
+        self._open.discard(id(node))
+        return value
+
+    def _sequence(self, node: yaml.SequenceNode, path: KeyPath) -> list[object]:
+        items = []
+        for index, item in enumerate(node.value):
+            self.places[(*path, index)] = self.place(item)
+            items.append(self.build(item, (*path, index)))
+        return items
+
+    def _mapping(self, node: yaml.Node, path: KeyPath) -> dict[str, object]:
+        entries: dict[str, object] = {}
+        lines: dict[str, int] = {}
+        for key_node, value_node in node.value:
+            # only scalars are built as keys: aliases within keys within keys would recurse without a limit
+            key = self.build(key_node, path) if isinstance(key_node, yaml.ScalarNode) else key_node.value
+            if not isinstance(key, str):
+                expected = "a name as the key (in quotes, if it must look like a number)"
+                raise self.error(key_node, path, f"the key {show(key)}", expected)
+            line = _line(key_node)
+            if key in entries:
+                where = f" in lines {lines[key]} and {line}" if self.has_lines else ""
+                raise self.error(key_node, (*path, key), f"the key {key!r} twice{where}", "each key once")
+            lines[key] = line
+            self.places[(*path, key)] = self.place(key_node)
+            entries[key] = self.build(value_node, (*path, key))
+        return entries
+
+
+def _line(node: yaml.Node | yaml.Event) -> int:
+    """The line, from 1, in which a node begins."""
+    mark = node.start_mark
+    return 1 if mark is None else int(mark.line) + 1
+
+
+def apply_overrides(tree: SessionTree, overrides: Sequence[str]) -> SessionTree:
+    """The tree with values replaced as ``KEY.PATH=VALUE`` says, in order; the given tree is not changed.
+
+    The value is a YAML scalar or flow collection; list items go by position, from 0. An existing mapping may
+    get a new key (validation then judges it), but nothing on the way to it is invented.
+
+    Raises:
+        SessionError: an override that cannot be understood or leads nowhere.
+    """
+    if len(overrides) > MAX_OVERRIDES:
+        raise SessionError("--set", None, "", f"{len(overrides)} overrides", f"at most {MAX_OVERRIDES}")
+    for override in overrides:
+        tree = _apply(tree, override)
+    return tree
+
+
+def _apply(tree: SessionTree, override: str) -> SessionTree:
+    source = f"--set {override if len(override) <= 80 else override[:77] + '...'}"
+    dotted, equals, text = override.partition("=")
+    steps = dotted.strip().split(".")
+    if not equals or not all(steps):
+        found = "no '='" if not equals else f"the path {dotted!r}"
+        raise SessionError(source, None, "", found, "KEY.PATH=VALUE, such as devices.dx.mass=0.3")
+    if len(text) > MAX_OVERRIDE_CHARACTERS:
+        raise SessionError(source, None, dotted, f"{len(text)} characters", f"at most {MAX_OVERRIDE_CHARACTERS}")
+    node = _compose(text, source, has_lines=False)
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style:
+        raise SessionError(source, None, dotted, show(text), "a plain value, or one in [ ] or { }")
+
+    data = dict(tree.data)
+    parent: Any = data  # a dict or a list, as _existing makes sure of
+    path: KeyPath = ()
+    for step in steps[:-1]:
+        key = _existing(parent, step, path, source)
+        child = parent[key]
+        if not isinstance(child, dict | list):
+            raise SessionError(source, None, key_text((*path, key)), show(child), "a mapping or a list there")
+        parent[key] = child.copy()
+        parent, path = parent[key], (*path, key)
+    last = steps[-1] if isinstance(parent, dict) else _existing(parent, steps[-1], path, source)
+    path = (*path, last)
+    builder = _Builder(source, has_lines=False)
+    parent[last] = None if node is None else builder.build(node, path)
+    kept = {at: place for at, place in tree.places.items() if at[: len(path)] != path}
+    return SessionTree(tree.source, data, {**kept, path: Place(source, None), **builder.places})
+
+
+def _existing(parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str) -> str | int:
+    """The key or position of ``parent`` that ``step`` names."""
+    if isinstance(parent, dict):
+        if step in parent:
+            return step
+        expected = one_of(parent, step)
+    else:
+        if re.fullmatch(r"[0-9]{1,6}", step) and int(step) < len(parent):
+            return int(step)
+        expected = f"a position from 0 to {len(parent) - 1}" if parent else "a list with items"
+    raise SessionError(source, None, key_text(path), f"no {step!r}", expected)
