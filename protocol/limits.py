@@ -1,0 +1,58 @@
+"""The size of everything that crosses a process border, in one place.
+
+Whatever comes in from outside is bounded before memory is given to it. The bounds are generous for a
+session and small for a machine; the sender checks them too, so that a frame which the other side would
+drop is an error where it is made. SPEC.md states them, and a test compares the two.
+"""
+
+from typing import Final
+
+MAX_FRAME_BYTES: Final = 64 * 1024
+"""Longest signal frame, bytes. A signal of :data:`MAX_PORTS` values needs 2071."""
+
+MAX_CONTROL_BYTES: Final = 1024 * 1024
+"""Longest frame of any kind, bytes.
+
+A hello with the feedthrough of :data:`MAX_PORTS` ports needs about 0.6 MiB,
+which is why sockets admit this size and the gates admit :data:`MAX_FRAME_BYTES`."""
+
+MAX_PORTS: Final = 256
+"""Most ports that one link carries (those of one device in one coupling block, or of one block)."""
+
+MAX_NAME: Final = 96
+"""Longest name of a node, port, session or figure, and longest certificate id, characters."""
+
+MAX_TEXT: Final = 4096
+"""Longest text written for a person (the reason of a refusal, of a stop, of a fault), characters."""
+
+MAX_ENDPOINT: Final = 256
+"""Longest transport endpoint, characters."""
+
+MAX_ENTRIES: Final = 2048
+"""Most entries of one mapping (endpoints, figures, counts, traces)."""
+
+MAX_TRACE_SIDE: Final = MAX_CONTROL_BYTES // 8
+"""Most rows, and most columns, of one trace; the frame's length bounds their product."""
+
+MAX_COUNT: Final = 2**63 - 1
+"""Greatest tick, stamp, epoch and count: what a signed 64-bit integer holds."""
+
+MAX_VERSION: Final = 2**31 - 1
+"""Greatest protocol version that can be named."""
+
+MAX_PID: Final = 2**31 - 1
+"""Greatest process id."""
+
+MAX_SOCKET_PATH: Final = 107
+"""Longest path of a Unix-domain socket, bytes: ``sun_path`` holds 108 with its closing zero."""
+
+LINK_QUEUE_FRAMES: Final = 256
+"""Frames that wait in one direction of a link (a quarter of a second at 1 kHz) before ``send`` declines.
+
+ZeroMQ learns of what was read only now and then: half as many are sure to find room."""
+
+HUB_QUEUE_FRAMES: Final = 1000
+"""The same between a node and the supervisor, where the reader is a slower one."""
+
+LINGER_MS: Final = 500
+"""How long closing a transport may wait for frames that are on their way, such as a refusal, ms."""

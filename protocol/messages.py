@@ -1,0 +1,239 @@
+"""Everything that processes of a session say to each other, as types.
+
+Messages are values: frozen, compared by content, without behaviour. What a frame of each looks like is the
+codec's business (:mod:`manyhands.protocol.codec`), who may send it to whom is the channel table's
+(:mod:`manyhands.protocol.channels`), and SPEC.md tells both to other implementations.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.protocol.limits import MAX_TEXT
+
+PROTOCOL_VERSION: Final[int] = 1
+"""The version of SPEC.md that this code speaks."""
+
+Values: TypeAlias = NDArray[np.float64]
+
+
+class Role(StrEnum):
+    """What a process is in the session."""
+
+    DEVICE = "device"
+    COUPLING = "coupling"
+    ENVIRONMENT = "environment"
+    SUPERVISOR = "supervisor"
+
+
+class RefusalCode(StrEnum):
+    """What about a hello was not accepted."""
+
+    VERSION = "version"
+    CERTIFICATE = "certificate"
+    SESSION = "session"
+    NAME = "name"
+    ROLE = "role"
+    PORTS = "ports"
+    FEEDTHROUGH = "feedthrough"
+    MALFORMED = "malformed"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHello:
+    """First message on a link between two nodes.
+
+    Attributes:
+        version: protocol version of the sender.
+        certificate: id of the certificate it runs under.
+        session: name of the session.
+        name: name of the sending node.
+        role: what the sending node is.
+        ports: the ports this link carries, in the order of the values in its signals.
+        feedthrough: D_V of the block, m/N, ``len(ports)`` square; only from a coupling to the environment.
+    """
+
+    version: int
+    certificate: str
+    session: str
+    name: str
+    role: Role
+    ports: tuple[str, ...]
+    feedthrough: tuple[tuple[float, ...], ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NodeHello:
+    """First message of a node to the supervisor; ``endpoints``: a peer's name to what was bound for it."""
+
+    version: int
+    certificate: str
+    session: str
+    name: str
+    role: Role
+    pid: int
+    endpoints: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The hello was accepted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The hello was not accepted: ``code`` (a :class:`RefusalCode`) says what about it, ``text`` tells a person."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Connect:
+    """From the supervisor: a peer's name to the endpoint to connect to."""
+
+    endpoints: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """To the supervisor: all my links are established."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """From the supervisor: tick 0 is at ``epoch`` (monotonic ns); run ``ticks`` ticks (0: until stopped)."""
+
+    epoch: int
+    ticks: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """From the supervisor: end now, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """What the four signal messages share; only those four are sent.
+
+    Attributes:
+        tick: k, at least 0.
+        stamp: when it was sent, monotonic ns of the sender.
+        values: one per port of the link, in the handshake's order; 1-D float64, finite.
+    """
+
+    tick: int
+    stamp: int
+    values: Values
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Signal) or type(other) is not type(self):
+            return NotImplemented
+        return self.tick == other.tick and self.stamp == other.stamp and np.array_equal(self.values, other.values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample(Signal):
+    """x(k), the sampled device displacement, m. Device to coupling."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tool(Signal):
+    """p(k) = x(k) + C_V ξ(k), the free tool position, m. Coupling to environment."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reaction(Signal):
+    """f_v(k) of the block's ports, N. Environment to coupling."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Force(Signal):
+    """f_v(k) of the device's ports, to be applied and held, N. Coupling to device."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Telemetry:
+    """What a node observed lately, to the supervisor about ten times a second.
+
+    Figures and traces are findings, so unlike signals they may be infinite or not a number.
+
+    Attributes:
+        tick: the latest tick it covers.
+        figures: name to value.
+        traces: name to a float64 array, ticks × ports.
+    """
+
+    tick: int
+    figures: Mapping[str, float]
+    traces: Mapping[str, Values]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Telemetry):
+            return NotImplemented
+        return (
+            self.tick == other.tick
+            and self.figures == other.figures
+            and self.traces.keys() == other.traces.keys()
+            and all(np.array_equal(trace, other.traces[name]) for name, trace in self.traces.items())
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A node's last word on a run: ticks done, figures, counts, and per quantity its percentiles."""
+
+    ticks: int
+    figures: Mapping[str, float]
+    counts: Mapping[str, int]
+    percentiles: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """To the supervisor: why I end."""
+
+    text: str
+
+
+SignalMessage: TypeAlias = Sample | Tool | Reaction | Force
+"""What is exchanged once a tick."""
+
+Message: TypeAlias = (
+    LinkHello
+    | NodeHello
+    | Welcome
+    | Refusal
+    | Connect
+    | Ready
+    | Start
+    | Stop
+    | SignalMessage
+    | Telemetry
+    | Report
+    | Fault
+)
+"""Everything that can be sent."""
+
+
+def presentable(text: str) -> str:
+    """``text`` made fit to be sent and shown: unprintable characters replaced, at most ``MAX_TEXT`` long.
+
+    For the texts of :class:`Fault`, :class:`Stop` and :class:`Refusal`, which may quote anything (an
+    exception, a peer), so that telling what went wrong does not itself go wrong. Line ends and tabs stay.
+    """
+    if len(text) > MAX_TEXT:
+        text = text[: MAX_TEXT - 1] + "…"
+    return "".join(c if is_presentable(c) else "\ufffd" for c in text)
+
+
+def is_presentable(text: str) -> bool:
+    """Whether a terminal can be shown ``text``: every character printable, a line end or a tab."""
+    return text.replace("\n", " ").replace("\t", " ").isprintable()

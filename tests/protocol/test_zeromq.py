@@ -1,0 +1,212 @@
+"""What is ZeroMQ's own: socket files, paths, descriptors, and peers that are not of this program."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SOCKET_PATH
+from manyhands.protocol.transport import TransportError
+from manyhands.protocol.transport.zeromq import ZmqHub, ZmqTransport
+
+LONG = Duration(10_000_000_000)
+LONG_MS = 10_000
+
+
+@pytest.fixture(params=["ipc", "tcp"])
+def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], ZmqTransport]:
+    return (lambda: ZmqTransport.ipc(tmp_path)) if request.param == "ipc" else ZmqTransport.tcp
+
+
+@pytest.fixture
+def transport(make: Callable[[], ZmqTransport]) -> Iterator[ZmqTransport]:
+    made = make()
+    yield made
+    made.close()
+
+
+class Stranger:
+    """A program that speaks ZeroMQ, and not our protocol."""
+
+    def __init__(self) -> None:
+        self._context = zmq.Context()
+        self._sockets: list[zmq.Socket[bytes]] = []
+
+    def connect(self, kind: int, endpoint: str) -> "zmq.Socket[bytes]":
+        socket = self._context.socket(kind)
+        socket.connect(endpoint)
+        self._sockets.append(socket)
+        return socket
+
+    def monitor(self, socket: "zmq.Socket[bytes]", events: int) -> "zmq.Socket[bytes]":
+        monitor = socket.get_monitor_socket(events)
+        self._sockets.append(monitor)
+        return monitor
+
+    def leave(self) -> None:
+        for socket in self._sockets:
+            socket.close(linger=0)
+        self._context.term()
+
+
+@pytest.fixture
+def stranger() -> Iterator[Stranger]:
+    outside = Stranger()
+    yield outside
+    outside.leave()
+
+
+def await_event(monitor: "zmq.Socket[bytes]", event: int) -> None:
+    while True:
+        assert monitor.poll(LONG_MS), "the event never came"
+        if recv_monitor_message(monitor)["event"] == event:
+            return
+
+
+def descriptors_and_threads() -> tuple[set[str], int]:
+    return set(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+
+
+def test_closing_leaves_no_descriptor_thread_or_file(make: Callable[[], ZmqTransport], tmp_path: Path) -> None:
+    before = descriptors_and_threads()
+    for _ in range(3):
+        one, other = make(), make()
+        bound, endpoint = one.bind("cx")
+        hub, hub_endpoint = one.bind_hub("supervisor")
+        connected, node = other.connect(endpoint), other.join(hub_endpoint, "dx")
+        assert connected.send(b"x")
+        assert bound.recv(LONG) == b"x"
+        assert node.send(b"y")
+        hub.wait(LONG)
+        assert descriptors_and_threads() != before
+        one.close()
+        other.close()
+        # the listing itself opens one descriptor, at the lowest free number, both times
+        assert descriptors_and_threads() == before
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_closing_with_nobody_there_does_not_wait_for_ever(transport: ZmqTransport, tmp_path: Path) -> None:
+    scheme = transport.bind("cx")[1].split("://")[0]
+    nobody = tmp_path / "nobody" if scheme == "ipc" else "127.0.0.1:1"
+    assert transport.connect(f"{scheme}://{nobody}").send(b"anybody?")
+    transport.close()
+
+
+def test_tcp_stays_on_the_loopback_and_takes_any_free_port() -> None:
+    transport = ZmqTransport.tcp()
+    try:
+        endpoints = {transport.bind(name)[1] for name in ("a", "b")}
+    finally:
+        transport.close()
+    assert len(endpoints) == 2
+    for endpoint in endpoints:
+        assert endpoint.startswith("tcp://127.0.0.1:")
+        assert int(endpoint.rpartition(":")[2]) > 0
+
+
+def test_an_ipc_endpoint_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s").mkdir()
+    transport = ZmqTransport.ipc(Path("s"))
+    try:
+        assert transport.bind("cx")[1] == f"ipc://{tmp_path}/s/cx"
+        assert (tmp_path / "s" / "cx").is_socket()
+    finally:
+        transport.close()
+
+
+def test_the_longest_socket_path_binds_and_a_longer_one_is_told_clearly(tmp_path: Path) -> None:
+    directory = tmp_path / ("d" * (MAX_SOCKET_PATH - len(bytes(tmp_path)) - 1 - 5))
+    directory.mkdir()
+    transport = ZmqTransport.ipc(directory)
+    try:
+        _, endpoint = transport.bind("cccc")
+        assert len(endpoint.removeprefix("ipc://")) == MAX_SOCKET_PATH
+        with pytest.raises(TransportError, match=r"found a socket path of 108 bytes.*at most 107; choose a shorter"):
+            transport.bind("ccccc")
+    finally:
+        transport.close()
+
+
+def test_a_missing_directory_is_told(tmp_path: Path) -> None:
+    transport = ZmqTransport.ipc(tmp_path / "missing")
+    try:
+        with pytest.raises(TransportError, match=r"cannot bind ipc://.*missing/cx: No such file"):
+            transport.bind("cx")
+    finally:
+        transport.close()
+
+
+def test_a_file_in_the_way_is_not_taken_away(tmp_path: Path) -> None:
+    (tmp_path / "cx").write_text("somebody's")
+    transport = ZmqTransport.ipc(tmp_path)
+    try:
+        with pytest.raises(TransportError, match="in use; expected a name bound once"):
+            transport.bind("cx")
+    finally:
+        transport.close()
+    assert (tmp_path / "cx").read_text() == "somebody's"
+
+
+def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
+    transport = ZmqTransport.tcp()
+    try:
+        with pytest.raises(TransportError, match="cannot connect to 'tcp://nowhere'"):
+            transport.connect("tcp://nowhere")
+    finally:
+        transport.close()
+
+
+def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
+    transport: ZmqTransport, stranger: Stranger
+) -> None:
+    hub, endpoint = transport.bind_hub("supervisor")
+    node = transport.join(endpoint, "dx")
+    flooder = stranger.connect(zmq.DEALER, endpoint)
+    monitor = stranger.monitor(flooder, zmq.EVENT_DISCONNECTED)
+    flooder.send(bytes(MAX_CONTROL_BYTES + 1))
+    await_event(monitor, zmq.EVENT_DISCONNECTED)
+    assert hub.recv() is None
+    assert node.send(b"still here")
+    hub.wait(LONG)
+    assert hub.recv() == ("dx", b"still here")
+
+
+def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: Stranger) -> None:
+    bound, endpoint = transport.bind("cx")
+    connected = transport.connect(endpoint)
+    assert connected.send(b"first")
+    assert bound.recv(LONG) == b"first"
+    intruder = stranger.connect(zmq.PAIR, endpoint)
+    monitor = stranger.monitor(intruder, zmq.EVENT_HANDSHAKE_SUCCEEDED)
+    intruder.send(b"intruding")
+    await_event(monitor, zmq.EVENT_HANDSHAKE_SUCCEEDED)
+    assert bound.recv(Duration(20_000_000)) is None
+    assert connected.send(b"second")
+    assert bound.recv(LONG) == b"second"
+
+
+def test_a_hub_drops_and_counts_what_is_not_one_frame_of_a_named_node(
+    transport: ZmqTransport, stranger: Stranger
+) -> None:
+    hub, endpoint = transport.bind_hub("supervisor")
+    assert isinstance(hub, ZmqHub)
+    node = transport.join(endpoint, "dx")
+    nameless = stranger.connect(zmq.DEALER, endpoint)  # ZeroMQ gives it an identity that is no name
+    nameless.send(b"frame")
+    while hub.dropped < 1:
+        hub.wait(LONG)
+        assert hub.recv() is None
+    request = stranger.connect(zmq.REQ, endpoint)  # puts an empty frame before its own
+    request.send(b"frame")
+    while hub.dropped < 2:
+        hub.wait(LONG)
+        assert hub.recv() is None
+    assert node.send(b"fine")
+    hub.wait(LONG)
+    assert hub.recv() == ("dx", b"fine")
