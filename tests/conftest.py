@@ -1,8 +1,9 @@
-"""What every test runs under: no test may leave a process, thread, socket, file descriptor or run directory behind."""
+"""What every test runs under: no test may leave a process, thread, socket, file descriptor or file behind."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -48,23 +49,27 @@ def _children() -> set[int]:
     return ours - {os.getpid()}
 
 
-def _run_directories() -> set[str]:
-    return {path.name for path in Path(tempfile.gettempdir()).glob("manyhands-*")}
-
-
 @pytest.fixture(autouse=True)
-def leaves_nothing_behind() -> Iterator[None]:
-    """Fail the test that leaves something behind."""
+def leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Fail the test that leaves something behind.
+
+    Temporary files of the test and of every process it starts go into a folder of its own, with a short name, for
+    a socket's path may not be long.
+    """
+    tmp_path_factory.getbasetemp()  # pytest's own folder is settled before the place of temporary files is moved
+    folder = Path(tempfile.mkdtemp(prefix="mh"))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
     threads = set(threading.enumerate())
     descriptors = _descriptors()
-    children, directories = _children(), _run_directories()
+    children = _children()
     yield
-    left = [f"thread {t.name}" for t in set(threading.enumerate()) - threads]
+    started = set(threading.enumerate()) - threads
+    for thread in started:
+        thread.join(timeout=5.0)  # one that was told to end may need a moment to
+    left = [f"thread {thread.name}" for thread in started if thread.is_alive()]
     left += [f"process {pid}" for pid in _children() - children]
-    left += [f"directory {name}" for name in _run_directories() - directories]
-    left += [
-        f"descriptor {fd} -> {target}"
-        for fd, target in _descriptors().items()
-        if fd not in descriptors
-    ]
+    left += [f"file {path}" for path in folder.iterdir()]
+    shutil.rmtree(folder)
+    left += [f"descriptor {fd} -> {target}" for fd, target in _descriptors().items() if fd not in descriptors]
     assert not left, f"the test left behind: {', '.join(left)}"

@@ -7,15 +7,16 @@ report rather than a disturbance of the experiment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.device import HeldDevice
+from manyhands.design.device import HeldDevice, held_device
+from manyhands.nodes.bundle import DeviceBundle
+from manyhands.nodes.device.intent import Intent, intent_from
 
 Vector = NDArray[np.float64]
-Intent = Callable[[float], float]
 
 
 class SimulatedDriver:
@@ -71,3 +72,20 @@ class SimulatedDriver:
     def intended_work(self) -> float:
         """Work of the intention over the last period, J."""
         return self._work
+
+
+def simulated_driver(bundle: DeviceBundle) -> SimulatedDriver:
+    """The simulated device and hand that a bundle describes."""
+    hand = bundle.hand
+    return SimulatedDriver(
+        held_device(
+            list(hand.mass),
+            list(hand.damping),
+            hand.operator,
+            list(hand.hand_damping),
+            list(hand.hand_stiffness),
+        ),
+        [intent_from(data) for data in hand.force],
+        [intent_from(data) for data in hand.motion],
+        bundle.common.period,
+    )

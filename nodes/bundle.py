@@ -1,0 +1,201 @@
+"""What a node is given to start with: its own part of the session and nothing of the others'.
+
+A bundle is one JSON file, written by the launcher from the session and its certificate, readable by its
+node alone. A device's holds no block of V, a coupling's only its own, the environment's no coupling at all:
+D_V reaches it at the handshake.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from manyhands.design.statespace import Matrix, StateSpace, matrix
+from manyhands.protocol.messages import Role
+
+MAX_FILE_BYTES = 256 * 2**20
+
+SIMULATED = "simulated"
+REALTIME = "realtime"
+
+
+class BundleError(Exception):
+    """A bundle cannot be read; names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A node at the other end of one of this node's links.
+
+    Attributes:
+        name: the peer's name.
+        role: what it is.
+        ports: the ports that the link carries, in order.
+        binds: whether *this* node binds the link's endpoint.
+    """
+
+    name: str
+    role: Role
+    ports: tuple[str, ...]
+    binds: bool
+
+
+@dataclass(frozen=True)
+class Common:
+    """What every node needs to find and recognise the others.
+
+    Attributes:
+        session: the session's name.
+        name: the node's name.
+        role: the node's role.
+        certificate: id of the certificate (or of the uncertified session) that all nodes must share.
+        period: T, s.
+        tau: delay that the certificate assumes, s.
+        clock: :data:`REALTIME` or :data:`SIMULATED`.
+        transport: "ipc" or "tcp".
+        directory: the session's directory, mode 0700.
+        control: endpoint of the supervisor's hub.
+        ports: the node's ports, in order.
+        peers: its links.
+        telemetry_ticks: ticks between two telemetry messages.
+        traces: whether a device's telemetry carries every x and f_v.
+    """
+
+    session: str
+    name: str
+    role: Role
+    certificate: str
+    period: float
+    tau: float
+    clock: str
+    transport: str
+    directory: str
+    control: str
+    ports: tuple[str, ...]
+    peers: tuple[Peer, ...]
+    telemetry_ticks: int
+    traces: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedHand:
+    """The physics of a simulated device and its hand, one entry an axis.
+
+    Attributes:
+        mass: kg, device and hand together.
+        damping: the device's, N*s/m.
+        operator: H in continuous time.
+        hand_damping: N*s/m.
+        hand_stiffness: N/m.
+        force: intended force (N): a number, a formula in t, or {"times", "values"}.
+        motion: intended motion (m), likewise.
+    """
+
+    mass: tuple[float, ...]
+    damping: tuple[float, ...]
+    operator: StateSpace
+    hand_damping: tuple[float, ...]
+    hand_stiffness: tuple[float, ...]
+    force: tuple[Any, ...]
+    motion: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBundle:
+    """A device's part: its level Delta_Di (N*s/m) and its simulated hand."""
+
+    common: Common
+    level: Matrix
+    hand: SimulatedHand
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingBundle:
+    """A coupling block's part: V_i, K_i (m/N), and Delta_V,i (N*s/m) unless uncertified."""
+
+    common: Common
+    block: StateSpace
+    K: Matrix
+    level: Matrix | None
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentBundle:
+    """The environment's part: E, and Phi_E (N*s/m) unless uncertified."""
+
+    common: Common
+    E: StateSpace
+    Phi_E: Matrix | None
+
+
+Bundle = DeviceBundle | CouplingBundle | EnvironmentBundle
+_B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle)
+
+
+def save(bundle: Bundle, path: Path) -> None:
+    """Write a bundle for its owner's eyes only (mode 0600)."""
+    path.touch(mode=0o600, exist_ok=False)
+    path.write_text(json.dumps(_plain(bundle), allow_nan=False))
+
+
+def load(path: Path, kind: type[_B]) -> _B:
+    """Read a bundle of the wanted kind.
+
+    Raises:
+        BundleError: not readable, or not such a bundle.
+    """
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise BundleError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
+        data = json.loads(path.read_text())
+        return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {error!r}") from error
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray):
+        return {"shape": value.shape, "entries": value.ravel().tolist()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _array(data: Any) -> Matrix:
+    return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
+
+
+def _optional_array(data: Any) -> Matrix | None:
+    return None if data is None else _array(data)
+
+
+def _system(data: Any) -> StateSpace:
+    return StateSpace(*(_array(data[name]) for name in "ABCD"))
+
+
+def _common(data: Any) -> Common:
+    peers = tuple(Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"]) for p in data["peers"])
+    return Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
+
+
+def _hand(data: Any) -> SimulatedHand:
+    vectors = {name: tuple(data[name]) for name in data if name != "operator"}
+    return SimulatedHand(operator=_system(data["operator"]), **vectors)
+
+
+_READ: dict[str, Any] = {
+    "common": _common,
+    "level": _optional_array,
+    "hand": _hand,
+    "block": _system,
+    "K": _array,
+    "E": _system,
+    "Phi_E": _optional_array,
+}

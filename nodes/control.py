@@ -1,0 +1,136 @@
+"""A node's line to the supervisor: the conversation before the first tick, telemetry, and the last word."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from manyhands.nodes.bundle import SIMULATED, Common
+from manyhands.nodes.life import Life, Stopped
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Connect,
+    Fault,
+    Message,
+    NodeHello,
+    Ready,
+    Refusal,
+    Report,
+    Start,
+    Stop,
+    Telemetry,
+    Welcome,
+    presentable,
+)
+from manyhands.protocol.transport import Link
+
+_PATIENCE = from_seconds(0.2)
+_LAST_WORD_WAITS = 10
+
+_M = TypeVar("_M", bound=Message)
+
+
+class Refused(Exception):
+    """The supervisor refused this node; the text is the supervisor's."""
+
+
+class TelemetryLost(ValueError):
+    """The supervisor does not read fast enough and the session may not lose telemetry."""
+
+
+class ControlLine:
+    """The link to the supervisor's hub.
+
+    Attributes:
+        dropped: telemetry messages that could not be queued.
+        malformed: frames from the supervisor that made no sense.
+    """
+
+    def __init__(self, link: Link, common: Common) -> None:
+        self._link, self._common = link, common
+        self._lossless = common.clock == SIMULATED and common.traces
+        self.dropped = 0
+        self.malformed = 0
+
+    def hello(self, endpoints: Mapping[str, str], pid: int) -> None:
+        """Introduce this node and what it has bound."""
+        c = self._common
+        self._send(NodeHello(PROTOCOL_VERSION, c.certificate, c.session, c.name, c.role, pid, dict(endpoints)))
+
+    def peers_endpoints(self, life: Life) -> Mapping[str, str]:
+        """Wait to be welcomed and told where the peers are.
+
+        Raises:
+            Refused: the supervisor does not accept this node.
+            Stopped: the node should end.
+        """
+        self._await(Welcome, life)
+        return self._await(Connect, life).endpoints
+
+    def ready(self) -> None:
+        """Say that every link is established."""
+        self._send(Ready())
+
+    def start(self, life: Life) -> Start:
+        """Wait for the first tick's instant; raises like :meth:`peers_endpoints`."""
+        return self._await(Start, life)
+
+    def publish(self, telemetry: Telemetry) -> None:
+        """Send telemetry, or drop and count it when nobody keeps up: it must not disturb the loop.
+
+        A simulated clock has all the time in the world; there a recording must be whole.
+
+        Raises:
+            TelemetryLost: it would have been dropped from a recording under the simulated clock.
+        """
+        if not self._link.send(encode(telemetry)):
+            if self._lossless:
+                raise TelemetryLost("the supervisor reads telemetry too slowly; record less, or not at all")
+            self.dropped += 1
+
+    def report(self, report: Report, life: Life) -> None:
+        """Send the node's last word, and stay until it was heard."""
+        self._last_word(report, life)
+
+    def fault(self, text: str, life: Life) -> None:
+        """Say why this node ends, and stay until it was heard."""
+        self._last_word(Fault(presentable(text)), life)
+
+    def _last_word(self, message: Message, life: Life) -> None:
+        """Send ``message`` and wait, for a bounded time, for the supervisor's Stop.
+
+        A process whose exit is seen before its last word would look like one that crashed.
+        """
+        frame, queued = encode(message), False
+        for _ in range(_LAST_WORD_WAITS):
+            queued = queued or self._link.send(frame)  # behind telemetry that fills the queue, it has to wait
+            answer = self._link.recv(_PATIENCE)
+            life.check()
+            if answer is None:
+                if life.orphaned:
+                    return
+            elif isinstance(decode(answer, MAX_CONTROL_BYTES), Stop):
+                return
+
+    def _send(self, message: Message) -> None:
+        self._link.send(encode(message))  # a supervisor that is gone hears nothing, and life.check finds out
+
+    def _await(self, kind: type[_M], life: Life) -> _M:
+        while True:
+            frame = self._link.recv(_PATIENCE)
+            if frame is None:
+                life.check()
+                if life.stopping:
+                    raise Stopped
+                continue
+            message = decode(frame, MAX_CONTROL_BYTES)
+            if isinstance(message, kind):
+                return message
+            if isinstance(message, Refusal):
+                raise Refused(message.text)
+            if isinstance(message, Stop):
+                raise Stopped
+            self.malformed += 1

@@ -1,0 +1,61 @@
+"""The environment's process: p of every coupling in, f_v of its own ports to each out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import EnvironmentBundle
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.exchange import Joint, establish
+from manyhands.nodes.life import Life
+from manyhands.protocol.clock import RealtimeClock
+from manyhands.protocol.messages import Reaction, Report, Start, Telemetry, Tool
+from manyhands.protocol.transport import Link
+
+
+class EnvironmentNode:
+    """A :class:`manyhands.nodes.process.Node` for the shared environment."""
+
+    def __init__(self, bundle: EnvironmentBundle) -> None:
+        """Make the node; its core waits for the couplings' feedthrough."""
+        self._bundle, self._common = bundle, bundle.common
+        self._joints: list[Joint] = []
+        self._core: EnvironmentCore | None = None
+        self._ticks = 0
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        """Shake hands with every coupling, and close the algebraic loop with their D_V."""
+        admits = {peer.name: Tool for peer in self._common.peers}
+        self._joints, hellos = establish(self._common, links, admits, RealtimeClock())
+        m = len(self._common.ports)
+        D_V = np.zeros((m, m))
+        for joint in self._joints:
+            D_V[np.ix_(joint.indices, joint.indices)] = hellos[joint.peer.name].feedthrough
+        self._core = EnvironmentCore(self._bundle.E, D_V, self._bundle.Phi_E, self._common.period)
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        """Run the ticks, paced by the couplings."""
+        core, joints = self._core, self._joints
+        if core is None:
+            raise ValueError("the environment was started before its handshakes")
+        p = np.zeros(len(self._common.ports))
+        tick = 0
+        while not life.stopping and (start.ticks == 0 or tick < start.ticks):
+            if not all(joint.receive_into(p, tick, life) for joint in joints):
+                break
+            f = core.react(p)
+            for joint in joints:
+                joint.send(Reaction, tick, joint.gate.stamp, f)
+            tick += 1
+            self._ticks = tick
+            if tick % self._common.telemetry_ticks == 0:
+                control.publish(Telemetry(tick, names.ledger_figures(core.ledger), {}))
+
+    def report(self) -> Report:
+        """Ticks and ledger."""
+        ledger = None if self._core is None else self._core.ledger
+        return Report(self._ticks, names.ledger_figures(ledger), names.dropped_frames(self._joints), {})

@@ -1,0 +1,67 @@
+"""How a node's process lives and ends, whatever its role.
+
+A node ends when its ticks are done, when the supervisor asks (SIGTERM), or when the supervisor is gone. The
+kernel is asked to send SIGTERM on the parent's death; as that fires on the death of the parent's *thread* and
+can be missed before it is asked for, the parent's id is compared as well whenever a node waits in vain.
+Ctrl-C is the supervisor's business: nodes ignore it, so that the order of ending stays in one hand.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+from types import FrameType
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+class Stopped(Exception):
+    """The node was asked to end before its loop had begun."""
+
+
+class Life:
+    """Whether this process should still run.
+
+    Attributes:
+        stopping: becomes true when it should end at the next tick.
+        orphaned: becomes true when its supervisor is gone.
+    """
+
+    def __init__(self, parent: int) -> None:
+        """Watch over the process whose supervisor has the process id ``parent``."""
+        self.stopping = self.orphaned = False
+        self._parent = parent
+        self._raises = True
+        signal.signal(signal.SIGTERM, self._asked_to_stop)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        prctl = getattr(ctypes.CDLL(None), "prctl", None)
+        if prctl is not None:
+            prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+        self.check()
+
+    def check(self) -> None:
+        """Compare the parent's id; to be called wherever the node has waited in vain."""
+        if os.getppid() != self._parent:
+            self.stopping = self.orphaned = True
+
+    def enter_loop(self) -> None:
+        """From now on a request to end is only noted, so that no tick is cut in two."""
+        self._raises = False
+        if self.stopping:
+            raise Stopped
+        # what start-up made stays: a collection in a tick would walk all of it
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+
+    def leave_loop(self) -> None:
+        """The ticks are over; the collector may run again. A request to end is still only noted."""
+        gc.enable()
+        gc.unfreeze()
+
+    def _asked_to_stop(self, _signum: int, _frame: FrameType | None) -> None:
+        self.stopping = True
+        if self._raises:
+            raise Stopped

@@ -1,0 +1,112 @@
+"""The life of a node's process from its first line to its exit code, whatever its role.
+
+    bind -> hello -> (welcome, connect) -> shake hands on every link -> ready -> (start) -> ticks -> report
+
+Everything a role adds is a :class:`Node`; everything that can go wrong on the way ends in one Fault to the
+supervisor, one line on standard error, and an exit code other than 0.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from manyhands.nodes.bundle import (
+    BundleError,
+    Common,
+    CouplingBundle,
+    DeviceBundle,
+    EnvironmentBundle,
+    load,
+)
+from manyhands.nodes.control import ControlLine, Refused
+from manyhands.nodes.exchange import bind_links
+from manyhands.nodes.life import Life, Stopped
+from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
+from manyhands.protocol.messages import Report, Start
+from manyhands.protocol.transport import Link, Transport, TransportError
+from manyhands.protocol.transport.zeromq import ZmqTransport
+
+EXIT_OK = 0
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+EXIT_REFUSED = 4
+
+
+class Node(Protocol):
+    """What a role adds to :func:`run`."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        """Shake hands with every peer."""
+        ...
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        """Run the ticks, until done or ``life.stopping``."""
+        ...
+
+    def report(self) -> Report:
+        """The node's last word."""
+        ...
+
+
+_B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle)
+
+
+def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
+    """Run the node whose bundle and supervisor's process id the command line names; returns the exit code."""
+    if len(sys.argv) != 3 or not sys.argv[2].isdigit():
+        print("usage: python -m manyhands.nodes.ROLE BUNDLE SUPERVISOR_PID", file=sys.stderr)  # noqa: T201
+        return EXIT_BAD_INPUT
+    try:
+        life = Life(int(sys.argv[2]))
+        bundle = load(Path(sys.argv[1]), kind)
+        node = make(bundle)
+    except Stopped:
+        return EXIT_OK
+    except (BundleError, ValueError) as error:
+        print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
+        return EXIT_BAD_INPUT
+    return run(bundle.common, node, life)
+
+
+def run(common: Common, node: Node, life: Life) -> int:
+    """Run one node to its end; returns the exit code."""
+    transport: Transport = ZmqTransport.ipc(Path(common.directory)) if common.transport == "ipc" else ZmqTransport.tcp()
+    try:
+        control = ControlLine(transport.join(common.control, common.name), common)
+        try:
+            return _converse(common, node, life, transport, control)
+        except Stopped:
+            return EXIT_OK
+        except (HandshakeRefused, Refused) as error:
+            control.fault(str(error), life)
+            print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
+            return EXIT_REFUSED
+        except (HandshakeTimeout, TransportError, ValueError) as error:
+            control.fault(f"{common.name}: {error}", life)
+            print(error, file=sys.stderr)  # noqa: T201
+            return EXIT_FAILED
+    except Stopped:
+        return EXIT_OK
+    finally:
+        transport.close()
+
+
+def _converse(common: Common, node: Node, life: Life, transport: Transport, control: ControlLine) -> int:
+    links, endpoints = bind_links(common, transport)
+    control.hello(endpoints, os.getpid())
+    for name, endpoint in control.peers_endpoints(life).items():
+        links[name] = transport.connect(endpoint)
+    node.establish(links)
+    control.ready()
+    start = control.start(life)
+    life.enter_loop()
+    try:
+        node.loop(start, life, control)
+    finally:
+        life.leave_loop()
+    control.report(node.report(), life)
+    return EXIT_OK

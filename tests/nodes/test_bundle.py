@@ -1,0 +1,74 @@
+"""Bundles: they round-trip exactly, for their owner's eyes only, and are refused clearly when they are not bundles."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle, EnvironmentBundle, load, save
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
+
+
+def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
+    bundles = cut(prepared, Run("simulated", "ipc", tmp_path, "ipc:///nowhere", traces=True))
+    for name, kind in (("dx", DeviceBundle), ("cy", CouplingBundle), ("environment", EnvironmentBundle)):
+        path = tmp_path / f"{name}.bundle"
+        save(bundles[name], path)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        read, written = load(path, kind), bundles[name]
+        assert read.common == written.common
+        again = tmp_path / f"{name}.again"
+        save(read, again)
+        assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_path: Path) -> None:
+    """No number of another user's block, and no name but those of its own peers, is in a bundle's file."""
+    bundles = cut(prepared, Run("simulated", "ipc", tmp_path, "ipc:///nowhere", traces=False))
+    texts = {}
+    for name, bundle in bundles.items():
+        save(bundle, tmp_path / name)
+        texts[name] = (tmp_path / name).read_text()
+    assert prepared.certificate is not None
+    blocks = dict(zip(("cx", "cy", "cz"), prepared.blocks, strict=True))
+    for name, text in texts.items():
+        for owner, block in blocks.items():
+            assert (repr(float(block.D[0, 0])) in text) == (name == owner), (name, owner)
+    assert '"dy"' not in texts["dx"]
+    assert '"cy"' not in texts["dx"]
+    assert '"dy"' not in texts["cx"]
+    assert "3800" not in texts["dx"]  # the environment's stiffness
+    assert not any(device in texts["environment"] for device in ('"name": "dx"', '"role": "device"'))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"common": 3}', "\x00"])
+def test_what_is_no_bundle_is_refused_by_name(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "dx.bundle"
+    path.write_text(text)
+    with pytest.raises(BundleError, match=r"dx\.bundle"):
+        load(path, DeviceBundle)
+    with pytest.raises(BundleError, match=r"absent"):
+        load(tmp_path / "absent", CouplingBundle)
+
+
+def test_an_uncertified_run_promises_nothing(tmp_path: Path) -> None:
+    session = load_session(SESSIONS / "example1-uncoupled.yaml")
+    bundles = cut(prepare(session, uncertified=True), Run("simulated", "ipc", tmp_path, "", traces=False))
+    coupling, environment = bundles["cx"], bundles["environment"]
+    assert isinstance(coupling, CouplingBundle)
+    assert isinstance(environment, EnvironmentBundle)
+    assert coupling.level is None
+    assert environment.Phi_E is None
+    assert np.all(coupling.block.D == 0.0)
