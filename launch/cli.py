@@ -1,0 +1,316 @@
+"""The command line: what the arguments mean, what is printed, and the exit codes.
+
+0 done; 1 a process failed; 2 usage error or bad input; 3 not certified; 130 Ctrl-C. Results go to standard
+output, everything else to standard error, so that ``--json`` can be piped.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+import manyhands
+from manyhands.design.certificate import load, save
+from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.verification import Finding, differences, verify
+from manyhands.launch.display import say, status
+from manyhands.launch.loop import coupling_request, haptic_loop
+from manyhands.launch.preparation import NotCertified, Prepared, certify, prepare
+from manyhands.launch.recording import SUFFIXES, RecordingError, require_suffix
+from manyhands.launch.session import Session, SessionError, load_session
+from manyhands.launch.summary import (
+    certificate_object,
+    infeasible_object,
+    print_certificate,
+    print_findings,
+    print_report,
+)
+from manyhands.launch.topology import LinkTooWide, require_runnable, topology
+
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOT_CERTIFIED, EXIT_INTERRUPTED = 1, 2, 3, 130
+MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
+
+app = typer.Typer(
+    name="manyhands",
+    help="Several haptic devices, one virtual environment, and a certificate that the loop is stable.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+_NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
+
+
+def _console(stderr: bool) -> Console:
+    console = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    return console if console.is_terminal else Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
+
+
+out, err = _console(stderr=False), _console(stderr=True)
+
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="A session file, or the name of a shipped one.")]
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+CertificatePath = Annotated[
+    Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
+]
+Uncertified = Annotated[bool, typer.Option("--uncertified", help="Run even if nothing proves the session stable.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        say(out, f"manyhands {manyhands.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    # From here on there may be half-written files to clear away, so Ctrl-C unwinds instead of leaving at once.
+    signal.signal(signal.SIGINT, _unwind)
+
+
+def _unwind(_signum: int, _frame: FrameType | None) -> None:
+    raise SystemExit(EXIT_INTERRUPTED)
+
+
+@app.command(epilog="Example: manyhands design example1.yaml -o example1.cert.json")
+def design(
+    session: SessionPath,
+    output: Annotated[Path | None, typer.Option("-o", metavar="CERT", help="Write the certificate here.")] = None,
+    overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
+    as_json: Json = False,
+) -> None:
+    """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible."""
+    with _errors():
+        loaded = _load(session, overrides)
+        if output is not None and not output.absolute().parent.is_dir():
+            _refuse(f"{output}: found no folder {output.parent}; expected one that exists")
+        try:
+            with _iterations() as progress:
+                certificate = certify(loaded, progress)
+        except DesignError as error:
+            reason = error.condition if isinstance(error, Infeasible) else str(error)
+            relax = error.relax if isinstance(error, Infeasible) else ()
+            if as_json:
+                _print_json(infeasible_object(haptic_loop(loaded), reason, relax))
+            say(err, f"{loaded.name}: not certified: {reason}")
+            for way in relax:
+                say(err, f"  could help: {way}")
+            raise typer.Exit(EXIT_NOT_CERTIFIED) from error
+        if output is not None:
+            save(certificate, output)
+        if as_json:
+            _print_json(certificate_object(certificate))
+        else:
+            print_certificate(out, certificate)
+            if output is not None:
+                say(err, f"written to {output}; prove it again with: manyhands verify {output}")
+
+
+@app.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
+def verify_command(
+    certificate: Annotated[Path, typer.Argument(metavar="CERT", help="A certificate file.")],
+    session: Annotated[
+        Path | None, typer.Option("--session", metavar="SESSION", help="Check that it is this session's, too.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Prove a certificate again, from its physical data and without any solver. Exit code 3: not proved."""
+    with _errors():
+        loaded, data = load(certificate)
+        findings = verify(loaded, data)
+        if session is not None:
+            wanted = _load(session, [])
+            found = differences(loaded, haptic_loop(wanted), coupling_request(wanted))
+            findings += tuple(Finding(f"it is the session's: {text}", 1.0, 0.0, False) for text in found)
+        failing = [finding for finding in findings if not finding.holds]
+        if as_json:
+            _print_json(certificate_object(loaded, proved=not failing) | {"failing": [f.condition for f in failing]})
+        else:
+            print_findings(out, findings)
+        for finding in failing:
+            say(
+                err,
+                f"{certificate}: not proved: {finding.condition}: found {finding.value:.6g}, bound {finding.bound:.3g}",
+            )
+        if failing:
+            raise typer.Exit(EXIT_NOT_CERTIFIED)
+        if not as_json:
+            say(out, f"{loaded.loop.session}: proved; certificate {loaded.id}")
+
+
+@app.command(epilog="Example: manyhands simulate example1.yaml --duration 5 -o run.npz")
+def simulate(
+    session: SessionPath,
+    duration: Duration = 10.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", metavar="FILE", help=f"Write every x and f_v here ({', '.join(SUFFIXES)}).")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+    certificate: CertificatePath = None,
+    uncertified: Uncertified = False,
+) -> None:
+    """Run the sampled-data loop in one process.
+
+    No hand is shaken by a simulation: a session that cannot be certified is simulated with a warning.
+    """
+    from rich.progress import Progress
+
+    from manyhands.launch.simulation import Simulation
+
+    with _errors():
+        loaded = _load(session, overrides)
+        ticks = _ticks(loaded, duration if duration is not None else 10.0)
+        if ticks * len(loaded.ports) > MOST_SIMULATED_VALUES:
+            _refuse(
+                f"--duration: found {duration:g} s, {ticks} ticks of {len(loaded.ports)} ports; expected at most "
+                f"{MOST_SIMULATED_VALUES // len(loaded.ports)} ticks"
+            )
+        if output is not None:
+            require_suffix(output)
+        prepared = _prepare(loaded, certificate, uncertified=True)
+        if prepared.certificate is None and not uncertified:
+            say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
+        simulation = Simulation(prepared)
+        with Progress(console=err, transient=True) as bar:
+            task = bar.add_task("simulating", total=ticks)
+            recording = simulation.run(ticks, lambda done: bar.update(task, completed=done))
+        if output is not None:
+            recording.save(output)
+            say(err, f"written to {output}")
+        for name, device in simulation.devices.items():
+            say(
+                out,
+                f"{name}: peak speed {device.peak_speed:.3g} m/s, speed at the end {device.speed:.3g} m/s, "
+                f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
+            )
+
+
+@app.command(epilog="Example: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json")
+def launch(
+    session: SessionPath,
+    duration: Duration = None,
+    clock: Annotated[str, typer.Option(metavar="realtime|simulated", help="What paces the session.")] = "realtime",
+    transport: Annotated[str, typer.Option(metavar="ipc|tcp", help="How the processes talk (tcp: loopback).")] = "ipc",
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE", help=f"Keep every x and f_v ({', '.join(SUFFIXES)}).")
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
+    overrides: Overrides = [],  # noqa: B006
+    certificate: CertificatePath = None,
+    uncertified: Uncertified = False,
+) -> None:
+    """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
+    from manyhands.launch.running import run_session
+
+    with _errors():
+        for option, value, valid in (
+            ("--clock", clock, ("realtime", "simulated")),
+            ("--transport", transport, ("ipc", "tcp")),
+        ):
+            if value not in valid:
+                _refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
+        loaded = _load(session, overrides)
+        ticks = 0 if duration is None else _ticks(loaded, duration)
+        if record is not None:
+            require_suffix(record)
+        if report is not None and not report.absolute().parent.is_dir():
+            _refuse(f"{report}: found no folder {report.parent}; expected one that exists")
+        require_runnable(topology(loaded))
+        prepared = _prepare(loaded, certificate, uncertified)
+        outcome = run_session(
+            prepared, err, clock=clock, transport=transport, ticks=ticks, record=record, report=report
+        )
+        print_report(out, outcome.report)
+        if outcome.code:
+            raise typer.Exit(outcome.code)
+
+
+@app.command(epilog="Example: manyhands demo -o out/demo")
+def demo(
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Where plots and report go.")] = Path("out/demo"),
+    duration: Duration = 10.0,
+    clock: Annotated[str, typer.Option(metavar="realtime|simulated", help="What paces the session.")] = "realtime",
+) -> None:
+    """Design Example 1's coupling, run its seven processes, and draw the paper's Figs. 5-7."""
+    from manyhands.launch.demo import run_demo
+
+    with _errors():
+        if clock not in ("realtime", "simulated"):
+            _refuse(f"--clock: found {clock!r}; expected realtime or simulated")
+        shipped = {name: _load(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        code = run_demo(shipped, out, err, output, _ticks(shipped["example1"], duration or 10.0), clock)
+        if code:
+            raise typer.Exit(code)
+
+
+DEMO_SESSIONS = ("example1", "example1-centralised", "example1-uncoupled")
+
+
+def _load(path: Path, overrides: list[str]) -> Session:
+    """The session at ``path``, or the shipped one of that name."""
+    if not path.exists() and len(path.parts) == 1:
+        shipped = importlib.resources.files("manyhands.launch") / "sessions" / f"{path.name.removesuffix('.yaml')}.yaml"
+        with importlib.resources.as_file(shipped) as file:
+            if file.exists():
+                return load_session(file, overrides)
+    return load_session(path, overrides)
+
+
+def _prepare(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
+    with _iterations() as progress:
+        return prepare(session, certificate, uncertified, progress)
+
+
+@contextmanager
+def _iterations() -> Iterator[Callable[[int, float], None]]:
+    """A status line with the design's iterations, on a terminal."""
+    with status(err, "designing the coupling") as update:
+        yield lambda n, residual: update(f"designing the coupling: iteration {n}, |WZ - I| = {residual:.1e}")
+
+
+def _ticks(session: Session, duration: float) -> int:
+    """Number of ticks in ``duration`` (s)."""
+    if not session.period <= duration <= 1e9:
+        _refuse(f"--duration: found {duration:g} s; expected from one period, {session.period:g} s, to 1e9 s")
+    return round(duration / session.period)
+
+
+def _print_json(data: object) -> None:
+    typer.echo(json.dumps(data, indent=2, allow_nan=False))
+
+
+def _refuse(text: str) -> None:
+    say(err, f"error: {text}")
+    raise typer.Exit(EXIT_BAD_INPUT)
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """Every error of ours as one message and its exit code."""
+    try:
+        yield
+    except (SessionError, CertificateError, RecordingError, LinkTooWide) as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except NotCertified as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_NOT_CERTIFIED) from error
+    except OSError as error:
+        say(err, f"error: {error.filename or ''}: {error.strerror}")
+        raise typer.Exit(EXIT_FAILED) from error

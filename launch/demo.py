@@ -1,0 +1,83 @@
+"""Example 1 of the paper from start to picture: design, seven processes, and its Figs. 5-7."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.console import Console
+
+from manyhands.design.certificate import save
+from manyhands.launch.display import say, status
+from manyhands.launch.plots import plot_comparison, plot_velocities
+from manyhands.launch.preparation import prepare
+from manyhands.launch.recording import Recording
+from manyhands.launch.running import run_session
+from manyhands.launch.session import Session
+from manyhands.launch.simulation import Simulation
+from manyhands.launch.summary import print_certificate, print_report
+
+SETTLED = 1e-3  # of its peak: the speed below which a device counts as come to rest
+EXIT_FAILED = 1
+
+
+def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder: Path, ticks: int, clock: str) -> int:
+    """Run the demonstration.
+
+    Args:
+        sessions: ``example1``, ``example1-centralised`` and ``example1-uncoupled``.
+        out: for results.
+        err: for progress.
+        folder: where certificate, plots and report go; made if absent.
+        ticks: how long to run.
+        clock: "realtime" or "simulated".
+
+    Returns:
+        The exit code: 0 when every device came to rest.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with status(err, "designing the decentralised coupling"):
+        decentralised = prepare(sessions["example1"])
+    if decentralised.certificate is not None:
+        print_certificate(out, decentralised.certificate)
+        save(decentralised.certificate, folder / "certificate.json")
+    outcome = run_session(
+        decentralised,
+        err,
+        clock=clock,
+        transport="ipc",
+        ticks=ticks,
+        report=folder / "report.json",
+        keep=True,
+    )
+    print_report(out, outcome.report)
+    if outcome.code or outcome.recording is None:
+        return outcome.code
+    with status(err, "simulating without coupling and with a centralised one"):
+        uncoupled = _simulated(sessions["example1-uncoupled"], ticks)
+        centralised = _simulated(sessions["example1-centralised"], ticks)
+        runs = {
+            "fig5-without-coupling": ("without virtual coupling (Fig. 5)", uncoupled),
+            "fig6-decentralised": ("decentralised coupling, seven processes (Fig. 6)", outcome.recording),
+            "fig7-centralised": ("centralised coupling (Fig. 7)", centralised),
+        }
+    with status(err, "drawing"):
+        for name, (title, recording) in runs.items():
+            plot_velocities(recording, title, folder / f"{name}.png")
+        plot_comparison(list(runs.values()), folder / "velocities.png")
+    return _judge(outcome.report["nodes"], out, folder)
+
+
+def _simulated(session: Session, ticks: int) -> Recording:
+    return Simulation(prepare(session, uncertified=True)).run(ticks)
+
+
+def _judge(nodes: Mapping[str, Mapping[str, float]], out: Console, folder: Path) -> int:
+    """Say whether every device came to rest, and where the pictures are."""
+    ratios = {name: node["final_speed"] / node["peak_speed"] for name, node in nodes.items() if "peak_speed" in node}
+    text = ", ".join(f"{name} {ratio:.1e}" for name, ratio in ratios.items())
+    settled = all(ratio < SETTLED for ratio in ratios.values())
+    verdict = "every device came to rest" if settled else f"not every device came to rest (below {SETTLED:g})"
+    say(out, f"speed at the end over peak speed: {text}: {verdict}")
+    say(out, f"plots, certificate and report: {folder}")
+    return 0 if settled else EXIT_FAILED

@@ -1,0 +1,116 @@
+"""What a person sees while a session runs: one table that updates, or plain lines where there is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from manyhands.launch.conductor import Phase
+from manyhands.launch.supervisor import Progress
+from manyhands.launch.topology import Topology
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.messages import Telemetry
+
+
+@contextmanager
+def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what is being done; yields a function that changes the text."""
+    if not console.is_terminal:
+        yield lambda _text: None
+        return
+    with console.status(text) as shown:
+        yield shown.update
+
+
+def say(console: Console, text: str) -> None:
+    """Print a message as it is: no markup, and no line breaks but its own."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
+_LINE_EVERY = 2.0  # s between two plain lines
+
+
+class LiveTable:
+    """Shows a run's progress on a console; call it with each :class:`Progress`."""
+
+    def __init__(self, console: Console, title: str, graph: Topology, ticks: int) -> None:
+        """Show the nodes of ``graph`` under ``title``; ``ticks`` of 0 has no end."""
+        self._console, self._title, self._graph, self._ticks = console, title, graph, ticks
+        # refreshed by the supervisor's own loop: no thread beside it
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._rates: dict[str, tuple[float, int, float]] = {}
+        self._line_at = 0.0
+        self._phase: Phase | None = None
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        """Show ``progress``."""
+        if self._live is not None:
+            self._live.update(self._render(progress), refresh=True)
+            return
+        if progress.phase is not self._phase:
+            self._phase = progress.phase
+            say(self._console, f"{self._title}: {progress.phase}")
+        if progress.elapsed - self._line_at >= _LINE_EVERY:
+            self._line_at = progress.elapsed
+            done = max((t.tick for t in progress.telemetry.values()), default=0)
+            late = sum(t.figures.get(names.LATE, 0.0) for t in progress.telemetry.values())
+            say(self._console, f"{progress.phase}: tick {done}{self._of()}, {late:.0f} late")
+
+    def _of(self) -> str:
+        return f" of {self._ticks}" if self._ticks else ""
+
+    def _render(self, progress: Progress) -> RenderableType:
+        table = Table(title=f"{self._title}: {progress.phase}", title_justify="left")
+        table.add_column("node")
+        table.add_column("role")
+        for column in ("tick", "rate [Hz]", "late", "τ p50 [µs]", "τ p99 [µs]", "speed [m/s]", "ledger [J]"):
+            table.add_column(column, justify="right")
+        for name, role in self._graph.nodes.items():
+            telemetry = progress.telemetry.get(name)
+            if telemetry is None or progress.phase is Phase.STARTING:
+                table.add_row(name, role.value, progress.states[name], *[""] * 6)
+                continue
+            table.add_row(name, role.value, str(telemetry.tick), self._rate(name, telemetry, progress.elapsed),
+                          *(_figure(telemetry, key, form) for key, form in _COLUMNS))  # fmt: skip
+        return Group(table, *(Text(f"! {notice}", style="yellow") for notice in progress.notices))
+
+    def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
+        """Ticks a second since a telemetry of at least half a second ago."""
+        then, tick, shown = self._rates.get(name, (elapsed, telemetry.tick, 0.0))
+        if elapsed - then >= 0.5:
+            shown = (telemetry.tick - tick) / (elapsed - then)
+            then, tick = elapsed, telemetry.tick
+        self._rates[name] = (then, tick, shown)
+        return f"{shown:.0f}" if shown else ""
+
+
+_COLUMNS = (
+    (names.LATE, ".0f"),
+    (f"{names.TAU}_p50", ".0f"),
+    (f"{names.TAU}_p99", ".0f"),
+    (names.SPEED, ".2e"),
+    (names.LEDGER, ".2e"),
+)
+
+
+def _figure(telemetry: Telemetry, key: str, form: str) -> str:
+    value = telemetry.figures.get(key)
+    return "" if value is None else format(value, form)

@@ -1,0 +1,137 @@
+"""Between a session file and a run: the coupling that will be in force, and what proves it.
+
+A run needs a certificate, designed now or read from a file and proved again. Without one it is refused, unless
+the user says that nothing needs to be proved.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from manyhands.design.certificate import Certificate, load
+from manyhands.design.errors import DesignError, Infeasible
+from manyhands.design.problem import (
+    HapticLoop,
+    LinearGiven,
+    NoCoupling,
+    SpringDamperGiven,
+    SpringDamperWanted,
+)
+from manyhands.design.statespace import StateSpace
+from manyhands.design.verification import differences, verify
+from manyhands.launch.loop import coupling_request, haptic_loop
+from manyhands.launch.session import Session
+
+UNCERTIFIED = "uncertified-"
+
+
+class NotCertified(Exception):
+    """A run was refused because its session is not certified; the text says why and what could be done."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A session with the coupling it will run under.
+
+    Attributes:
+        session: the session.
+        loop: its haptic loop.
+        blocks: the realisation of each block of V, in the session's order.
+        certificate: what proves it stable; None for a run that nothing proves.
+        id: what all processes of the run must agree on.
+    """
+
+    session: Session
+    loop: HapticLoop
+    blocks: tuple[StateSpace, ...]
+    certificate: Certificate | None
+    id: str
+
+
+def certify(session: Session, progress: Callable[[int, float], None] | None = None) -> Certificate:
+    """Design the session's coupling, or take the given one, and prove it.
+
+    Raises:
+        DesignError: it cannot be certified.
+    """
+    from manyhands.design.synthesis import design  # the solver takes a second to import; a proof does not need it
+
+    return design(haptic_loop(session), coupling_request(session), progress)
+
+
+def read_certificate(path: Path, session: Session | None = None) -> Certificate:
+    """Read a certificate and prove it again, for ``session`` where one is given.
+
+    Raises:
+        CertificateError: the file is not a certificate.
+        NotCertified: it does not hold, or is another session's.
+    """
+    certificate, data = load(path)
+    failing = [finding for finding in verify(certificate, data) if not finding.holds]
+    if failing:
+        first = failing[0]
+        raise NotCertified(
+            f"{path}: not proved: {first.condition}: found {first.value:.6g}, bound {first.bound:.3g}; "
+            "design the session anew"
+        )
+    if session is not None and (found := differences(certificate, haptic_loop(session), coupling_request(session))):
+        raise NotCertified(f"{path}: a certificate of another session: {found[0]}; design this session anew")
+    return certificate
+
+
+def prepare(
+    session: Session,
+    certificate: Path | None = None,
+    uncertified: bool = False,
+    progress: Callable[[int, float], None] | None = None,
+) -> Prepared:
+    """Settle the coupling of a run.
+
+    Args:
+        session: the session.
+        certificate: a certificate file to run under, instead of designing.
+        uncertified: run even if nothing proves the session stable.
+        progress: called with the design's iteration and its ||W Z - I||.
+
+    Raises:
+        CertificateError: the certificate cannot be read.
+        NotCertified: no certificate, and ``uncertified`` was not said, or there is no coupling to run.
+    """
+    loop = haptic_loop(session)
+    try:
+        proof = certify(session, progress) if certificate is None else read_certificate(certificate, session)
+    except DesignError as error:
+        if certificate is not None:
+            raise
+        if not uncertified:
+            raise NotCertified(f"{session.name} is not certified: {error}") from error
+        return Prepared(session, loop, _unproved_blocks(session, loop, error), None, _uncertified_id(session))
+    return Prepared(session, loop, proof.blocks, proof, proof.id)
+
+
+def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError) -> tuple[StateSpace, ...]:
+    """The coupling that the session states, certified or not."""
+    match coupling_request(session):
+        case NoCoupling():
+            return tuple(StateSpace.static(np.zeros((len(b), len(b)))) for b in loop.partition.blocks)
+        case LinearGiven(blocks):
+            return blocks
+        case SpringDamperGiven(coupling):
+            try:
+                return tuple(part.realisation(loop.period) for part in coupling.restrict(loop.partition))
+            except ValueError as error:
+                raise NotCertified(f"{session.name}: the given coupling cannot be realised: {error}") from error
+        case SpringDamperWanted():
+            text = f"{session.name}: no coupling was found, so there is none to run uncertified: {why}"
+            raise NotCertified(text) from (why if isinstance(why, Infeasible) else None)
+
+
+def _uncertified_id(session: Session) -> str:
+    content = json.dumps(session.as_plain(), sort_keys=True)
+    return UNCERTIFIED + hashlib.sha256(content.encode()).hexdigest()

@@ -1,0 +1,83 @@
+"""The nodes' processes: started, watched through process file descriptors, ended and reaped."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from manyhands.protocol.messages import Role
+
+_LOG_SHOWN = 2000  # characters of a process's own error output that a message quotes
+
+# Matrices of a few rows gain nothing from threads, and idle BLAS threads spin beside the loop.
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Processes:
+    """The processes of one session."""
+
+    def __init__(self, directory: Path) -> None:
+        """Bundles and logs of the processes go into ``directory``."""
+        self._directory = directory
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._fds: dict[int, str] = {}
+
+    @property
+    def fds(self) -> tuple[int, ...]:
+        """Descriptors that become readable when their process ends."""
+        return tuple(self._fds)
+
+    @property
+    def pids(self) -> Mapping[str, int]:
+        """Process ids of those that still run, by node."""
+        return {name: process.pid for name, process in self._running.items()}
+
+    def start(self, name: str, role: Role, bundle: Path) -> None:
+        """Start one node.
+
+        In a session of its own, so that Ctrl-C in a terminal reaches the supervisor alone.
+        """
+        with (self._directory / f"{name}.log").open("wb") as log:
+            process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
+                [sys.executable, "-P", "-m", f"manyhands.nodes.{role.value}", str(bundle), str(os.getpid())],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                env={**os.environ, **_ONE_THREAD},
+            )
+        self._running[name] = process
+        self._fds[os.pidfd_open(process.pid)] = name
+
+    def reap(self, fds: set[int]) -> dict[str, int]:
+        """The nodes behind the readable ``fds`` and their exit codes (negative: killed by that signal)."""
+        out = {}
+        for fd in fds & self._fds.keys():
+            name = self._fds.pop(fd)
+            os.close(fd)
+            out[name] = self._running.pop(name).wait()
+        return out
+
+    def send(self, which: signal.Signals) -> None:
+        """Send a signal to every process that still runs."""
+        for process in self._running.values():
+            process.send_signal(which)
+
+    def end_all(self) -> None:
+        """Kill and reap whatever still runs; for the way out of an error."""
+        self.send(signal.SIGKILL)
+        for process in self._running.values():
+            process.wait()
+        for fd in self._fds:
+            os.close(fd)
+        self._running.clear()
+        self._fds.clear()
+
+    def log(self, name: str) -> str:
+        """The end of what a node wrote to its error output, empty when it wrote nothing."""
+        text = (self._directory / f"{name}.log").read_text(errors="replace").strip()
+        return text[-_LOG_SHOWN:]

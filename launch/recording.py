@@ -1,0 +1,152 @@
+"""Every x and f_v of a run, tick by tick, and the files they are kept in.
+
+Two formats, chosen by the file's suffix: ``.npz`` (arrays ``x`` and ``f_v``, ticks x ports, with the port
+names, the period, the session and the certificate's id; exact) and ``.csv`` (one row a tick, for a spreadsheet).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SUFFIXES = (".npz", ".csv")
+
+
+class RecordingError(Exception):
+    """A recording cannot be written, or is not whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A run's signals.
+
+    Attributes:
+        session: the session's name.
+        certificate: id of the certificate it ran under.
+        period: T, s.
+        ports: names of the m ports.
+        x: ticks x m, m.
+        f_v: ticks x m, N.
+    """
+
+    session: str
+    certificate: str
+    period: float
+    ports: tuple[str, ...]
+    x: Array
+    f_v: Array
+
+    @property
+    def time(self) -> Array:
+        """The instants kT, s."""
+        return np.arange(self.x.shape[0], dtype=np.float64) * self.period
+
+    @property
+    def velocity(self) -> Array:
+        """(x(k) - x(k-1))/T, m/s, ticks x m."""
+        before = np.vstack([np.zeros((1, self.x.shape[1])), self.x[:-1]])
+        return (self.x - before) / self.period
+
+    def save(self, path: Path) -> None:
+        """Write the file whole or not at all, in the format of its suffix.
+
+        Raises:
+            RecordingError: unknown suffix, or the file cannot be written.
+        """
+        require_suffix(path)
+        partial = path.with_name(f".{path.name}.part{path.suffix}")
+        try:
+            if path.suffix == ".npz":
+                np.savez(
+                    partial,
+                    x=self.x,
+                    f_v=self.f_v,
+                    ports=np.array(self.ports),
+                    period=self.period,
+                    session=self.session,
+                    certificate=self.certificate,
+                )
+            else:
+                self._save_csv(partial)
+            partial.replace(path)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def _save_csv(self, path: Path) -> None:
+        with path.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(
+                ["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)]
+            )
+            for k, t in enumerate(self.time):
+                writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+
+
+def require_suffix(path: Path) -> None:
+    """Refuse a file name whose suffix names no format; before a run, not after it.
+
+    Raises:
+        RecordingError: unknown suffix, or no such folder.
+    """
+    if path.suffix not in SUFFIXES:
+        raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}")
+    if not path.absolute().parent.is_dir():
+        raise RecordingError(f"{path}: found no folder {path.parent}; expected one that exists")
+
+
+class Collector:
+    """Puts the traces of the devices' telemetry together again.
+
+    Attributes:
+        lost: ticks that are missing, by device; a realtime run may lose telemetry rather than be disturbed.
+    """
+
+    def __init__(self, ports: Mapping[str, tuple[str, ...]]) -> None:
+        """``ports`` of each device."""
+        self._ports = ports
+        self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
+        self._next = dict.fromkeys(ports, 0)
+        self.lost = dict.fromkeys(ports, 0)
+
+    def add(self, device: str, tick: int, x: Array, f_v: Array) -> None:
+        """Take the rows that end before ``tick``; a gap is filled with NaN and counted."""
+        if x.shape != f_v.shape or x.ndim != 2 or x.shape[1] != len(self._ports[device]):
+            raise RecordingError(f"{device}: traces of {x.shape} and {f_v.shape} do not fit its ports")
+        gap = tick - x.shape[0] - self._next[device]
+        if gap < 0:
+            raise RecordingError(f"{device}: telemetry up to tick {tick} repeats {-gap} ticks")
+        if gap > 0:
+            hole = np.full((gap, x.shape[1]), np.nan)
+            self._chunks[device].append((hole, hole))
+            self.lost[device] += gap
+        self._chunks[device].append((x, f_v))
+        self._next[device] = tick
+
+    def recording(self, session: str, certificate: str, period: float) -> Recording:
+        """The whole run; devices that did fewer ticks than others are cut to the shortest."""
+        ticks = min(self._next.values())
+        columns = [self._column(device, ticks) for device in self._ports]
+        return Recording(
+            session,
+            certificate,
+            period,
+            tuple(port for ports in self._ports.values() for port in ports),
+            np.hstack([x for x, _ in columns]),
+            np.hstack([f for _, f in columns]),
+        )
+
+    def _column(self, device: str, ticks: int) -> tuple[Array, Array]:
+        empty = np.zeros((0, len(self._ports[device])))
+        chunks = self._chunks[device]
+        x = np.vstack([empty, *(x for x, _ in chunks)])
+        f_v = np.vstack([empty, *(f for _, f in chunks)])
+        return x[:ticks], f_v[:ticks]

@@ -1,0 +1,74 @@
+"""The report of a run, as architecture and other programs expect it: one JSON object."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.messages import Report, Role
+
+
+def node_entry(role: Role, report: Report) -> dict[str, Any]:
+    """A node's part of the report; keys that its role does not have are absent."""
+    figures, counts = report.figures, report.counts
+    entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks}
+    if names.LATE in counts:
+        entry["late"] = counts[names.LATE]
+    for quantity in (names.TAU, names.PERIOD):
+        if quantity in report.percentiles:
+            entry[quantity] = dict(report.percentiles[quantity])
+    if names.LEDGER in figures:
+        entry["ledger"] = {"min": figures[names.LEDGER_MIN], "final": figures[names.LEDGER]}
+    for speed in (names.PEAK_SPEED, names.FINAL_SPEED):
+        if speed in figures:
+            entry[speed] = figures[speed]
+    if names.TAU_BREACHES in counts:
+        entry[names.TAU_BREACHES] = counts[names.TAU_BREACHES]
+    dropped = {key: n for key, n in counts.items() if key.startswith("dropped_") and n > 0}
+    if dropped:
+        entry["dropped"] = {key.removeprefix("dropped_"): n for key, n in dropped.items()}
+    return entry
+
+
+def run_report(
+    session: str,
+    certificate: str,
+    clock: str,
+    duration: float,
+    nodes: Mapping[str, Role],
+    reports: Mapping[str, Report],
+) -> dict[str, Any]:
+    """The whole report.
+
+    Args:
+        session: the session's name.
+        certificate: the id it ran under.
+        clock: "realtime" or "simulated".
+        duration: what was run, in the session's own time, s.
+        nodes: every node's role.
+        reports: the last words of those that gave one.
+    """
+    return {
+        "session": session,
+        "certificate": certificate,
+        "clock": clock,
+        "duration": duration,
+        "nodes": {name: node_entry(role, reports[name]) for name, role in nodes.items() if name in reports},
+    }
+
+
+def save_json(data: Mapping[str, Any], path: Path) -> None:
+    """Write one JSON object, whole or not at all.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        partial.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,65 @@
+"""One run as the command line wants it: shown while it goes on, its files written, its faults told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from manyhands.launch.display import LiveTable, say
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.report import save_json
+from manyhands.launch.supervisor import Outcome, Supervisor
+from manyhands.launch.topology import topology
+
+
+def run_session(
+    prepared: Prepared,
+    console: Console,
+    *,
+    clock: str,
+    transport: str,
+    ticks: int,
+    record: Path | None = None,
+    report: Path | None = None,
+    keep: bool = False,
+) -> Outcome:
+    """Run a session, show its progress on ``console``, and write what was asked for.
+
+    Args:
+        prepared: the session with its coupling and certificate.
+        console: where progress, notices and faults go.
+        clock: "realtime" or "simulated".
+        transport: "ipc" or "tcp".
+        ticks: number of ticks; 0 runs until interrupted.
+        record: where every x and f_v goes.
+        report: where the report goes.
+        keep: whether to return the recording without writing it.
+
+    Raises:
+        RecordingError, OSError: a file cannot be written.
+    """
+    title = f"{prepared.session.name} ({clock}, {transport}), certificate {prepared.id[:16]}"
+    with LiveTable(console, title, topology(prepared.session), ticks) as table:
+        outcome = Supervisor(
+            prepared,
+            clock=clock,
+            transport=transport,
+            ticks=ticks,
+            record=keep or record is not None,
+            show=table,
+        ).run()
+    for notice in outcome.notices:
+        say(console, f"notice: {notice}")
+    for fault in outcome.faults:
+        say(console, f"error: {fault}")
+    if outcome.lost:
+        lost = ", ".join(f"{device} {ticks}" for device, ticks in outcome.lost.items())
+        say(console, f"warning: ticks missing from the recording (NaN there): {lost}")
+    if record is not None and outcome.recording is not None:
+        outcome.recording.save(record)
+        say(console, f"recording written to {record}")
+    if report is not None:
+        save_json(outcome.report, report)
+        say(console, f"report written to {report}")
+    return outcome

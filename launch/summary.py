@@ -1,0 +1,142 @@
+"""Certificates and reports as a person reads them, and as other programs do (``--json``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.design.certificate import Certificate
+from manyhands.design.coupling import SpringDamper
+from manyhands.design.problem import HapticLoop
+from manyhands.design.statespace import Matrix
+from manyhands.design.verification import Finding
+
+CERTIFIED, INFEASIBLE = "certified", "infeasible"
+CONDITION_10 = "(10)"
+_LARGEST_SHOWN = 8  # ports, above which a matrix is told by its diagonal's range
+
+
+def certificate_object(certificate: Certificate, proved: bool = True) -> dict[str, Any]:
+    """The object that ``--json`` prints for a certificate."""
+    loop, levels = certificate.loop, certificate.levels
+    coupling: dict[str, Any]
+    if certificate.coupling is not None:
+        coupling = {
+            "stiffness": certificate.coupling.stiffness.tolist(),
+            "damping": certificate.coupling.damping.tolist(),
+        }
+    else:
+        V = loop.partition.join(certificate.blocks)
+        coupling = {name: getattr(V, name).tolist() for name in "ABCD"}
+    return {
+        "status": CERTIFIED if proved else INFEASIBLE,
+        "id": certificate.id,
+        "margin": certificate.margins.get(CONDITION_10),
+        "gamma": None,
+        "coupling": coupling,
+        "levels": {
+            "Delta_D": loop.Delta_D.tolist(),
+            "Delta_V": levels.Delta_V.tolist(),
+            "Phi_E": levels.Phi_E.tolist(),
+        },
+        "margins": dict(certificate.margins),
+        "period": loop.period,
+        "tau": certificate.tau,
+        "structure": _structure(loop),
+    }
+
+
+def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> dict[str, Any]:
+    """The object that ``--json`` prints when nothing could be certified."""
+    return {
+        "status": INFEASIBLE,
+        "id": None,
+        "margin": None,
+        "gamma": None,
+        "coupling": None,
+        "levels": {"Delta_D": loop.Delta_D.tolist(), "Delta_V": None, "Phi_E": None},
+        "margins": {},
+        "period": loop.period,
+        "tau": None,
+        "structure": _structure(loop),
+        "reason": reason,
+        "relax": list(relax),
+    }
+
+
+def print_certificate(console: Console, certificate: Certificate) -> None:
+    """Its id, structure, coupling and margins."""
+    loop = certificate.loop
+    console.print(f"certificate {certificate.id}")  # never cut to the width of a table
+    table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
+    table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
+    table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s")
+    if certificate.coupling is not None:
+        _coupling_rows(table, certificate.coupling)
+    table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
+    for key, margin in certificate.margins.items():
+        if key != CONDITION_10:
+            table.add_row(f"  {key}", f"{margin:.3e}")
+    console.print(table)
+
+
+def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
+    """Every condition and how it came out."""
+    table = Table(show_header=True)
+    table.add_column("condition")
+    table.add_column("found", justify="right")
+    table.add_column("bound", justify="right")
+    table.add_column("")
+    for finding in findings:
+        mark = "[green]holds[/green]" if finding.holds else "[bold red]fails[/bold red]"
+        table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", f"{finding.bound:.1e}", mark)
+    console.print(table)
+
+
+def print_report(console: Console, report: Mapping[str, Any]) -> None:
+    """Ticks, lateness, percentiles, ledgers and speeds of every node."""
+    title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
+    table = Table(title=title, title_justify="left")
+    for column in ("node", "ticks", "late", "τ p50/p99/p99.9/max [µs]", "period p50/p99/p99.9/max [µs]",
+                   "ledger min [J]", "peak → final [m/s]"):  # fmt: skip
+        table.add_column(column, justify="left" if column == "node" else "right")
+    for name, node in report["nodes"].items():
+        speeds = f"{node['peak_speed']:.3g} → {node['final_speed']:.1e}" if "peak_speed" in node else ""
+        ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
+        percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
+        table.add_row(name, str(node["ticks"]), str(node.get("late", "")), *percentiles, ledger, speeds)
+    console.print(table)
+
+
+def _coupling_rows(table: Table, coupling: SpringDamper) -> None:
+    table.add_row("K [N/m]", _matrix_text(coupling.stiffness, ".4f"))
+    table.add_row("B [N·s/m]", _matrix_text(coupling.damping, ".4f"))
+
+
+def _matrix_text(M: Matrix, form: str) -> str:
+    if M.shape[0] > _LARGEST_SHOWN:
+        diagonal = np.diag(M)
+        return f"{M.shape[0]} x {M.shape[0]}, diagonal {diagonal.min():{form}} ... {diagonal.max():{form}}"
+    return "\n".join("  ".join(f"{value:{form}}".rjust(10) for value in row) for row in M)
+
+
+def _blocks(loop: HapticLoop) -> list[tuple[str, list[str]]]:
+    return [
+        (name, [loop.ports[p] for p in block])
+        for name, block in zip(loop.partition.names, loop.partition.blocks, strict=True)
+    ]
+
+
+def _structure(loop: HapticLoop) -> list[list[str]]:
+    return [ports for _, ports in _blocks(loop)]
+
+
+def _escaped(text: str) -> str:
+    return text.replace("[", "\\[")

@@ -1,0 +1,83 @@
+"""Which processes a session has and which links join them: derived from its couplings, and nowhere else.
+
+A device is linked to every coupling that holds one of its ports; every coupling is linked to the
+environment. A link carries exactly the ports that both its ends may see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from manyhands.launch.session import Session
+from manyhands.protocol.limits import MAX_PORTS
+from manyhands.protocol.messages import Role
+
+ENVIRONMENT = "environment"
+
+
+@dataclass(frozen=True)
+class LinkPlan:
+    """One link: ``binder`` binds it, ``connector`` connects, ``ports`` are its signals' entries in order."""
+
+    binder: str
+    connector: str
+    ports: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Topology:
+    """The graph of a session.
+
+    Attributes:
+        nodes: every process's name and role, devices first, then couplings, then the environment.
+        ports: the ports of each node, in order.
+        links: in the session's order, which every node follows in its handshakes.
+    """
+
+    nodes: Mapping[str, Role]
+    ports: Mapping[str, tuple[str, ...]]
+    links: tuple[LinkPlan, ...]
+
+    def links_of(self, node: str) -> tuple[LinkPlan, ...]:
+        """The links that end at ``node``, in the session's order."""
+        return tuple(link for link in self.links if node in (link.binder, link.connector))
+
+
+class LinkTooWide(Exception):
+    """A link would have to carry more ports than a signal may have values."""
+
+
+def require_runnable(graph: Topology) -> None:
+    """Refuse a session that can be designed and simulated, but not be run as processes.
+
+    Raises:
+        LinkTooWide: a link carries more than ``MAX_PORTS`` ports.
+    """
+    for link in graph.links:
+        if len(link.ports) > MAX_PORTS:
+            raise LinkTooWide(
+                f"the link between {link.binder} and {link.connector}: found {len(link.ports)} ports; "
+                f"expected at most {MAX_PORTS}; divide the coupling into more blocks"
+            )
+
+
+def topology(session: Session) -> Topology:
+    """The graph of ``session``."""
+    nodes = {
+        **dict.fromkeys(session.devices, Role.DEVICE),
+        **dict.fromkeys(session.couplings, Role.COUPLING),
+        ENVIRONMENT: Role.ENVIRONMENT,
+    }
+    ports = {
+        **{device: session.ports_of(device) for device in session.devices},
+        **dict(zip(session.couplings, session.blocks, strict=True)),
+        ENVIRONMENT: session.ports,
+    }
+    links = [LinkPlan(ENVIRONMENT, coupling, ports[coupling]) for coupling in session.couplings]
+    for coupling in session.couplings:
+        for device in session.devices:
+            shared = tuple(port for port in ports[coupling] if port in ports[device])
+            if shared:
+                links.append(LinkPlan(coupling, device, shared))
+    return Topology(nodes, ports, tuple(links))

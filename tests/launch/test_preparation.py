@@ -1,0 +1,75 @@
+"""A run needs a certificate: designed, read and proved again, or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from manyhands.design.certificate import from_content, identity, save
+from manyhands.design.errors import CertificateError
+from manyhands.launch.preparation import NotCertified, prepare
+from manyhands.launch.session import load_session
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+GIVEN = ["design.coupling=given", "design.stiffness=705", "design.damping=0.037"]
+
+
+def test_a_certificate_from_a_file_is_proved_again_and_used(tmp_path: Path) -> None:
+    session = load_session(SESSIONS / "example1.yaml", GIVEN)
+    designed = prepare(session)
+    assert designed.certificate is not None
+    save(designed.certificate, tmp_path / "c.json")
+    read = prepare(session, tmp_path / "c.json")
+    assert read.id == designed.id
+    assert [b.D.tolist() for b in read.blocks] == [b.D.tolist() for b in designed.blocks]
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("environment.links.0.stiffness=3801", "the environment differs"),
+        ("devices.dx.osp=1.3", "the devices differs"),
+        ("period=0.0011", "the period differs"),
+        ("session=other", "the session's name differs"),
+        ("design.stiffness=706", "the coupling is not the one"),
+    ],
+)
+def test_another_sessions_certificate_is_refused(override: str, words: str, tmp_path: Path) -> None:
+    certificate = prepare(load_session(SESSIONS / "example1.yaml", GIVEN)).certificate
+    assert certificate is not None
+    save(certificate, tmp_path / "c.json")
+    with pytest.raises(NotCertified, match=words):
+        prepare(load_session(SESSIONS / "example1.yaml", [*GIVEN, override]), tmp_path / "c.json")
+
+
+def test_a_forged_certificate_is_refused(tmp_path: Path) -> None:
+    session = load_session(SESSIONS / "example1.yaml", GIVEN)
+    certificate = prepare(session).certificate
+    assert certificate is not None
+    save(certificate, tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    data["levels"]["Delta_V"][0][0] *= 1.5
+    (tmp_path / "forged.json").write_text(json.dumps(data))
+    with pytest.raises(NotCertified, match="id"):
+        prepare(session, tmp_path / "forged.json")
+    data["id"] = identity(data)
+    (tmp_path / "resealed.json").write_text(json.dumps(data))
+    assert from_content(data).id != certificate.id
+    with pytest.raises(NotCertified, match="not proved"):
+        prepare(session, tmp_path / "resealed.json")
+    with pytest.raises(CertificateError, match="absent"):
+        prepare(session, tmp_path / "absent.json")
+
+
+def test_uncertified_runs_the_coupling_that_the_session_states() -> None:
+    stiff = load_session(SESSIONS / "example1.yaml", ["design.coupling=given", "design.stiffness=3000"])
+    with pytest.raises(NotCertified, match="2740"):
+        prepare(stiff)
+    prepared = prepare(stiff, uncertified=True)
+    assert prepared.certificate is None
+    assert prepared.id.startswith("uncertified-")
+    assert prepared.blocks[0].response(1.0).real[0, 0] == pytest.approx(1 / 3000, rel=1e-9)
+    uncoupled = prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)
+    assert uncoupled.blocks[0].D.tolist() == [[0.0]]

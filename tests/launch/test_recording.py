@@ -1,0 +1,76 @@
+"""Recordings: whole, exact, and honest about what is missing."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.recording import Collector, Recording, RecordingError, require_suffix
+
+X = np.array([[0.1, 1 / 3], [0.2, -2.0], [0.3, 1e-300]])
+
+
+def recording() -> Recording:
+    return Recording("s", "id", 0.001, ("a", "b.x"), X, -X)
+
+
+def test_npz_round_trips_bit_for_bit(tmp_path: Path) -> None:
+    recording().save(tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz") as data:
+        np.testing.assert_array_equal(data["x"], X)
+        np.testing.assert_array_equal(data["f_v"], -X)
+        assert data["ports"].tolist() == ["a", "b.x"]
+        assert str(data["certificate"]) == "id"
+        assert float(data["period"]) == 0.001
+    assert [p.name for p in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_csv_keeps_every_digit(tmp_path: Path) -> None:
+    recording().save(tmp_path / "run.csv")
+    with (tmp_path / "run.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["tick", "time_s", "x[a]_m", "x[b.x]_m", "f_v[a]_N", "f_v[b.x]_N"]
+    np.testing.assert_array_equal(np.array(rows[1:], dtype=float)[:, 2:4], X)
+
+
+def test_velocity_is_the_backward_difference_from_rest() -> None:
+    np.testing.assert_allclose(recording().velocity[:, 0], [100.0, 100.0, 100.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["run.mat", "run", "absent/run.npz"])
+def test_a_name_that_cannot_be_written_is_refused_before_the_run(name: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="expected"):
+        require_suffix(tmp_path / name)
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing_half_written(tmp_path: Path) -> None:
+    (tmp_path / "run.npz").mkdir()
+    with pytest.raises(RecordingError, match=r"run\.npz"):
+        recording().save(tmp_path / "run.npz")
+    assert [p.name for p in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_collector_puts_parts_together_and_counts_a_gap() -> None:
+    collector = Collector({"a": ("a",), "b": ("b.x",)})
+    collector.add("a", 2, X[:2, :1], -X[:2, :1])
+    collector.add("a", 3, X[2:, :1], -X[2:, :1])
+    collector.add("b", 1, X[:1, 1:], -X[:1, 1:])
+    collector.add("b", 4, X[2:, 1:], -X[2:, 1:])  # ticks 1 and 2 were lost
+    out = collector.recording("s", "c", 0.001)
+    assert out.x.shape == (3, 2)
+    np.testing.assert_array_equal(out.x[:, 0], X[:, 0])
+    assert np.isnan(out.x[1, 1])
+    assert np.isnan(out.x[2, 1])
+    assert collector.lost == {"a": 0, "b": 2}
+
+
+def test_collector_refuses_what_does_not_fit() -> None:
+    collector = Collector({"a": ("a",)})
+    with pytest.raises(RecordingError, match="do not fit"):
+        collector.add("a", 3, X, X)
+    collector.add("a", 3, X[:, :1], X[:, :1])
+    with pytest.raises(RecordingError, match="repeats"):
+        collector.add("a", 4, X[:, :1], X[:, :1])
