@@ -1,0 +1,85 @@
+"""Whole sessions: real processes over real sockets, against the simulation in one process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.recording import Recording
+from manyhands.launch.session import load_session
+from manyhands.launch.simulation import Simulation
+from manyhands.launch.supervisor import Outcome, Supervisor
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+TICKS = 1500  # the hands push until 350
+
+
+def run(prepared: Prepared, transport: str, clock: str = "simulated", ticks: int = TICKS) -> Outcome:
+    return Supervisor(prepared, clock=clock, transport=transport, ticks=ticks, record=True).run()
+
+
+def recording_of(outcome: Outcome) -> Recording:
+    assert outcome.faults == ()
+    assert outcome.code == 0
+    assert outcome.lost == {}
+    assert outcome.recording is not None
+    return outcome.recording
+
+
+@pytest.mark.parametrize("transport", ["ipc", "tcp"])
+def test_processes_in_lockstep_give_the_simulations_numbers_twice(transport: str) -> None:
+    prepared = prepare(load_session(SESSIONS / "example1.yaml"))
+    expected = Simulation(prepared).run(TICKS)
+    first, second = (recording_of(run(prepared, transport)) for _ in range(2))
+    for signal in ("x", "f_v"):
+        want, got = getattr(expected, signal), getattr(first, signal)
+        assert np.max(np.abs(want)) > 0.0
+        # the promise is 1e-9 relative; the same operations in the same order give the same bits
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=0.0)
+        assert got.tobytes() == getattr(second, signal).tobytes(), f"{signal} differs between two runs"
+
+
+@pytest.mark.parametrize("file", ["example1-centralised.yaml", "example1-operator.yaml", "example1-uncoupled.yaml"])
+def test_every_shipped_session_runs(file: str) -> None:
+    """One block over three devices, three blocks over one device, and no coupling at all."""
+    prepared = prepare(load_session(SESSIONS / file), uncertified=True)
+    outcome = run(prepared, "ipc", ticks=400)
+    recording = recording_of(outcome)
+    np.testing.assert_array_equal(recording.x, Simulation(prepared).run(400).x)
+    nodes = outcome.report["nodes"]
+    assert set(nodes) == {*prepared.session.devices, *prepared.session.couplings, "environment"}
+    for node in nodes.values():
+        assert node["ticks"] == 400
+        if "ledger" in node and prepared.certificate is not None:
+            assert node["ledger"]["min"] >= 0.0
+
+
+def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
+    prepared = prepare(load_session(SESSIONS / "example1.yaml"))
+    outcome = run(prepared, "ipc", clock="realtime", ticks=500)
+    recording = recording_of(outcome)
+    np.testing.assert_array_equal(recording.x, Simulation(prepared).run(500).x)
+    assert outcome.report["session"] == "example-1"
+    assert outcome.report["certificate"] == prepared.id
+    assert outcome.report["clock"] == "realtime"
+    assert outcome.report["duration"] == pytest.approx(0.5)
+    for device in prepared.session.devices:
+        node = outcome.report["nodes"][device]
+        assert 0 <= node["late"] <= 500
+        assert 0.0 < node["tau_us"]["p50"] <= node["tau_us"]["p99"] <= node["tau_us"]["p999"] <= node["tau_us"]["max"]
+        assert node["period_us"]["p50"] > 0.0
+        assert node["tau_breaches"] == 500  # the certificate assumes no delay at all
+    assert len(outcome.notices) == 3
+    assert "the certificate assumes 0 us" in outcome.notices[0]
+
+
+def test_the_uncoupled_hands_shake_and_the_coupled_ones_come_to_rest() -> None:
+    """Ten seconds of the world of Example 1, in one process: what the certificate is for."""
+    coupled = Simulation(prepare(load_session(SESSIONS / "example1.yaml"))).run(10_000).velocity
+    uncoupled = Simulation(prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True))
+    shaken = uncoupled.run(10_000).velocity
+    assert np.all(np.max(np.abs(coupled[-100:]), axis=0) < 1e-3 * np.max(np.abs(coupled), axis=0))
+    assert np.all(np.max(np.abs(shaken[-1000:]), axis=0) > 2.0 * np.max(np.abs(shaken[4000:5000]), axis=0))
