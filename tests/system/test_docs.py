@@ -1,0 +1,71 @@
+"""The documents are true: their commands run, their links lead somewhere, their citations resolve."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]
+CODE = [path for room in ("design", "protocol", "nodes", "launch") for path in (ROOT / room).rglob("*.py")]
+
+
+def commands(text: str) -> list[tuple[list[str], int]]:
+    """The manyhands commands of the console blocks, with the exit code that a comment may state."""
+    out = []
+    for block in re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL):
+        for line in block.splitlines():
+            command, _, comment = line.removeprefix("$ ").partition(" #")
+            if command.startswith("manyhands "):
+                stated = re.search(r"exit (\d+)", comment)
+                out.append((shlex.split(command)[1:], int(stated[1]) if stated else 0))
+    return out
+
+
+def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
+    found = commands((ROOT / "README.md").read_text())
+    assert len(found) >= 6
+    for arguments, expected in found:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "manyhands", *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == expected, f"{arguments}: {done.stderr}"
+
+
+def test_the_readmes_session_is_valid_and_certified(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    (tmp_path / "session.yaml").write_text(block)
+    command = [sys.executable, "-P", "-m", "manyhands", "design", "session.yaml", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
+        if not target.startswith("https://"):  # what is outside is not ours to test
+            assert (document.parent / target).exists(), f"{document.name} links to {target}"
+
+
+def test_citations_resolve() -> None:
+    known = set(re.findall(r"\*\*(\w+)\*\*:", (ROOT / "docs" / "references.md").read_text()))
+    cited = {key for path in CODE for key in re.findall(r"\[([A-Z][A-Za-z]+\d{4})\]_", path.read_text())}
+    assert cited
+    assert cited <= known
+
+
+def test_the_readmes_two_commands_are_targets() -> None:
+    text = (ROOT / "README.md").read_text()
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    named = re.findall(r"^\$ make (\w+)", text, flags=re.MULTILINE)
+    assert named == ["demo", "test"]
+    assert set(named) <= targets
