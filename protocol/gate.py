@@ -25,7 +25,7 @@ class Gate:
 
     Attributes:
         dropped: frames not admitted, by reason; the keys are :data:`DROP_REASONS`, always all of them.
-        stamp: the stamp of the signal admitted last, monotonic ns of its sender; 0 before the first.
+        stamp: the stamp of the signal admitted last, ns; 0 before the first.
     """
 
     __slots__ = ("_kind", "_width", "dropped", "stamp")

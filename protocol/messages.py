@@ -125,7 +125,7 @@ class Signal:
 
     Attributes:
         tick: k, at least 0.
-        stamp: when it was sent, monotonic ns of the sender.
+        stamp: when x(tick) was sampled, monotonic ns of the device; handed on along the chain.
         values: one per port of the link, in the handshake's order; 1-D float64, finite.
     """
 
