@@ -144,8 +144,8 @@ def verify_command(
         else:
             print_findings(out, findings)
         for finding in failing:
-            found = f"found {finding.value:.6g}, bound {finding.bound:.3g}"
-            say(err, f"{certificate}: not proved: {finding.condition}: {found}")
+            told = f"found {finding.value:.6g}, bound {finding.bound:.3g}"
+            say(err, f"{certificate}: not proved: {finding.condition}: {told}")
         if failing:
             raise typer.Exit(EXIT_NOT_CERTIFIED)
         if not as_json:

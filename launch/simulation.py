@@ -89,6 +89,7 @@ class Simulation:
             for driver, device, ports in devices:
                 force = f_v[k, ports]
                 driver.apply(force)
+                driver.idle()
                 device.apply(force, driver.intended_work())
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)

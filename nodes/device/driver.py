@@ -30,6 +30,10 @@ class Driver(Protocol):
         """Exert no force: what a device does that hears nothing."""
         ...
 
+    def idle(self) -> None:
+        """The tick's force is applied and the next sample is not yet due: do what has been put off."""
+        ...
+
     def intended_work(self) -> float:
         """Work done by the hand's intention between the last two samples, J; 0 where that is unknown."""
         ...

@@ -76,8 +76,9 @@ class DeviceNode:
                 break
             held = f.copy()  # f is written again in the next tick
             driver.apply(held)
-            core.apply(held, driver.intended_work())
             applied = clock.now()
+            core.apply(held, driver.intended_work())
+            driver.idle()
             self._account(tick, x, f, Duration(applied - sampled), None if last is None else Duration(sampled - last))
             due_next = epoch + (slot + 1) * period
             if applied > due_next:

@@ -36,8 +36,10 @@ class SimulatedDriver:
         self._damping, self._mass = plant.damping, plant.mass
         self._force, self._motion, self._T = tuple(force), tuple(motion), T
         self._state = np.zeros(self._sampled.order)
-        self._f = np.zeros(m)
+        self._tick = 0
         self._work = 0.0
+        self._f = np.zeros(m)
+        self._next: tuple[Vector, float] | None = (self._state, 0.0)
         self._m = m
 
     @property
@@ -46,32 +48,38 @@ class SimulatedDriver:
         return self._m
 
     def sample(self, tick: int) -> Vector:
-        """Advance to the instant kT under the force held since the last tick, and return x(k), m."""
-        m, T = self._m, self._T
-        if tick > 0:
-            t = (tick - 1) * T
-            intended = np.array([f(t) for f in self._force])
-            goal = np.array([(q(t + T) - q(t)) / T for q in self._motion])
-            before = self._state
-            total = self._f + intended
-            self._state = self._sampled.A @ before + self._sampled.B @ np.concatenate([total, goal])
-            dx = self._state[:m] - before[:m]
-            dv = self._state[m : 2 * m] - before[m : 2 * m]
-            hand_impulse = total * T - self._damping * dx - self._mass * dv
-            self._work = float(intended @ dx - goal @ hand_impulse)
-        return self._state[:m].copy()
+        """The displacement at the instant kT, m: where the force applied last has brought the device."""
+        self._state, self._work = self._next if self._next is not None else self._advanced()
+        self._tick, self._next = tick, None
+        return self._state[: self._m].copy()
 
     def apply(self, f: Vector) -> None:
-        """Hold f (N) over the next period."""
-        self._f = f
+        """Hold f (N) over the period that begins."""
+        self._f, self._next = f, None
 
     def release(self) -> None:
         """Hold zero force."""
-        self._f = np.zeros(self._m)
+        self.apply(np.zeros(self._m))
+
+    def idle(self) -> None:
+        """Compute where the force leads, before the next sample is due: there it costs the loop no latency."""
+        self._next = self._advanced()
 
     def intended_work(self) -> float:
         """Work of the intention over the last period, J."""
         return self._work
+
+    def _advanced(self) -> tuple[Vector, float]:
+        """State and work of the intention at the end of the period, under the force that is held."""
+        m, T, before = self._m, self._T, self._state
+        t = self._tick * T
+        intended = np.array([force(t) for force in self._force])
+        goal = np.array([(motion(t + T) - motion(t)) / T for motion in self._motion])
+        total = self._f + intended
+        after = self._sampled.A @ before + self._sampled.B @ np.concatenate([total, goal])
+        dx, dv = after[:m] - before[:m], after[m : 2 * m] - before[m : 2 * m]
+        hand_impulse = total * T - self._damping * dx - self._mass * dv
+        return after, float(intended @ dx - goal @ hand_impulse)
 
 
 def simulated_driver(bundle: DeviceBundle) -> SimulatedDriver:
