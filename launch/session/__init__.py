@@ -4,23 +4,13 @@
 :class:`Session` or a :class:`SessionError`. docs/session-file.md is the reference of the format.
 """
 
+from manyhands.launch.session.design import BlockMatrices, Design
+from manyhands.launch.session.device import Device
 from manyhands.launch.session.error import SessionError
-from manyhands.launch.session.model import (
-    DEFAULT_HAND,
-    GROUND,
-    RESERVED,
-    BlockMatrices,
-    CouplingBlock,
-    Design,
-    Device,
-    Hand,
-    Link,
-    NetworkEnvironment,
-    Rational,
-    Session,
-    TraceData,
-    load_session,
-)
+from manyhands.launch.session.hand import DEFAULT_HAND, Hand, Rational
+from manyhands.launch.session.model import Session, load_session
+from manyhands.launch.session.structure import GROUND, RESERVED, CouplingBlock, Link, NetworkEnvironment
+from manyhands.launch.session.trace import TraceData
 
 __all__ = [
     "DEFAULT_HAND",

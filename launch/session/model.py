@@ -15,42 +15,18 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from manyhands.launch.session.design import Array, BlockMatrices, Design, full_matrix
+from manyhands.launch.session.design import Array, Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.error import SessionError
 from manyhands.launch.session.fields import NamedParts, Period, Problem, SessionModel, SessionName, part_name, refusal
-from manyhands.launch.session.hand import DEFAULT_HAND, Hand, Rational
 from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_PROBLEMS
 from manyhands.launch.session.problems import first_error, nulls_in, problems_in
 from manyhands.launch.session.source import apply_overrides, read_tree
 from manyhands.launch.session.structure import (
-    GROUND,
-    RESERVED,
     CouplingBlock,
-    Link,
     NetworkEnvironment,
     ports_of_block,
     structure_problems,
 )
-from manyhands.launch.session.trace import TraceData
-
-__all__ = [
-    "DEFAULT_HAND",
-    "GROUND",
-    "RESERVED",
-    "BlockMatrices",
-    "CouplingBlock",
-    "Design",
-    "Device",
-    "Hand",
-    "Link",
-    "NetworkEnvironment",
-    "Rational",
-    "Session",
-    "SessionError",
-    "TraceData",
-    "load_session",
-]
 
 
 class Session(SessionModel):
