@@ -157,7 +157,9 @@ class Conductor:
         return out
 
     def interrupt(self) -> list[Instruction]:
-        """The user wants the session to end."""
+        """The user wants the session to end; who asks again wants it at once."""
+        if self.interrupted:
+            return [Kill()]
         self.interrupted = True
         return self._end()
 
@@ -174,7 +176,11 @@ class Conductor:
         if refusal is None and isinstance(hello, NodeHello) and hello.name != sender:
             refusal = Refusal("name", f"{sender} calls itself {hello.name}")
         if refusal is not None:
-            return [Send(sender, refusal), *self._fail(refusal.text)]
+            told: list[Instruction] = [Send(sender, refusal)]
+            if sender not in self.states:  # a stranger: refused, and no reason to end a session that is not its own
+                self.ignored += 1
+                return told
+            return [*told, *self._fail(refusal.text)]
         if isinstance(hello, NodeHello):
             self.states[sender] = NodeState.WELCOMED
             self._endpoints.update({(sender, peer): endpoint for peer, endpoint in hello.endpoints.items()})

@@ -153,7 +153,7 @@ class Supervisor:
         shown = Instant(0)
         while conductor.phase is not Phase.OVER:
             ready = hub.wait(Duration(min(REFRESH, max(deadline - clock.now(), 0))), (*processes.fds, interrupt.fd))
-            if interrupt.signal is not None and not conductor.interrupted:
+            if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
                 self._carry_out(conductor.interrupt(), hub, processes)
             while (received := hub.recv()) is not None:

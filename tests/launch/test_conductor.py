@@ -140,16 +140,19 @@ def test_what_is_out_of_turn_is_counted_and_changes_nothing() -> None:
     assert c.ignored == 5
 
 
-def test_a_stranger_s_hello_is_refused() -> None:
+def test_a_strangers_hello_is_refused_and_the_session_goes_on() -> None:
     c = conductor()
-    out = c.hear("stranger", hello("dx", name="stranger"), 0)
-    assert any(isinstance(i, Send) and isinstance(i.message, Refusal) for i in out)
+    (out,) = c.hear("stranger", hello("dx", name="stranger"), 0)
+    assert isinstance(out, Send)
+    assert isinstance(out.message, Refusal)
+    assert c.faults == []
+    assert c.phase is Phase.STARTING
 
 
-def test_ctrl_c_asks_all_to_end_once() -> None:
+def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
     c = running()
     assert c.interrupt() == [Terminate()]
-    assert c.interrupt() == []
+    assert c.interrupt() == [Kill()]  # asked twice
     for name in GRAPH.nodes:
         assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
         c.exited(name, 0)
