@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
@@ -39,6 +40,20 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == expected, f"{arguments}: {done.stderr}"
+
+
+def test_every_key_of_the_files_is_told(tmp_path: Path) -> None:
+    command = [sys.executable, "-P", "-m", "manyhands"]
+    arguments = ["example1.yaml", "-o", "c.json", "--json"]
+    said = subprocess.run([*command, "design", *arguments], cwd=tmp_path, capture_output=True, check=True).stdout
+    run = ["launch", "example1.yaml", "--duration", "0.1", "--clock", "simulated", "--report", "r.json"]
+    subprocess.run([*command, *run], cwd=tmp_path, capture_output=True, check=True)
+    text = (ROOT / "docs" / "files.md").read_text()
+    certificate, report = (json.loads((tmp_path / name).read_text()) for name in ("c.json", "r.json"))
+    parts = [certificate, certificate["levels"], certificate["storage"], certificate["coupling"], json.loads(said)]
+    parts += [report, *report["nodes"].values(), report["nodes"]["dx"]["tau_us"], report["nodes"]["dx"]["ledger"]]
+    for key in {key for part in parts for key in part}:
+        assert f"`{key}`" in text, f"docs/files.md does not tell what {key!r} is"
 
 
 def test_the_readmes_session_is_valid_and_certified(tmp_path: Path) -> None:
