@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -143,16 +144,20 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
         CertificateError: not readable, not a certificate, or not of this version; names file and key.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES + 1)
+        if len(text) > MAX_FILE_BYTES:
             raise CertificateError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, RecursionError) as error:
-        raise CertificateError(f"{path}: cannot be read: {error}") from error
+        data = json.loads(
+            text.decode(), parse_float=_finite, parse_constant=_finite, object_pairs_hook=_without_duplicates
+        )
     except json.JSONDecodeError as error:
         raise CertificateError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise CertificateError(f"{path}: cannot be read: {error}") from error
     try:
         return from_content(data), data
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise CertificateError(f"{path}: not a certificate of this version: {what}") from error
 
@@ -161,10 +166,15 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """The certificate that :func:`content` (with "id") describes.
 
     Raises:
-        KeyError, TypeError, ValueError: something is missing, of another type or shape.
+        KeyError, TypeError, ValueError, AttributeError, OverflowError: something is missing, of another type, shape
+            or size.
     """
     if data["format"] != FORMAT or data["version"] != VERSION:
         raise ValueError(f"expected {FORMAT} version {VERSION}, found {data['format']!r} {data['version']!r}")
+    if data["environment"]["type"] != "network":
+        raise ValueError(f"environment.type: found {data['environment']['type']!r}, expected 'network'")
+    if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
+        raise ValueError("expected session to be a text, and every value of method a text or a whole number")
     ports = tuple(str(p) for p in data["ports"])
     index = {port: i for i, port in enumerate(ports)}
     structure = data["structure"]
@@ -189,7 +199,11 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         ),
     )
     coupling, levels, storage = data["coupling"], data["levels"], data["storage"]
-    blocks = tuple(_read_system(coupling["blocks"][name]) for name in loop.partition.names)
+    blocks = tuple(read_system(coupling["blocks"][name]) for name in loop.partition.names)
+    read_system(storage["E_hat"])  # what is only restated must be readable too: verification compares it
+    matrix(levels["Delta_D"], m, m)
+    if len(storage["P_E"]) < len(loop.network.masses):  # before anything of that size squared is built
+        raise ValueError("storage.P_E: expected two rows a mass or more")
     if coupling["class"] not in ("spring-damper", "linear"):
         raise ValueError(f"coupling.class: found {coupling['class']!r}, expected 'spring-damper' or 'linear'")
     spring_damper = None
@@ -203,8 +217,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         levels=Levels(
             Delta_V=matrix(levels["Delta_V"], m, m),
             Phi_E=matrix(levels["Phi_E"], m, m),
-            P_E=matrix(storage["P_E"]),
-            P_V=tuple(matrix(storage["P_V"][name]) for name in loop.partition.names),
+            P_E=_read_square(storage["P_E"]),
+            P_V=tuple(_read_square(storage["P_V"][name]) for name in loop.partition.names),
         ),
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
@@ -216,11 +230,39 @@ def _system(system: StateSpace) -> dict[str, Any]:
     return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), "D": system.D.tolist()}
 
 
-def _read_system(data: Mapping[str, Any]) -> StateSpace:
+def _read_square(rows: Any) -> Matrix:
+    """A square matrix, which may have no rows: a network without springs and masses stores nothing."""
+    return matrix(rows, len(rows), len(rows)) if rows else np.zeros((0, 0))
+
+
+def read_system(data: Mapping[str, Any]) -> StateSpace:
+    """The system whose matrices :func:`content` wrote; JSON has no shape for a matrix without rows or columns.
+
+    Raises:
+        KeyError, TypeError, ValueError: a matrix is missing, or is none of that shape.
+    """
     D = matrix(data["D"])
-    n = len(data["A"])
-    A: Matrix = np.array(data["A"], dtype=np.float64).reshape(n, n)
-    return StateSpace(A, np.array(data["B"]).reshape(n, D.shape[1]), np.array(data["C"]).reshape(D.shape[0], n), D)
+    if not data["A"]:
+        if data["B"] or any(data["C"]):
+            raise ValueError("expected B and C without entries where A has none")
+        return StateSpace.static(D)
+    return StateSpace(matrix(data["A"]), matrix(data["B"]), matrix(data["C"]), D)
+
+
+def _finite(text: str) -> float:
+    """A number of the file; Python's JSON would read NaN, Infinity and 1e999 too."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"expected finite numbers, found {text[:40]}")
+    return number
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; a key given twice would show a reader another file than the one that is checked."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError(f"expected every key once, found {sorted(key for key, _ in pairs)}")
+    return found
 
 
 def _pretty(value: Any, indent: int = 0) -> str:

@@ -3,7 +3,8 @@
 V_hat,i = (z-1)/(Tz) [V_i - K_i] is OSP at some level only if its Hermitian part is non-negative on the
 unit circle. At its two ends, z -> 1 and z = -1, that is
 
-    V(1) > K,   V(-1) > K,   for springs and dampers:   K_s T/2 < Delta_D,   K_s T/2 + B_s < Delta_D
+    V(1) = V(1)^T > K,            for springs and dampers   K_s T/2 < Delta_D,
+    V(-1) + V(-1)^T > 2 K,                                  K_s T/2 + B_s < Delta_D
 
 (K_s, B_s stiffness and damping), which names the limit and what would relax it.
 """
@@ -13,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from manyhands.design.errors import Infeasible
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.design.transformation import transformed_coupling
 
 _FREQUENCIES = 400
@@ -33,16 +34,23 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float) -> None:
         Infeasible: V_hat,i is OSP at no level.
     """
     if np.max(np.abs(np.linalg.eigvals(block.A)), initial=0.0) >= 1.0:
-        raise Infeasible(f"coupling {name}: V is not stable", ("give every mode of the coupling some damping",))
+        raise Infeasible(
+            f"coupling {name}: V is not stable",
+            ("give every mode of the coupling some damping, and every direction a spring of positive stiffness",),
+        )
     level = 2.0 / T * K  # Delta_D^{-1}
     limit = 2.0 / (T * float(np.linalg.eigvalsh(level)[-1]))
     for point, meaning in ((1.0, "stiffness"), (-1.0, "stiffness plus 2/T times its damping")):
         compliance = block.response(point).real
-        if np.max(np.abs(compliance - compliance.T)) > _ROUNDING * np.max(np.abs(compliance), initial=1e-300):
+        # only where (z-1)/(Tz) vanishes does a skew part outweigh the symmetric one
+        if point == 1.0 and np.max(np.abs(compliance - compliance.T)) > _ROUNDING * np.max(
+            np.abs(compliance), initial=1e-300
+        ):
             raise Infeasible(
                 f"coupling {name}: V({point:g}) is not symmetric, so that V_hat is output strictly passive at no level",
                 ("make the static compliance of the block symmetric",),
             )
+        compliance = symmetric_part(compliance)
         softest = float(np.linalg.eigvalsh(compliance)[0])
         if float(np.linalg.eigvalsh(compliance - K)[0]) > 0.0:
             continue
@@ -65,7 +73,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float) -> None:
     for angle in np.linspace(np.pi / _FREQUENCIES, np.pi, _FREQUENCIES):
         response = V_hat.response(np.exp(1j * angle))
         least = float(np.linalg.eigvalsh((response + response.conj().T) / 2.0)[0])
-        if least < -_ROUNDING * float(np.max(np.abs(response))):
+        if not least >= -_ROUNDING * float(np.max(np.abs(response))):
             raise Infeasible(
                 f"coupling {name}: V_hat is not passive at {angle / T:.4g} rad/s: the least eigenvalue of its "
                 f"Hermitian part is {least:.3g} m/(N s)",

@@ -50,7 +50,8 @@ class Network:
         links: the links.
 
     Raises:
-        ValueError: a link to an unknown end or to itself, a negative parameter, a mass that is not positive.
+        ValueError: a name used twice, a link to an unknown end or to itself, a parameter that is negative or not
+            finite, a mass that is not positive.
     """
 
     ports: tuple[str, ...]
@@ -58,14 +59,23 @@ class Network:
     links: tuple[Link, ...]
 
     def __post_init__(self) -> None:
-        known = {*self.ports, *(name for name, _ in self.masses), GROUND}
+        names = [*self.ports, *(name for name, _ in self.masses), GROUND]
+        known = set(names)
+        if len(known) != len(names):
+            raise ValueError(
+                f"expected distinct names of ports and masses, none of them {GROUND!r}, found {names[:-1]}"
+            )
         for link in self.links:
             if not set(link.ends) <= known or link.ends[0] == link.ends[1]:
                 raise ValueError(f"link between {link.ends}: expected two different ones of {sorted(known)}")
-            if link.stiffness < 0.0 or link.damping < 0.0:
-                raise ValueError(f"link between {link.ends}: expected stiffness and damping >= 0")
-        if any(mass <= 0.0 for _, mass in self.masses):
-            raise ValueError("expected every mass > 0")
+            if not (0.0 <= link.stiffness < np.inf and 0.0 <= link.damping < np.inf):
+                raise ValueError(
+                    f"link between {link.ends}: found stiffness {link.stiffness}, damping {link.damping}, "
+                    "expected finite ones >= 0"
+                )
+        for name, mass in self.masses:
+            if not 0.0 < mass < np.inf:
+                raise ValueError(f"mass {name}: found {mass} kg, expected a finite one > 0")
 
     def stiffness_matrix(self) -> Matrix:
         """K, (m+n) x (m+n), N/m; ports first, then masses."""

@@ -5,7 +5,8 @@ operator. For a stable proper H(s) that is
 
     H(jw) + H(jw)^* >= 0    for all real w,
 
-which is checked here on a frequency grid refined around every local minimum of the smallest eigenvalue.
+which is checked here on a frequency grid, dense around every pole, refined around every local minimum of the
+smallest eigenvalue.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ class RationalMatrix:
                 False,
                 -np.inf,
                 float(abs(worst.imag)),
-                f"operator not passive: it has a pole at {worst:.3g} rad/s, not in the open left half plane",
+                f"operator not passive: it has a pole at {worst:.3g} rad/s, not in the open left half plane"
+                + ("; give a spring as the hand's stiffness instead" if worst == 0.0 else ""),
             )
         frequency, smallest = self._least_eigenvalue(poles)
         scale = float(np.max(np.abs(self.response(np.array([frequency])))))
@@ -151,7 +153,7 @@ class RationalMatrix:
         low = np.log10(min(corners)) - _DECADES_BEYOND
         high = np.log10(max(corners)) + _DECADES_BEYOND
         grid = np.logspace(low, high, int((high - low) * _POINTS_PER_DECADE))
-        grid = np.concatenate([np.zeros(1), grid])
+        grid = np.unique(np.concatenate([np.zeros(1), grid, *(_around(pole) for pole in poles)]))
         values = self._smallest_at(grid)
         for _ in range(4):  # each pass divides the spacing around every local minimum by 20
             inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
@@ -166,6 +168,15 @@ class RationalMatrix:
         H = self.response(frequencies)
         hermitian = (H + np.conj(np.swapaxes(H, 1, 2))) / 2.0
         return np.asarray(np.linalg.eigvalsh(hermitian)[:, 0])
+
+
+def _around(pole: complex) -> Matrix:
+    """Frequencies around a pole's own (rad/s), spaced by its decay rate: a resonance is as narrow as that."""
+    rate, centre = abs(pole.real), abs(pole.imag)
+    widest = max(centre / rate, 1.0) if rate > 0.0 else 1.0
+    steps = np.logspace(-2.0, np.log10(widest), int(20 * (np.log10(widest) + 2.0)) + 2)
+    around = centre + rate * np.concatenate([-steps, np.zeros(1), steps])
+    return np.asarray(around[around >= 0.0])
 
 
 def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:

@@ -24,7 +24,7 @@ import numpy as np
 
 from manyhands.design.statespace import Matrix, StateSpace
 
-_RANK_TOLERANCE = 1e-9  # relative: static directions differ from slow ones (omega T of 1e-6 and more) by far more
+_RANK_TOLERANCE = 1e-9  # static directions differ from slow ones (omega T of 1e-6 and more) by far more
 _EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution
 
 NeutralAt = Literal["input", "output"]
@@ -119,18 +119,24 @@ def storage_face(system: StateSpace, at: NeutralAt) -> StorageFace | None:
     psi, right = neutral_equalities(system, at, pairs)
     left = np.hstack([system.A - np.eye(n), system.B]).T
     equations = np.stack([(left @ N @ psi).ravel() for N in basis], axis=1)
-    coefficients, *_ = np.linalg.lstsq(equations, right.ravel(), rcond=_RANK_TOLERANCE)
-    residual = float(np.max(np.abs(equations @ coefficients - right.ravel())))
-    if residual > _EQUALITY_TOLERANCE * max(float(np.max(np.abs(right))), 1e-300):
-        return None
     free = kernel(equations)
+    determined = kernel(free.T)  # so that rounding in the free directions is not divided by rounding
+    coefficients = determined @ np.linalg.lstsq(equations @ determined, right.ravel(), rcond=None)[0]
+    residual = float(np.max(np.abs(equations @ coefficients - right.ravel())))
+    gain = float(np.max(np.abs(np.hstack([system.C, system.D]))))  # ``right`` may vanish, up to the rounding of this
+    if residual > _EQUALITY_TOLERANCE * max(gain, 1e-300):
+        return None
     return StorageFace(np.tensordot(coefficients, basis, axes=1), np.tensordot(free.T, basis, axes=1), complement)
 
 
 def kernel(M: Matrix) -> Matrix:
-    """An orthonormal basis of the null space of M, columns x d, by singular values."""
+    """An orthonormal basis of the null space of M, columns x d, by singular values.
+
+    They are held against the largest one or 1, whichever is larger: every M of this module is made of A - I or of
+    orthonormal columns, so that what is far below 1 is rounding even where nothing else is there.
+    """
     if M.shape[0] == 0 or M.shape[1] == 0:
         return np.eye(M.shape[1])
     _, values, right = np.linalg.svd(M, full_matrices=True)
-    rank = int(np.sum(values > _RANK_TOLERANCE * max(float(values[0]), 1e-300)))
+    rank = int(np.sum(values > _RANK_TOLERANCE * max(float(values[0]), 1.0)))
     return np.asarray(right[rank:].T)

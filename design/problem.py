@@ -88,6 +88,8 @@ class HapticLoop:
 
     def __post_init__(self) -> None:
         m = len(self.ports)
+        if m == 0:
+            raise ValueError("expected at least one port")
         if sorted(p for d in self.devices for p in d.ports) != list(range(m)):
             raise ValueError("expected the devices to cover every port exactly once")
         if self.partition.size != m or self.network.ports != self.ports:

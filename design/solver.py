@@ -6,6 +6,7 @@ inequality from the numbers that come back (:mod:`manyhands.design.verification`
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import cvxpy as cp
@@ -34,7 +35,10 @@ def solve(program: cp.Problem, what: str) -> float:
         SolverFailure: the solver gave up, or called the program unbounded.
     """
     try:
-        program.solve(solver=SOLVER)
+        with warnings.catch_warnings():
+            # a rough answer is told by its status, and verification tells whether it is good enough
+            warnings.filterwarnings("ignore", message="Solution may be inaccurate", category=UserWarning)
+            program.solve(solver=SOLVER)
     except cp.error.SolverError as error:
         raise SolverFailure(
             f"{what}: {SOLVER} gave up ({error}). The data may span too many orders of magnitude: "
@@ -55,6 +59,12 @@ def value(variable: Any) -> Matrix:
 def symmetric(expression: Any) -> Any:
     """(X + X^T)/2 of a cvxpy expression: cones take their argument's symmetric part as written."""
     return (expression + expression.T) / 2
+
+
+def positive(P: Any, least: float) -> list[cp.Constraint]:
+    """P >= ``least`` I for a storage matrix; nothing to ask of a system without states."""
+    n = P.shape[0]
+    return [symmetric(P) >> least * np.eye(n)] if n else []
 
 
 def storage_on(face: StorageFace) -> Any:

@@ -48,6 +48,9 @@ class StateSpace:
         B: n x p.
         C: m x n.
         D: m x p.
+
+    Raises:
+        ValueError: shapes that do not fit each other, or an entry that is not finite.
     """
 
     A: Matrix
@@ -60,8 +63,8 @@ class StateSpace:
         n = A.shape[0]
         D = matrix(self.D)
         object.__setattr__(self, "A", matrix(A, n, n))
-        object.__setattr__(self, "B", matrix(np.reshape(self.B, (n, D.shape[1])), n, D.shape[1]))
-        object.__setattr__(self, "C", matrix(np.reshape(self.C, (D.shape[0], n)), D.shape[0], n))
+        object.__setattr__(self, "B", matrix(self.B, n, D.shape[1]))
+        object.__setattr__(self, "C", matrix(self.C, D.shape[0], n))
         object.__setattr__(self, "D", D)
 
     @classmethod

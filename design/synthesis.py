@@ -41,6 +41,7 @@ def design(
         Infeasible: no coupling of that class, or not the given one, can be certified.
         NotConverged: the synthesis stopped at its cap.
         SolverFailure: the solver's answer does not survive verification.
+        ValueError: a given coupling has not the loop's ports or blocks.
     """
     coupling, blocks, method = _find(loop, wanted, progress)
     _well_posed(loop, blocks)
@@ -73,6 +74,10 @@ def _find(
                 ("use 'design: {coupling: spring-damper}'",),
             )
         case LinearGiven(blocks):
+            found = [(block.outputs, block.inputs) for block in blocks]
+            sizes = [(len(ports), len(ports)) for ports in loop.partition.blocks]
+            if found != sizes:
+                raise ValueError(f"expected blocks of V with {sizes} outputs and inputs, found {found}")
             return None, blocks, {"algorithm": "given", **tools}
         case SpringDamperGiven(coupling):
             method: dict[str, str | int] = {"algorithm": "given", **tools}
@@ -83,8 +88,12 @@ def _find(
                 "iterations": convergence.iterations,
                 **tools,
             }
+    m = len(loop.ports)
+    if coupling.stiffness.shape != (m, m):
+        raise ValueError(f"expected a coupling of {m} ports, found {len(coupling.stiffness)}")
+    parts = coupling.restrict(loop.partition)
     try:
-        blocks = tuple(part.realisation(loop.period) for part in coupling.restrict(loop.partition))
+        blocks = tuple(part.realisation(loop.period) for part in parts)
     except ValueError as error:
         raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
     return coupling, blocks, method

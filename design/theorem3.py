@@ -9,8 +9,9 @@ One semidefinite program looks for storage functions and levels of all parties a
       [    -Phi_E        Delta_V - Phi_E   ]  >= t I                          (10)
 
 and the loop is certified when t > 0. Delta_V is given the structure of V: each block then keeps a promise
-of its own, which its process can watch from its own data. A second program fixes t just below its
-optimum and maximises the room left in the other inequalities, so that a check in floating point has something to hold.
+of its own, which its process can watch from its own data. A second program keeps t just below its
+optimum, or lower where that leaves next to nothing, and maximises the room left in the other inequalities, so that a
+check in floating point has something to hold.
 
 All of it is solved in ports scaled by S = Delta_D^{-1/2}, where Delta_D = I and, for networks in energy
 coordinates, P_E is near I.
@@ -22,6 +23,7 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 
 from manyhands.design.contract import Levels
 from manyhands.design.errors import Infeasible, SolverFailure
@@ -30,6 +32,7 @@ from manyhands.design.passivity import storage_face
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
     ProgramInfeasible,
+    positive,
     solve,
     storage_inequality_expression,
     storage_on,
@@ -40,8 +43,11 @@ from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, symm
 from manyhands.design.transformation import transformed_coupling
 
 _GREATEST_LEVEL = 100.0  # of Delta_D: (10) gains nothing from more, and storage matrices grow with it
-_T_KEPT = 0.995  # part of the best t that the second program keeps
+_T_KEPT = (0.995, 0.9, 0.5)  # parts of the best t that the second program keeps, the first that leaves enough room
+_ENOUGH_ROOM = 1e-7  # ten times what the solver leaves open
 _LEAST_STORAGE = 1e-9  # P > this, in scaled coordinates where P_E is near I
+_LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 asks OSP levels to be positive, (10) does not
+_HIDDEN = 1e-100  # a state whose Gramian is less is not seen in any units that somebody would choose
 _MOST_ROOM = 1e-2  # cap on the room asked in the Lemma 1 inequalities, same coordinates
 
 
@@ -65,7 +71,7 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
     P_E, Phi_E = storage_on(face_E), cp.Variable((m, m), symmetric=True)
     room, t = cp.Variable(), cp.Variable()
     constraints = [
-        symmetric(P_E) >> _LEAST_STORAGE * np.eye(E_hat.order),
+        *positive(P_E, _LEAST_STORAGE),
         _reduced(storage_inequality_expression(E_hat, P_E, Phi=-Phi_E), face_E.complement, room),
         room <= _MOST_ROOM,
     ]
@@ -88,9 +94,10 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
             raise SolverFailure(f"coupling {name}: its steady states admit no storage function")
         P, Delta = storage_on(face), cp.Variable((len(S_i), len(S_i)), symmetric=True)
         constraints += [
-            symmetric(P) >> _LEAST_STORAGE * np.eye(V_hat.order),
+            *positive(P, _LEAST_STORAGE),
             _reduced(storage_inequality_expression(V_hat, P, Delta=Delta), face.complement, room),
             Delta << _GREATEST_LEVEL * np.eye(len(S_i)),
+            Delta >> _LEAST_LEVEL * np.eye(len(S_i)),
         ]
         Delta_V.append(Delta)
         P_V.append(P)
@@ -105,7 +112,7 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
         if best <= 0.0:
             raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m, expected > 0", _RELAX)
-        solve(cp.Problem(cp.Maximize(room), [*constraints, t >= _T_KEPT * best]), what)
+        _make_room(constraints, room, t, best, what)
     except ProgramInfeasible as error:
         raise Infeasible("no levels satisfy Theorem 3 with this coupling", _RELAX) from error
     if float(value(room)) <= 0.0:
@@ -119,6 +126,19 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         P_E=symmetric_part(value(P_E)),
         P_V=tuple(symmetric_part(X.T @ value(P) @ X) for X, P in zip(back, P_V, strict=True)),
     )
+
+
+def _make_room(constraints: list[cp.Constraint], room: cp.Variable, t: cp.Variable, best: float, what: str) -> None:
+    """The second program, for the greatest part of ``best`` that leaves enough room."""
+    for kept in _T_KEPT:
+        try:
+            found = solve(cp.Problem(cp.Maximize(room), [*constraints, t >= kept * best]), what)
+        except (ProgramInfeasible, SolverFailure):  # the best t is an edge: a solver may stumble there
+            if kept == _T_KEPT[-1]:
+                raise
+        else:
+            if found >= _ENOUGH_ROOM:
+                return
 
 
 _RELAX = (
@@ -142,13 +162,28 @@ def _scaled_block(block: StateSpace, S: Matrix, K: Matrix, T: float) -> tuple[St
     """V_hat of a block in scaled ports and states, and X with (scaled state) = X (state of (12)).
 
     The force of the tick before is scaled like the ports. Of xi, with one entry a port (the spring-damper
-    class), a force times a second over a length, S is the scaling too; other states keep theirs.
+    class), a force times a second over a length, S is the scaling too; and every xi is balanced, so that it does not
+    matter in which units a given realisation counts its states.
     """
     inverse: Matrix = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K_scaled: Matrix = np.asarray(inverse @ K @ inverse)
     V_hat = transformed_coupling(scale_ports(block, inverse, inverse), K_scaled, T)
     X_xi: Matrix = S if block.order == block.inputs else np.eye(block.order)
+    n = block.order
+    balance = _balance(
+        X_xi @ V_hat.A[:n, :n] @ np.linalg.inv(X_xi), X_xi @ V_hat.B[:n], V_hat.C[:, :n] @ np.linalg.inv(X_xi)
+    )
+    X_xi = balance[:, None] * X_xi
     X = block_diagonal([X_xi, np.eye(block.inputs)])  # the scaled V_hat remembers a scaled force already
     X_inverse = np.linalg.inv(X)
     scaled = StateSpace(X @ V_hat.A @ X_inverse, X @ V_hat.B, V_hat.C @ X_inverse, V_hat.D)
     return scaled, block_diagonal([X_xi, S])
+
+
+def _balance(A: Matrix, B: Matrix, C: Matrix) -> Matrix:
+    """Powers of two d such that every state d_i xi_i of the stable (A, B, C) is as controllable as it is observable."""
+    controllable = np.diag(solve_discrete_lyapunov(A, B @ B.T)) if len(A) else np.zeros(0)
+    observable = np.diag(solve_discrete_lyapunov(A.T, C.T @ C)) if len(A) else np.zeros(0)
+    both = np.minimum(controllable, observable) > _HIDDEN
+    ratio = np.where(both, observable, 1.0) / np.where(both, controllable, 1.0)
+    return np.asarray(np.exp2(np.round(np.log2(ratio) / 4.0)), dtype=np.float64)

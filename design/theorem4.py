@@ -28,6 +28,7 @@ from manyhands.design.passivity import storage_face
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
     ProgramInfeasible,
+    positive,
     solve,
     storage_inequality_expression,
     storage_on,
@@ -40,6 +41,7 @@ from manyhands.design.theorem3 import scale_ports
 TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
 MOST_ITERATIONS = 200
 _STRICT = 1e-6  # what ">" means to the solver, in scaled coordinates of order one
+_STRICT_E = 1e-9  # the same for (14): a mode of frequency omega without a damper dissipates (omega T)^2 at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +151,8 @@ def design_spring_damper(
     M = storage_inequality_expression(E_hat, P, Phi=-Phi)
     W = face.complement
     constraints = [
-        symmetric(P) >> _STRICT * np.eye(E_hat.order),
-        symmetric(W.T @ M @ W) << -_STRICT * np.eye(W.shape[1]),
+        *positive(P, _STRICT),
+        symmetric(W.T @ M @ W) << -_STRICT_E * np.eye(W.shape[1]),
         symmetric(cp.bmat([[np.eye(m) - Phi, -Phi], [-Phi, Delta - Phi]])) >> _STRICT * np.eye(2 * m),
     ]
     for b, K_i in zip(blocks, partition.restrict(K), strict=True):

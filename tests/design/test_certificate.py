@@ -1,0 +1,230 @@
+"""The certificate file: exact, tamper-evident, and refused with the file's name when it is not one."""
+
+import copy
+import dataclasses
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.design.certificate import MAX_FILE_BYTES, content, identity, load, save, seal, to_json
+from manyhands.design.errors import CertificateError
+from manyhands.design.network import GROUND, Link, Network
+from manyhands.design.problem import LinearGiven, SpringDamperGiven
+from manyhands.design.statespace import StateSpace
+from manyhands.design.synthesis import design
+from manyhands.design.verification import verify
+
+
+@pytest.fixture(scope="module")
+def certificate(problems):
+    return design(problems.example_1(problems.centralised), SpringDamperGiven(problems.C27))
+
+
+@pytest.fixture(scope="module")
+def data(certificate) -> dict[str, Any]:
+    return json.loads(to_json(certificate))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "broken.json"
+
+
+def leaves(value: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths to everything in the file that is not an object or a list."""
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from leaves(item, (*at, key))
+    else:
+        yield at
+
+
+def put(data: Any, at: tuple[str | int, ...], value: Any) -> Any:
+    """A copy of ``data`` with one thing replaced."""
+    out = copy.deepcopy(data)
+    inner = out
+    for key in at[:-1]:
+        inner = inner[key]
+    inner[at[-1]] = value
+    return out
+
+
+def get(data: Any, at: tuple[str | int, ...]) -> Any:
+    for key in at:
+        data = data[key]
+    return data
+
+
+def test_the_file_round_trips_bit_for_bit(certificate, path: Path) -> None:
+    save(certificate, path)
+    read, data = load(path)
+    assert to_json(read) == to_json(certificate) == path.read_text()
+    assert content(read) == content(certificate)
+    np.testing.assert_array_equal(read.levels.P_E, certificate.levels.P_E)
+    assert read.id == certificate.id == identity(data)
+    assert list(path.parent.iterdir()) == [path]  # nothing half-written stays
+
+
+@pytest.mark.parametrize("kind", ["linear", "stateless"])
+def test_other_kinds_round_trip_too(problems, path: Path, kind: str) -> None:
+    loop = problems.example_1()
+    if kind == "stateless":  # of coupling and environment: matrices without rows
+        network = Network(loop.ports, (), tuple(Link((port, GROUND), 0.0, 1.0) for port in loop.ports))
+        loop = dataclasses.replace(loop, network=network)
+    blocks = [StateSpace.static([[1e-3]])] * 3 if kind == "stateless" else problems.blocks(loop, problems.C26)
+    certificate = design(loop, LinearGiven(tuple(blocks)))
+    save(certificate, path)
+    read, data = load(path)
+    assert to_json(read) == to_json(certificate)
+    assert read.coupling is None
+    assert all(finding.holds for finding in verify(read, data))
+
+
+def test_the_id_is_the_same_for_the_same_content(certificate, data: dict[str, Any]) -> None:
+    shuffled = dict(sorted(data.items(), reverse=True))
+    assert identity(shuffled) == certificate.id == seal(certificate).id
+    assert len(certificate.id) == 64
+
+
+@given(st.data())
+@settings(max_examples=200)
+def test_any_changed_leaf_changes_the_id(certificate, data: dict[str, Any], draw: st.DataObject) -> None:
+    at = draw.draw(st.sampled_from([leaf for leaf in leaves(data) if leaf != ("id",)]))
+    old = get(data, at)
+    if isinstance(old, str):
+        new: Any = old + "x"
+    elif isinstance(old, int):
+        new = old + 1
+    else:
+        new = math.nextafter(old, draw.draw(st.sampled_from([-math.inf, math.inf])))
+    changed = put(data, at, new)
+    assert identity(changed) != certificate.id
+
+
+def test_a_changed_file_is_found_by_its_id(data: dict[str, Any], path: Path) -> None:
+    at = ("levels", "Phi_E", 0, 0)
+    path.write_text(json.dumps(put(data, at, math.nextafter(get(data, at), 1.0))))
+    failing = [finding.condition for finding in verify(*load(path)) if not finding.holds]
+    assert failing == ["the id is the SHA-256 of the content"]
+
+
+BROKEN_TEXTS = {
+    "": ":1: not JSON",
+    "{": ":1: not JSON",
+    "[1, 2]": "not a certificate",
+    "null": "not a certificate",
+    "17": "not a certificate",
+    '"certificate"': "not a certificate",
+    "{}": "key 'format' is missing",
+    '{"format": "manyhands-certificate", "version": 2}': "expected manyhands-certificate version 1, found",
+    '{"format": "other", "version": 1}': "found 'other' 1",
+    '{"a": 1, "a": 2}': "every key once",
+    '{"a": NaN}': "expected finite numbers, found NaN",
+    '{"a": -Infinity}': "expected finite numbers, found -Infinity",
+    '{"a": 1e999}': "expected finite numbers, found 1e999",
+    '{"a": ' + "9" * 5000 + "}": "cannot be read",
+    "[" * 200_000: "cannot be read",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN_TEXTS, ids=lambda text: text[:24] or "empty")
+def test_what_is_no_certificate_is_refused(path: Path, text: str) -> None:
+    path.write_text(text)
+    with pytest.raises(CertificateError) as error:
+        load(path)
+    assert str(error.value).startswith(str(path))
+    assert BROKEN_TEXTS[text] in str(error.value)
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path, path: Path) -> None:
+    path.write_bytes(b'{"a": "\xff"}')
+    for bad in (path, tmp_path, tmp_path / "absent.json"):
+        with pytest.raises(CertificateError, match="cannot be read") as error:
+            load(bad)
+        assert str(bad) in str(error.value)
+
+
+def test_a_file_too_large_is_refused(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(MAX_FILE_BYTES + 1)  # a sparse file: nothing is written
+    with pytest.raises(CertificateError, match="larger than"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "words"),
+    [
+        (("version",), 2, "version 1, found 'manyhands-certificate' 2"),
+        (("session",), 3, "session to be a text"),
+        (("environment", "type"), "engine", "environment.type: found 'engine'"),
+        (("environment", "links", 0, "stiffness"), -1.0, "found stiffness -1.0"),
+        (("environment", "links", 0, "between"), ["dx", "nowhere"], "nowhere"),
+        (("environment", "masses", "hub"), 0.0, "mass hub"),
+        (("coupling", "class"), "magic", "coupling.class: found 'magic'"),
+        (("coupling", "stiffness"), [[1.0]], "expected a 3 x 3 matrix, found 1 x 1"),
+        (("coupling", "blocks", "c", "B"), [[1.0, 2.0]], "expected a 3 x 3 matrix, found 1 x 2"),
+        (("storage", "P_E"), [], "storage.P_E"),
+        (("storage", "P_E"), [[1.0, 2.0]], "expected a 1 x 1 matrix, found 1 x 2"),
+        (("storage", "E_hat", "A"), [[1.0, 2.0]], "expected a 1 x 1 matrix"),
+        (("levels", "Delta_D"), [[1.0]], "expected a 3 x 3 matrix"),
+        (("levels", "Phi_E", 0), "no row", ""),
+        (("structure", "c"), ["dx", "dx", "dz"], "exactly one block"),
+        (("devices", "d0", "osp"), [[-1.0]], "d0: expected a symmetric positive definite OSP level"),
+        (("period",), 10**400, "too large"),
+        (("period",), 0, "positive period"),
+        (("method", "solver"), [], "method"),
+    ],
+)
+def test_a_certificate_with_a_wrong_part_is_refused(data, path: Path, at, value: Any, words: str) -> None:
+    path.write_text(json.dumps(put(data, at, value)))
+    with pytest.raises(CertificateError) as error:
+        load(path)
+    assert str(error.value).startswith(f"{path}: not a certificate of this version: ")
+    assert words in str(error.value)
+
+
+def sections(value: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths to every key of every object."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield (*at, key)
+            yield from sections(item, (*at, key))
+
+
+def test_no_key_can_be_missing(data: dict[str, Any], path: Path) -> None:
+    """Refused when read, or found when verified; never an exception of another kind."""
+    for at in sections(data):
+        less = copy.deepcopy(data)
+        del get(less, at[:-1])[at[-1]]
+        path.write_text(json.dumps(less))
+        try:
+            findings = verify(*load(path))
+        except CertificateError as error:
+            assert str(path) in str(error)  # noqa: PT017  a loop over many, either way of refusing is right
+            continue
+        assert not all(finding.holds for finding in findings), at
+
+
+SPOILT = [None, True, "x", "0.5", -1, 0, 1e300, -1e308, 5e-324, 1e17, 10**400, [], {}, [[]], [[1.0]], [["x"]]]
+
+
+@given(st.data())
+@settings(max_examples=250)
+def test_nothing_but_a_certificate_error_leaves_a_spoilt_file(data, path: Path, draw: st.DataObject) -> None:
+    """Also with the right id, of somebody who means it."""
+    at = draw.draw(st.sampled_from([*leaves(data), *sections(data)]))
+    spoilt = put(data, at, draw.draw(st.sampled_from(SPOILT)))
+    if draw.draw(st.booleans()):
+        spoilt["id"] = identity(spoilt)
+    path.write_text(json.dumps(spoilt))
+    try:
+        verify(*load(path))
+    except CertificateError as error:
+        assert str(path) in str(error)  # noqa: PT017  both outcomes are right

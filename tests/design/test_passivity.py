@@ -1,0 +1,116 @@
+"""Lemma 1 and its facial reduction."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.design.coupling import SpringDamper
+from manyhands.design.passivity import (
+    equality_residual,
+    kernel,
+    neutral_pairs,
+    storage_face,
+    storage_inequality,
+)
+from manyhands.design.statespace import StateSpace
+from manyhands.design.transformation import transformed_coupling
+
+
+def quadratic_form(system: StateSpace, P, Delta, Phi, psi, u) -> float:
+    """V(psi+) - V(psi) - y^T u + y^T Delta y + u^T Phi u, Definition 2, term by term."""
+    after, y = system.A @ psi + system.B @ u, system.C @ psi + system.D @ u
+    return after @ P @ after - psi @ P @ psi - y @ u + y @ Delta @ y + u @ Phi @ u
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(1, 3))
+def test_the_inequality_is_definition_2(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    system = StateSpace(*(rng.normal(size=shape) for shape in ((n, n), (n, m), (m, n), (m, m))))
+    P, Delta, Phi = (X + X.T for X in (rng.normal(size=(k, k)) for k in (n, m, m)))
+    M = storage_inequality(system, P, Delta, Phi)
+    psi, u = rng.normal(size=n), rng.normal(size=m)
+    both = np.concatenate([psi, u])
+    expected = quadratic_form(system, P, Delta, Phi, psi, u)
+    assert both @ M @ both == pytest.approx(expected, rel=1e-9, abs=1e-9 * (1 + np.abs(M).max() * (both @ both)))
+    zero = np.zeros((m, m))
+    np.testing.assert_array_equal(storage_inequality(system, P), storage_inequality(system, P, zero, zero))
+
+
+@given(st.data())
+def test_the_face_of_a_network_holds_its_physical_storage(problems, data: st.DataObject) -> None:
+    E_hat = data.draw(problems.networks()).transformed_environment(1e-3)
+    face = storage_face(E_hat, "input")
+    assert face is not None
+    n = E_hat.order
+    difference = np.eye(n) - face.P_0
+    N = face.directions.reshape(len(face.directions), n * n)
+    left_over = difference.ravel() - N.T @ np.linalg.lstsq(N.T, difference.ravel(), rcond=None)[0] if n else np.zeros(0)
+    assert np.abs(left_over).max(initial=0.0) < 1e-7
+
+
+@given(st.data(), st.integers(0, 2**32 - 1))
+def test_every_point_of_a_face_is_on_it(problems, data: st.DataObject, seed: int) -> None:
+    loop = data.draw(problems.loops())
+    V_hat = transformed_coupling(data.draw(problems.couplings(loop)).realisation(loop.period), loop.K, loop.period)
+    for system, at in ((loop.E_hat, "input"), (V_hat, "output")):
+        face = storage_face(system, at)
+        assert face is not None
+        p = np.random.default_rng(seed).normal(size=len(face.directions))
+        P = face.P_0 + np.tensordot(p, face.directions, axes=1)
+        assert equality_residual(system, P, at) < 1e-9
+        pairs = neutral_pairs(system, at)
+        # what the face is for: a neutral pair is in the kernel of M(P), with its rows and not only its value
+        scale = max(1.0, np.abs(P).max(initial=0.0))
+        assert np.abs(storage_inequality(system, P) @ pairs).max(initial=0.0) < 1e-9 * scale
+        assert face.complement.shape[1] + pairs.shape[1] == system.order + system.inputs
+        np.testing.assert_allclose(face.complement.T @ pairs, 0.0, atol=1e-12)
+
+
+def test_off_the_face_the_residual_says_so(problems) -> None:
+    E_hat = problems.example_1().E_hat
+    assert equality_residual(E_hat, np.eye(5), "input") < 1e-12
+    assert equality_residual(E_hat, np.eye(5) + 1e-3 * np.ones((5, 5)), "input") > 1e-6
+
+
+def test_example_1_has_an_integrator_a_port(problems) -> None:
+    assert neutral_pairs(problems.example_1().E_hat, "input").shape == (8, 3)
+    V_hat = transformed_coupling(problems.C26.realisation(1e-3), problems.example_1().K, 1e-3)
+    assert neutral_pairs(V_hat, "output").shape == (9, 3)
+
+
+def test_neutral_pairs_are_steady_and_silent(problems) -> None:
+    E_hat = problems.example_1().E_hat
+    pairs = neutral_pairs(E_hat, "input")
+    np.testing.assert_allclose(E_hat.A @ pairs[:5], pairs[:5], atol=1e-12)
+    np.testing.assert_allclose(pairs[5:], 0.0, atol=1e-12)
+
+
+def test_an_unsymmetric_static_compliance_has_no_face(problems) -> None:
+    K, B, T = np.array([[700.0, 200.0], [200.0, 900.0]]), np.diag([0.1, 0.4]), problems.T
+    V = SpringDamper(K, B).realisation(T)
+    skewed = StateSpace(V.C @ B, T * V.C @ B, V.C, V.D)
+    K_loop = T / 2.0 / 1.37 * np.eye(2)
+    assert storage_face(transformed_coupling(skewed, K_loop, T), "output") is None
+    assert storage_face(transformed_coupling(V, K_loop, T), "output") is not None
+
+
+def test_an_unsymmetric_static_stiffness_has_no_face() -> None:
+    """f = [[2, 1], [0, 2]] x makes energy out of going round in circles."""
+    T, k = 1e-3, np.array([[2.0, 1.0], [0.0, 2.0]])
+    E_hat = StateSpace(np.eye(2), T * np.eye(2), k, T * k)
+    assert storage_face(E_hat, "input") is None
+
+
+def test_a_system_without_neutral_pairs_is_not_reduced() -> None:
+    system = StateSpace(np.array([[0.5]]), np.array([[1.0]]), np.array([[0.2]]), np.array([[1.0]]))
+    face = storage_face(system, "input")
+    assert face is not None
+    assert face.directions.shape == (1, 1, 1)
+    np.testing.assert_allclose(face.complement.T @ face.complement, np.eye(2), atol=1e-15)
+
+
+def test_the_kernel_of_rounding_is_everything() -> None:
+    np.testing.assert_allclose(kernel(np.full((2, 2), 1e-17)) @ kernel(np.full((2, 2), 1e-17)).T, np.eye(2), atol=1e-15)
+    assert kernel(np.zeros((0, 3))).shape == (3, 3)
+    assert kernel(np.diag([1.0, 1e-6])).shape == (2, 0)

@@ -1,0 +1,69 @@
+"""The loop's data: Delta_D in the coupling's structure, the scaling, and what is no loop."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.design.network import GROUND, Link, Network
+from manyhands.design.partition import Partition
+from manyhands.design.problem import DeviceLevel, HapticLoop
+
+FULL = np.array([[1.5, 0.3], [0.3, 1.2]])
+
+
+def three_ports(partition: Partition) -> HapticLoop:
+    """A two-axis device with a full level, and a one-axis one between its axes."""
+    ports = ("a.0", "b.0", "a.1")
+    network = Network(ports, (), tuple(Link((port, GROUND), 1000.0, 0.5) for port in ports))
+    devices = (DeviceLevel("a", (0, 2), FULL), DeviceLevel("b", (1,), np.array([[0.7]])))
+    return HapticLoop("test", 1e-3, ports, devices, partition, network)
+
+
+def test_a_whole_device_keeps_its_level() -> None:
+    loop = three_ports(Partition(("a", "b"), ((2, 0), (1,))))
+    np.testing.assert_array_equal(loop.Delta_D, [[1.5, 0.0, 0.3], [0.0, 0.7, 0.0], [0.3, 0.0, 1.2]])
+
+
+def test_a_split_device_promises_its_least_eigenvalue() -> None:
+    loop = three_ports(Partition(("p", "q"), ((2, 1), (0,))))
+    least = np.linalg.eigvalsh(FULL)[0]
+    np.testing.assert_array_equal(loop.Delta_D, np.diag([least, 0.7, least]))
+
+
+@given(st.data())
+def test_the_scaling_has_the_structure_and_makes_delta_one(problems, data: st.DataObject) -> None:
+    partition = data.draw(problems.partitions(3))
+    loop = three_ports(partition)
+    assert partition.admits(loop.scaling)
+    np.testing.assert_allclose(loop.scaling @ loop.Delta_D @ loop.scaling, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(loop.K @ loop.Delta_D, 0.5e-3 * np.eye(3), atol=1e-15)
+
+
+@pytest.mark.parametrize("level", [[[0.0]], [[-1.0]], [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.1], [0.0, 1.0]]])
+def test_what_is_no_level_is_refused(level) -> None:
+    with pytest.raises(ValueError, match="dev: expected a symmetric positive definite OSP level"):
+        DeviceLevel("dev", tuple(range(len(level))), np.array(level))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"devices": ()}, "cover every port exactly once"),
+        ({"period": 0.0}, "positive period"),
+        ({"period": float("inf")}, "positive period"),
+        ({"period": float("nan")}, "positive period"),
+        ({"partition": Partition(("a",), ((0, 1),))}, "partition and network"),
+        ({"network": Network(("x", "y", "z"), (), ())}, "partition and network"),
+    ],
+)
+def test_what_is_no_loop_is_refused(problems, change, words: str) -> None:
+    whole = problems.example_1()
+    given_ = {key: getattr(whole, key) for key in ("session", "period", "ports", "devices", "partition", "network")}
+    with pytest.raises(ValueError, match=words):
+        HapticLoop(**{**given_, **change})
+
+
+def test_a_loop_without_ports_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one port"):
+        HapticLoop("none", 1e-3, (), (), Partition((), ()), Network((), (), ()))
