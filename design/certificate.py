@@ -28,6 +28,8 @@ from manyhands.design.statespace import Matrix, StateSpace, matrix
 FORMAT = "manyhands-certificate"
 VERSION = 1
 MAX_FILE_BYTES = 256 * 2**20
+_KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
+_KEYS |= {"coupling", "levels", "storage", "margins", "method"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +173,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """
     if data["format"] != FORMAT or data["version"] != VERSION:
         raise ValueError(f"expected {FORMAT} version {VERSION}, found {data['format']!r} {data['version']!r}")
+    if unknown := set(data) - _KEYS:
+        raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(_KEYS)}")
     if data["environment"]["type"] != "network":
         raise ValueError(f"environment.type: found {data['environment']['type']!r}, expected 'network'")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):

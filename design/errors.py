@@ -29,5 +29,9 @@ class SolverFailure(DesignError):
     """The solver gave no usable answer, or one that does not survive a check of its own numbers."""
 
 
+class TooLarge(DesignError):
+    """The loop is larger than the programs of this version can take."""
+
+
 class CertificateError(DesignError):
     """A certificate file cannot be read, or contradicts itself."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from manyhands.design.certificate import Certificate, content, seal
 from manyhands.design.coupling import SpringDamper
-from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.errors import Infeasible, SolverFailure, TooLarge
 from manyhands.design.problem import (
     CouplingRequest,
     HapticLoop,
@@ -27,6 +27,9 @@ from manyhands.design.verification import margins, verify
 ASSUMED_DELAY = 0.0  # s; Theorem 2 assumes that f_v(k) is applied at the instant of x(k)
 
 
+MOST_STATES = 48  # ports and masses; about a minute and a gigabyte
+
+
 def design(
     loop: HapticLoop, wanted: CouplingRequest, progress: Callable[[int, float], None] | None = None
 ) -> Certificate:
@@ -41,8 +44,10 @@ def design(
         Infeasible: no coupling of that class, or not the given one, can be certified.
         NotConverged: the synthesis stopped at its cap.
         SolverFailure: the solver's answer does not survive verification.
+        TooLarge: more states than :data:`MOST_STATES`.
         ValueError: a given coupling has not the loop's ports or blocks.
     """
+    _require_size(loop)
     coupling, blocks, method = _find(loop, wanted, progress)
     _well_posed(loop, blocks)
     levels = certify_given(loop, blocks)
@@ -56,6 +61,16 @@ def design(
             f"bound {worst.bound:.3g}"
         )
     return certificate
+
+
+def _require_size(loop: HapticLoop) -> None:
+    """Storage matrices are dense here, and their programs grow with the fourth power of the states."""
+    m, n = len(loop.ports), len(loop.network.masses)
+    if m + n > MOST_STATES:
+        raise TooLarge(
+            f"found {m} ports and {n} masses, up to {m + n} states of the environment; expected at most {MOST_STATES}; "
+            "divide the session, or leave out what is far from the hands"
+        )
 
 
 def _find(

@@ -92,14 +92,20 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
     """Where the certificate is about another loop, or another coupling, than these; empty when it fits."""
     own = certificate.loop
     out = [
-        f"{what} differs: the certificate has {mine}, the session {theirs}"
+        f"the {what} differs: the certificate has {mine}, the session {theirs}"
         for what, mine, theirs in (
-            ("the session's name", own.session, loop.session),
-            ("the period", own.period, loop.period),
-            ("the ports", own.ports, loop.ports),
-            ("the block structure", own.partition, loop.partition),
-            ("the environment", own.network, loop.network),
-            ("the devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+            ("session's name", own.session, loop.session),
+            ("period", own.period, loop.period),
+            ("list of ports", ", ".join(own.ports), ", ".join(loop.ports)),
+        )
+        if mine != theirs
+    ]
+    out += [
+        f"the {what} differs"
+        for what, mine, theirs in (
+            ("block structure", own.partition, loop.partition),
+            ("environment", own.network, loop.network),
+            ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
         )
         if mine != theirs
     ]

@@ -6,10 +6,17 @@ import pytest
 from manyhands.design import synthesis
 from manyhands.design.certificate import content
 from manyhands.design.contract import Levels, loop_inequality
-from manyhands.design.errors import Infeasible, NotConverged, SolverFailure
+from manyhands.design.errors import Infeasible, NotConverged, SolverFailure, TooLarge
 from manyhands.design.network import GROUND, Link, Network
 from manyhands.design.partition import Partition
-from manyhands.design.problem import LinearGiven, NoCoupling, SpringDamperGiven, SpringDamperWanted
+from manyhands.design.problem import (
+    DeviceLevel,
+    HapticLoop,
+    LinearGiven,
+    NoCoupling,
+    SpringDamperGiven,
+    SpringDamperWanted,
+)
 from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
 from manyhands.design.verification import verify
@@ -92,3 +99,17 @@ def test_a_solver_that_lies_is_not_believed(problems, monkeypatch: pytest.Monkey
     monkeypatch.setattr(synthesis, "certify_given", lying)
     with pytest.raises(SolverFailure, match="does not survive verification: V_hat of cx is Delta_V-OSP"):
         design(problems.example_1(), SpringDamperGiven(problems.C26))
+
+
+def test_a_loop_beyond_the_programs_of_this_version_is_refused_before_memory_is() -> None:
+    ports = tuple(f"p{i}" for i in range(49))
+    loop = HapticLoop(
+        session="many",
+        period=1e-3,
+        ports=ports,
+        devices=tuple(DeviceLevel(port, (i,), np.array([[1.0]])) for i, port in enumerate(ports)),
+        partition=Partition(ports, tuple((i,) for i in range(49))),
+        network=Network(ports, (), tuple(Link((port, "ground"), 100.0, 0.1) for port in ports)),
+    )
+    with pytest.raises(TooLarge, match=r"49 ports .* at most 48"):
+        design(loop, SpringDamperWanted())

@@ -30,7 +30,7 @@ def test_a_certificate_from_a_file_is_proved_again_and_used(tmp_path: Path) -> N
     ("override", "words"),
     [
         ("environment.links.0.stiffness=3801", "the environment differs"),
-        ("devices.dx.osp=1.3", "the devices differs"),
+        ("devices.dx.osp=1.3", "the level or order of devices differs"),
         ("period=0.0011", "the period differs"),
         ("session=other", "the session's name differs"),
         ("design.stiffness=706", "the coupling is not the one"),
