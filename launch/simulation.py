@@ -84,6 +84,7 @@ class Simulation:
             for coupling, ports in couplings:
                 p[ports] = coupling.free_position(x[k, ports])
             f_v[k] = self._environment.react(p)
+            self._environment.settle()
             for coupling, ports in couplings:
                 coupling.absorb(f_v[k, ports])
             for driver, device, ports in devices:

@@ -35,6 +35,7 @@ class SimulatedDriver:
         self._sampled = plant.sampled(T)
         self._damping, self._mass = plant.damping, plant.mass
         self._force, self._motion, self._T = tuple(force), tuple(motion), T
+        self._u = np.zeros(2 * m)  # (force, intended velocity), filled in place
         self._state = np.zeros(self._sampled.order)
         self._tick = 0
         self._work = 0.0
@@ -74,9 +75,11 @@ class SimulatedDriver:
         m, T, before = self._m, self._T, self._state
         t = self._tick * T
         intended = np.array([force(t) for force in self._force])
-        goal = np.array([(motion(t + T) - motion(t)) / T for motion in self._motion])
-        total = self._f + intended
-        after = self._sampled.A @ before + self._sampled.B @ np.concatenate([total, goal])
+        total, goal = self._u[:m], self._u[m:]
+        total[:] = self._f + intended
+        for axis, motion in enumerate(self._motion):
+            goal[axis] = (motion(t + T) - motion(t)) / T
+        after = self._sampled.A @ before + self._sampled.B @ self._u
         dx, dv = after[:m] - before[:m], after[m : 2 * m] - before[m : 2 * m]
         hand_impulse = total * T - self._damping * dx - self._mass * dv
         return after, float(intended @ dx - goal @ hand_impulse)

@@ -34,7 +34,8 @@ class EnvironmentNode:
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
         for joint in self._joints:
-            D_V[np.ix_(joint.indices, joint.indices)] = hellos[joint.peer.name].feedthrough
+            ports = np.arange(m)[joint.indices]
+            D_V[np.ix_(ports, ports)] = hellos[joint.peer.name].feedthrough
         self._core = EnvironmentCore(self._bundle.E, D_V, self._bundle.Phi_E, self._common.period)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -50,6 +51,7 @@ class EnvironmentNode:
             f = core.react(p)
             for joint in joints:
                 joint.send(Reaction, tick, joint.gate.stamp, f)
+            core.settle()
             tick += 1
             self._ticks = tick
             if tick % self._common.telemetry_ticks == 0:

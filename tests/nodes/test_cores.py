@@ -70,6 +70,7 @@ def test_split_over_parties_the_loop_is_the_papers(
         for core, ports in zip(cores, PARTITION.blocks, strict=True):
             p[list(ports)] = core.free_position(x[k, list(ports)])
         f[k] = environment.react(p)
+        environment.settle()
         for core, ports in zip(cores, PARTITION.blocks, strict=True):
             core.absorb(f[k, list(ports)])
     expected = closed_loop_response(E, V, x)
@@ -121,6 +122,7 @@ def test_passive_parties_keep_their_ledgers_above_zero_for_any_signal() -> None:
     environment = EnvironmentCore(E, block.D, np.zeros((1, 1)), T)
     for _ in range(2000):
         f = environment.react(core.free_position(rng.normal(0.0, 1e-3, 1)))
+        environment.settle()
         core.absorb(f)
     assert core.ledger is not None
     assert environment.ledger is not None
