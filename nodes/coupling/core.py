@@ -34,22 +34,28 @@ class CouplingCore:
             level: Delta_V,i, N*s/m, or None.
             T: period, s.
         """
-        self._V, self._K, self._level, self._T = block, K, level, T
-        self._xi = np.zeros(block.order)
-        self._offset = np.zeros(block.outputs)  # C_V xi(k)
-        self._y = np.zeros(block.outputs)  # (V - K) f_v of the tick before, m
+        n, m = block.order, block.outputs
+        xi = np.hstack([block.A, block.B])  # rows over (xi, f_v)
+        self._step = np.ascontiguousarray(np.vstack([xi, block.C @ xi, np.hstack([block.C, block.D - K])]))
+        self._level, self._T, self._m, self._n = level, T, m, n
+        self._known = np.zeros(n + m)  # (xi, f_v), filled in place
+        self._offset = np.zeros(m)  # C_V xi
+        self._y = np.zeros(m)  # (V - K) f_v of the tick before, m
         self.ledger = None if level is None else Ledger()
 
     def free_position(self, x: Vector) -> Vector:
         """p(k), m, from the devices' displacement x(k), m."""
-        self._offset = self._V.C @ self._xi
         return x + self._offset
 
     def absorb(self, f: Vector) -> None:
-        """Take f_v(k), N, of this block's ports and step to the next tick."""
+        """Take f_v(k), N, of this block's ports, keep the ledger and step to the next tick."""
+        n, m = self._n, self._m
+        self._known[n:] = f
+        following = self._step @ self._known  # xi and C_V xi of the next tick, (V - K) f_v of this one
         if self.ledger is not None and self._level is not None:
-            y = self._offset + self._V.D @ f - self._K @ f
+            y = following[n + m :]
             w = (y - self._y) / self._T
             self.ledger.enter(self._T * float(f @ w - w @ self._level @ w))
             self._y = y
-        self._xi = self._V.A @ self._xi + self._V.B @ f
+        self._known[:n] = following[:n]
+        self._offset = following[n : n + m]

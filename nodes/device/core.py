@@ -10,6 +10,8 @@ that it did is added to the ledger.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,7 +40,8 @@ class DeviceCore:
             level: Delta_D of this device, m_i x m_i, N*s/m.
             T: period, s.
         """
-        self._level, self._K, self._T = level, loop_gain(level, T), T
+        self._level, self._T = level, T
+        self._K_over_T = loop_gain(level, T) / T
         self._x = np.zeros(level.shape[0])
         self._f = np.zeros(level.shape[0])
         self._velocity = np.zeros(level.shape[0])
@@ -50,7 +53,7 @@ class DeviceCore:
         """Take the displacement x(k), m."""
         self._velocity = (x - self._x) / self._T
         self._x = x
-        self.speed = float(np.sqrt(self._velocity @ self._velocity))
+        self.speed = math.sqrt(self._velocity @ self._velocity)
         self.peak_speed = max(self.peak_speed, self.speed)
 
     def apply(self, f: Vector, intended_work: float) -> None:
@@ -60,6 +63,6 @@ class DeviceCore:
             f: f_v(k).
             intended_work: what the hand's intention did since the last sample, J; 0 where it is unknown.
         """
-        y = self._velocity + self._K @ (f - self._f) / self._T
+        y = self._velocity + self._K_over_T @ (f - self._f)
         self.ledger.enter(self._T * float(f @ y - y @ self._level @ y) + intended_work)
         self._f = f

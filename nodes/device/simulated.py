@@ -31,12 +31,13 @@ class SimulatedDriver:
             motion: the intended motion (m) of each axis as a function of time (s).
             T: period, s.
         """
-        m = plant.axes
-        self._sampled = plant.sampled(T)
+        m, sampled = plant.axes, plant.sampled(T)
+        self._step = np.ascontiguousarray(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
+        self._known = np.zeros(self._step.shape[1])  # filled in place
+        self._order = sampled.order
         self._damping, self._mass = plant.damping, plant.mass
         self._force, self._motion, self._T = tuple(force), tuple(motion), T
-        self._u = np.zeros(2 * m)  # (force, intended velocity), filled in place
-        self._state = np.zeros(self._sampled.order)
+        self._state = np.zeros(sampled.order)
         self._tick = 0
         self._work = 0.0
         self._f = np.zeros(m)
@@ -72,17 +73,21 @@ class SimulatedDriver:
 
     def _advanced(self) -> tuple[Vector, float]:
         """State and work of the intention at the end of the period, under the force that is held."""
-        m, T, before = self._m, self._T, self._state
+        m, n, T, before = self._m, self._order, self._T, self._state
         t = self._tick * T
         intended = np.array([force(t) for force in self._force])
-        total, goal = self._u[:m], self._u[m:]
+        self._known[:n] = before
+        total, goal = self._known[n : n + m], self._known[n + m :]
         total[:] = self._f + intended
         for axis, motion in enumerate(self._motion):
             goal[axis] = (motion(t + T) - motion(t)) / T
-        after = self._sampled.A @ before + self._sampled.B @ self._u
-        dx, dv = after[:m] - before[:m], after[m : 2 * m] - before[m : 2 * m]
-        hand_impulse = total * T - self._damping * dx - self._mass * dv
-        return after, float(intended @ dx - goal @ hand_impulse)
+        after = self._step @ self._known
+        change = after[: 2 * m] - before[: 2 * m]
+        work = float(intended @ change[:m])
+        if goal.any():
+            hand_impulse = total * T - self._damping * change[:m] - self._mass * change[m:]
+            work -= float(goal @ hand_impulse)
+        return after, work
 
 
 def simulated_driver(bundle: DeviceBundle) -> SimulatedDriver:
