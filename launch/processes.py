@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -36,8 +37,8 @@ class Processes:
         """Process ids of those that still run, by node."""
         return {name: process.pid for name, process in self._running.items()}
 
-    def start(self, name: str, role: Role, bundle: Path) -> None:
-        """Start one node.
+    def start(self, name: str, role: Role, bundle: Path, processor: int | None = None) -> None:
+        """Start one node, on one processor if that is given.
 
         In a session of its own, so that Ctrl-C in a terminal reaches the supervisor alone.
         """
@@ -52,6 +53,9 @@ class Processes:
             )
         self._running[name] = process
         self._fds[os.pidfd_open(process.pid)] = name
+        if processor is not None:
+            with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor tells
+                os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
 
     def reap(self, fds: set[int]) -> dict[str, int]:
         """The nodes behind the readable ``fds`` and their exit codes (negative: killed by that signal)."""

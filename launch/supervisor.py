@@ -19,6 +19,7 @@ from typing import Any
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import Conductor, Instruction, Kill, Phase, Send, Terminate
 from manyhands.launch.interrupt import Interrupt
+from manyhands.launch.placement import placement
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import Processes
 from manyhands.launch.recording import Collector, Recording
@@ -26,6 +27,7 @@ from manyhands.launch.report import run_report
 from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -137,10 +139,11 @@ class Supervisor:
         try:
             hub, endpoint = transport.bind_hub("control")
             run = Run(self._clock_name, self._transport_name, directory, endpoint, self._record)
+            places = placement(self._graph, sorted(os.sched_getaffinity(0))) if self._clock_name == REALTIME else {}
             for name, bundle in cut(self._prepared, run).items():
                 path = directory / f"{name}.bundle"
                 bundle_files.save(bundle, path)
-                processes.start(name, self._graph.nodes[name], path)
+                processes.start(name, self._graph.nodes[name], path, places.get(name))
             self._watch(hub, processes, interrupt)
         finally:
             processes.end_all()

@@ -1,0 +1,27 @@
+"""A chain shares a processor; what all wait for, or a single chain, is left to the kernel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from manyhands.launch.placement import placement
+from manyhands.launch.session import load_session
+from manyhands.launch.topology import topology
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+@pytest.mark.parametrize(
+    ("file", "processors", "expected"),
+    [
+        ("example1.yaml", [0, 1], {"dx": 0, "cx": 0, "dy": 1, "cy": 1, "dz": 0, "cz": 0}),
+        ("example1.yaml", [2, 5, 7, 9], {"dx": 2, "cx": 2, "dy": 5, "cy": 5, "dz": 7, "cz": 7}),
+        ("example1.yaml", [3], {}),
+        ("example1-centralised.yaml", [0, 1], {}),  # one block joins all three
+        ("example1-operator.yaml", [0, 1], {}),  # one device joins all three
+    ],
+)
+def test_chains_are_dealt_to_the_processors(file: str, processors: list[int], expected: dict[str, int]) -> None:
+    assert placement(topology(load_session(SESSIONS / file)), processors) == expected
