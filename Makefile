@@ -3,7 +3,9 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint types imports pytest clean
+ROUNDS ?= 10
+
+.PHONY: demo test lint types imports pytest campaign clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -22,6 +24,12 @@ imports: $(VENV)/.installed
 
 pytest: $(VENV)/.installed
 	$(BIN)/pytest
+
+# properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`
+campaign: $(VENV)/.installed
+	for round in $$(seq $(ROUNDS)); do \
+		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
+	done
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -52,8 +52,8 @@ def solve(program: cp.Problem, what: str) -> float:
 
 
 def value(variable: Any) -> Matrix:
-    """The value of a solved variable or expression as a float64 matrix."""
-    return np.array(variable.value, dtype=np.float64)
+    """The value of a solved variable or expression, or of a constant, as a float64 matrix."""
+    return np.array(getattr(variable, "value", variable), dtype=np.float64)
 
 
 def symmetric(expression: Any) -> Any:

@@ -19,6 +19,8 @@ coordinates, P_E is near I.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -48,6 +50,7 @@ _ENOUGH_ROOM = 1e-7  # ten times what the solver leaves open
 _LEAST_STORAGE = 1e-9  # P > this, in scaled coordinates where P_E is near I
 _LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 asks OSP levels to be positive, (10) does not
 _HIDDEN = 1e-100  # a state whose Gramian is less is not seen in any units that somebody would choose
+_PHYSICAL_LEVEL = 1e-3  # of Delta_D: what (10) gives away for it is as small
 _MOST_ROOM = 1e-2  # cap on the room asked in the Lemma 1 inequalities, same coordinates
 
 
@@ -62,19 +65,56 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         Infeasible: no levels exist; the coupling is not certified.
         SolverFailure: the solver gave no usable answer.
     """
+    for name, block, K_i in zip(loop.partition.names, blocks, loop.partition.restrict(loop.K), strict=True):
+        check_block(name, block, K_i, loop.period)
+    try:
+        return _levels(loop, blocks, _searched_environment)
+    except (Infeasible, SolverFailure) as first:
+        try:
+            return _levels(loop, blocks, _physical_environment)
+        except (Infeasible, SolverFailure):
+            raise first from None
+
+
+@dataclass(frozen=True, eq=False)
+class _Environment:
+    """E_hat's part of the program: storage matrix, level, and what is asked of them."""
+
+    P: Any
+    Phi: Any
+    constraints: list[cp.Constraint]
+
+
+def _searched_environment(E_hat: StateSpace, room: cp.Variable) -> _Environment:
+    """Any storage and any level."""
+    face = storage_face(E_hat, "input")
+    if face is None:
+        raise Infeasible("the environment's static stiffness is not symmetric: E_hat cannot be passive", ())
+    P, Phi = storage_on(face), cp.Variable((E_hat.inputs, E_hat.inputs), symmetric=True)
+    dissipation = _reduced(storage_inequality_expression(E_hat, P, Phi=-Phi), face.complement, room)
+    return _Environment(P, Phi, [*positive(P, _LEAST_STORAGE), dissipation])
+
+
+def _physical_environment(E_hat: StateSpace, _room: cp.Variable) -> _Environment:
+    """The network's own energy, in whose coordinates it is the identity, and a level a little above none.
+
+    Nothing is searched, so nothing can stumble: for networks whose slow modes dissipate less in a tick than a solver
+    resolves. The level is what makes the dissipation strict where a network can drift freely.
+    """
+    return _Environment(np.eye(E_hat.order), _PHYSICAL_LEVEL * np.eye(E_hat.inputs), [])
+
+
+def _levels(
+    loop: HapticLoop,
+    blocks: tuple[StateSpace, ...],
+    environment: Callable[[StateSpace, cp.Variable], _Environment],
+) -> Levels:
+    """Solve both programs, with one way of treating the environment."""
     m = len(loop.ports)
     partition, S = loop.partition, loop.scaling
-    E_hat = scale_ports(loop.E_hat, S, S)
-    face_E = storage_face(E_hat, "input")
-    if face_E is None:
-        raise Infeasible("the environment's static stiffness is not symmetric: E_hat cannot be passive", ())
-    P_E, Phi_E = storage_on(face_E), cp.Variable((m, m), symmetric=True)
     room, t = cp.Variable(), cp.Variable()
-    constraints = [
-        *positive(P_E, _LEAST_STORAGE),
-        _reduced(storage_inequality_expression(E_hat, P_E, Phi=-Phi_E), face_E.complement, room),
-        room <= _MOST_ROOM,
-    ]
+    E = environment(scale_ports(loop.E_hat, S, S), room)
+    constraints = [*E.constraints, room <= _MOST_ROOM]
     Delta_V: list[cp.Variable] = []
     P_V = []
     embedded: Any = np.zeros((m, m))
@@ -87,7 +127,6 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         partition.restrict(loop.K),
         strict=True,
     ):
-        check_block(name, block, K_i, loop.period)
         V_hat, states = _scaled_block(block, S_i, K_i, loop.period)
         face = storage_face(V_hat, "output")
         if face is None:
@@ -104,7 +143,7 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         back.append(states)
         embedded = embedded + select @ Delta @ select.T
     square = block_diagonal([symmetric_part(S @ S)] * 2)
-    condition_10 = symmetric(cp.bmat([[np.eye(m) - Phi_E, -Phi_E], [-Phi_E, embedded - Phi_E]]))
+    condition_10 = symmetric(cp.bmat([[np.eye(m) - E.Phi, -E.Phi], [-E.Phi, embedded - E.Phi]]))
     constraints.append(condition_10 >> t * square)
 
     what = "Theorem 3 for a given coupling"
@@ -122,8 +161,8 @@ def certify_given(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Levels:
         Delta_V=partition.embed(
             [symmetric_part(i @ value(D) @ i) for i, D in zip(partition.restrict(inverse), Delta_V, strict=True)]
         ),
-        Phi_E=symmetric_part(inverse @ value(Phi_E) @ inverse),
-        P_E=symmetric_part(value(P_E)),
+        Phi_E=symmetric_part(inverse @ value(E.Phi) @ inverse),
+        P_E=symmetric_part(value(E.P)),
         P_V=tuple(symmetric_part(X.T @ value(P) @ X) for X, P in zip(back, P_V, strict=True)),
     )
 

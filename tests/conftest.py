@@ -19,6 +19,10 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
     database=None,
 )
+# for `make campaign`: other cases every time, so that a longer search finds what the repeatable cases do not
+hypothesis.settings.register_profile(
+    "campaign", parent=hypothesis.settings.get_profile("repeatable"), derandomize=False, print_blob=True
+)
 hypothesis.settings.load_profile("repeatable")
 
 

@@ -218,7 +218,7 @@ def test_differences_name_what_differs(problems, proved: Certificate) -> None:
     assert differences(proved, problems.example_1(), SpringDamperWanted()) == []
     for other, words in (
         (problems.example_1(T=2e-3), "the period"),
-        (problems.example_1(osp=1.4), "the devices"),
+        (problems.example_1(osp=1.4), "the level or order of devices"),
         (problems.example_1(problems.centralised), "the block structure"),
         (dataclasses.replace(problems.example_1(), session="other"), "the session's name"),
         (network(mass=2.0)(proved).loop, "the environment"),
