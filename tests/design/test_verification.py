@@ -194,9 +194,9 @@ def test_what_is_certified_is_stable(problems, data: st.DataObject) -> None:
         sampled = device.sampled(T)
         G = StateSpace(sampled.A, sampled.B[:, :m], sampled.C[:m], np.zeros((m, m)))
         closed = problems.closed_loop(G, V, E)
-        # some are 1: positions at rest
+        # some are 1: positions at rest; and twice where masses drift freely, which rounding splits by its root, 1.5e-8
         radius = np.abs(np.linalg.eigvals(closed)).max()
-        assert radius <= 1.0 + 1e-9, (radius, certificate.margins)
+        assert radius <= 1.0 + 1e-7, (radius, certificate.margins)
 
 
 def test_the_stability_test_can_fail(problems) -> None:
