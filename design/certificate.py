@@ -132,8 +132,11 @@ def to_json(certificate: Certificate) -> str:
 def save(certificate: Certificate, path: Path) -> None:
     """Write the file whole or not at all."""
     partial = path.with_name(path.name + ".part")
-    partial.write_text(to_json(certificate))
-    partial.replace(path)
+    try:
+        partial.write_text(to_json(certificate))
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:

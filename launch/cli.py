@@ -25,7 +25,7 @@ from manyhands.design.verification import Finding, differences, verify
 from manyhands.launch.display import say, status
 from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.preparation import NotCertified, Prepared, certify, prepare
-from manyhands.launch.recording import SUFFIXES, RecordingError, require_suffix
+from manyhands.launch.recording import SUFFIXES, RecordingError, TargetError, require_suffix, require_target
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.launch.summary import (
     certificate_object,
@@ -98,8 +98,8 @@ def design(
     """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible."""
     with _errors():
         loaded = _load(session, overrides)
-        if output is not None and not output.absolute().parent.is_dir():
-            _refuse(f"{output}: found no folder {output.parent}; expected one that exists")
+        if output is not None:
+            require_target(output)
         try:
             with _iterations() as progress:
                 certificate = certify(loaded, progress)
@@ -227,8 +227,8 @@ def launch(
         ticks = 0 if duration is None else _ticks(loaded, duration)
         if record is not None:
             require_suffix(record)
-        if report is not None and not report.absolute().parent.is_dir():
-            _refuse(f"{report}: found no folder {report.parent}; expected one that exists")
+        if report is not None:
+            require_target(report)
         require_runnable(topology(loaded))
         prepared = _prepare(loaded, certificate, uncertified)
         outcome = run_session(
@@ -251,6 +251,8 @@ def demo(
     with _errors():
         if clock not in ("realtime", "simulated"):
             _refuse(f"--clock: found {clock!r}; expected realtime or simulated")
+        if output.exists() and not output.is_dir():
+            _refuse(f"{output}: found a file; expected the name of a folder")
         shipped = {name: _load(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
         code = run_demo(shipped, out, err, output, _ticks(shipped["example1"], duration or 10.0), clock)
         if code:
@@ -303,7 +305,7 @@ def _errors() -> Iterator[None]:
     """Every error of ours as one message and its exit code."""
     try:
         yield
-    except (SessionError, CertificateError, RecordingError, LinkTooWide) as error:
+    except (SessionError, CertificateError, RecordingError, TargetError, LinkTooWide) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_BAD_INPUT) from error
     except NotCertified as error:

@@ -23,6 +23,10 @@ class RecordingError(Exception):
     """A recording cannot be written, or is not whole."""
 
 
+class TargetError(Exception):
+    """A file cannot be written where it was asked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A run's signals.
@@ -95,12 +99,24 @@ def require_suffix(path: Path) -> None:
     """Refuse a file name whose suffix names no format; before a run, not after it.
 
     Raises:
-        RecordingError: unknown suffix, or no such folder.
+        RecordingError: unknown suffix.
+        TargetError: the file cannot be there.
     """
     if path.suffix not in SUFFIXES:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}")
+    require_target(path)
+
+
+def require_target(path: Path) -> None:
+    """Refuse a file name that cannot be written to; before a run, not after it.
+
+    Raises:
+        TargetError: no such folder, or a folder of that name.
+    """
     if not path.absolute().parent.is_dir():
-        raise RecordingError(f"{path}: found no folder {path.parent}; expected one that exists")
+        raise TargetError(f"{path}: found no folder {path.parent}; expected one that exists")
+    if path.is_dir():
+        raise TargetError(f"{path}: found a folder; expected the name of a file")
 
 
 class Collector:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.recording import Collector, Recording, RecordingError, require_suffix
+from manyhands.launch.recording import Collector, Recording, RecordingError, TargetError, require_suffix
 
 X = np.array([[0.1, 1 / 3], [0.2, -2.0], [0.3, 1e-300]])
 
@@ -40,17 +40,28 @@ def test_velocity_is_the_backward_difference_from_rest() -> None:
     np.testing.assert_allclose(recording().velocity[:, 0], [100.0, 100.0, 100.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["run.mat", "run", "absent/run.npz"])
+@pytest.mark.parametrize("name", ["run.mat", "run", "absent/run.npz", "folder.npz"])
 def test_a_name_that_cannot_be_written_is_refused_before_the_run(name: str, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="expected"):
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises((RecordingError, TargetError), match="expected"):
         require_suffix(tmp_path / name)
 
 
-def test_a_file_that_cannot_be_written_leaves_nothing_half_written(tmp_path: Path) -> None:
-    (tmp_path / "run.npz").mkdir()
-    with pytest.raises(RecordingError, match=r"run\.npz"):
+def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full in the middle of it."""
+
+    def full(path: Path, **arrays: object) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    (tmp_path / "run.npz").write_bytes(b"an older run")
+    with pytest.raises(RecordingError, match=r"run\.npz.*No space left"):
         recording().save(tmp_path / "run.npz")
     assert [p.name for p in tmp_path.iterdir()] == ["run.npz"]
+    assert (tmp_path / "run.npz").read_bytes() == b"an older run"
 
 
 def test_collector_puts_parts_together_and_counts_a_gap() -> None:
