@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SUFFIXES = (".npz", ".csv")
+MOST_MISSING_TICKS = 10_000_000  # in one gap; more would be a nonsensical tick, not a loss
 
 
 class RecordingError(Exception):
@@ -124,6 +125,7 @@ class Collector:
 
     Attributes:
         lost: ticks that are missing, by device; a realtime run may lose telemetry rather than be disturbed.
+        refused: messages whose traces fit no device, its ports, or its ticks so far.
     """
 
     def __init__(self, ports: Mapping[str, tuple[str, ...]]) -> None:
@@ -132,14 +134,21 @@ class Collector:
         self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
         self._next = dict.fromkeys(ports, 0)
         self.lost = dict.fromkeys(ports, 0)
+        self.refused = 0
 
     def add(self, device: str, tick: int, x: Array, f_v: Array) -> None:
-        """Take the rows that end before ``tick``; a gap is filled with NaN and counted."""
-        if x.shape != f_v.shape or x.ndim != 2 or x.shape[1] != len(self._ports[device]):
-            raise RecordingError(f"{device}: traces of {x.shape} and {f_v.shape} do not fit its ports")
+        """Take the rows that end before ``tick``; a gap is filled with NaN and counted.
+
+        What does not fit comes from outside: it is counted, and changes nothing.
+        """
+        ports = self._ports.get(device)
+        if ports is None or x.ndim != 2 or x.shape != f_v.shape or x.shape[1] != len(ports):
+            self.refused += 1
+            return
         gap = tick - x.shape[0] - self._next[device]
-        if gap < 0:
-            raise RecordingError(f"{device}: telemetry up to tick {tick} repeats {-gap} ticks")
+        if not 0 <= gap <= MOST_MISSING_TICKS:
+            self.refused += 1
+            return
         if gap > 0:
             hole = np.full((gap, x.shape[1]), np.nan)
             self._chunks[device].append((hole, hole))

@@ -56,6 +56,8 @@ def run_session(
     if outcome.lost:
         lost = ", ".join(f"{device} {ticks}" for device, ticks in outcome.lost.items())
         say(console, f"warning: ticks missing from the recording (NaN there): {lost}")
+    if outcome.refused:
+        say(console, f"warning: {outcome.refused} messages to the supervisor made no sense and were dropped")
     if record is not None and outcome.recording is not None:
         outcome.recording.save(record)
         say(console, f"recording written to {record}")

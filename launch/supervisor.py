@@ -7,6 +7,7 @@ poll over all of them, and no waiting for time to pass.
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -76,6 +77,7 @@ class Outcome:
         report: the report's object.
         recording: every x and f_v, when wanted and any were received.
         lost: ticks missing from the recording, by device.
+        refused: telemetry messages and control messages that made no sense.
     """
 
     code: int
@@ -84,6 +86,7 @@ class Outcome:
     report: Mapping[str, Any]
     recording: Recording | None
     lost: Mapping[str, int]
+    refused: int
 
 
 class Supervisor:
@@ -204,7 +207,7 @@ class Supervisor:
         """Tell at once, and once, when a device's loop is not the one the certificate is about."""
         breaches = telemetry.figures.get(names.TAU_BREACHES, 0.0)
         if self._certificate is not None and breaches > 0 and node not in self._notices:
-            tau = telemetry.figures[f"{names.TAU}_p50"]
+            tau = telemetry.figures.get(f"{names.TAU}_p50", math.nan)
             self._notices[node] = (
                 f"{node}: the force is applied {tau:.0f} us (median) after the sample; the certificate assumes "
                 f"{self._certificate.tau * 1e6:g} us"
@@ -244,6 +247,7 @@ class Supervisor:
             ),
             recording,
             {device: n for device, n in self._collector.lost.items() if n > 0},
+            self._collector.refused + conductor.ignored,
         )
 
 

@@ -78,10 +78,14 @@ def test_collector_puts_parts_together_and_counts_a_gap() -> None:
     assert collector.lost == {"a": 0, "b": 2}
 
 
-def test_collector_refuses_what_does_not_fit() -> None:
+def test_collector_drops_and_counts_what_does_not_fit() -> None:
     collector = Collector({"a": ("a",)})
-    with pytest.raises(RecordingError, match="do not fit"):
-        collector.add("a", 3, X, X)
+    collector.add("stranger", 1, X[:1, :1], X[:1, :1])
+    collector.add("a", 3, X, X)  # two columns for one port
+    collector.add("a", 3, X[:, 0], X[:, 0])
+    collector.add("a", 2**62, X[:, :1], X[:, :1])
     collector.add("a", 3, X[:, :1], X[:, :1])
-    with pytest.raises(RecordingError, match="repeats"):
-        collector.add("a", 4, X[:, :1], X[:, :1])
+    collector.add("a", 4, X[:, :1], X[:, :1])  # repeats two ticks
+    assert collector.refused == 5
+    assert collector.lost == {"a": 0}
+    np.testing.assert_array_equal(collector.recording("s", "c", 0.001).x, X[:, :1])
