@@ -23,9 +23,11 @@ from manyhands.design.certificate import load, save
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.verification import Finding, differences, verify
 from manyhands.launch.display import say, status
+from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
+from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.preparation import NotCertified, Prepared, certify, prepare
-from manyhands.launch.recording import SUFFIXES, RecordingError, TargetError, require_suffix, require_target
+from manyhands.launch.recording import SUFFIXES, RecordingError, require_suffix
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.launch.summary import (
     certificate_object,
@@ -35,8 +37,9 @@ from manyhands.launch.summary import (
     print_report,
 )
 from manyhands.launch.topology import LinkTooWide, require_runnable, topology
+from manyhands.nodes.bundle import CLOCKS, REALTIME
+from manyhands.protocol.transport.zeromq import SCHEMES
 
-EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOT_CERTIFIED, EXIT_INTERRUPTED = 1, 2, 3, 130
 MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
 
 app = typer.Typer(
@@ -63,7 +66,8 @@ Overrides = Annotated[
     list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-Duration = Annotated[float | None, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+Clock = Annotated[str, typer.Option(metavar="|".join(CLOCKS), help="What paces the session.")]
 CertificatePath = Annotated[
     Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
 ]
@@ -173,12 +177,7 @@ def simulate(
 
     with _errors():
         loaded = _load(session, overrides)
-        ticks = _ticks(loaded, duration if duration is not None else 10.0)
-        if ticks * len(loaded.ports) > MOST_SIMULATED_VALUES:
-            _refuse(
-                f"--duration: found {duration:g} s, {ticks} ticks of {len(loaded.ports)} ports; expected at most "
-                f"{MOST_SIMULATED_VALUES // len(loaded.ports)} ticks"
-            )
+        ticks = _kept_ticks(loaded, duration)
         if output is not None:
             require_suffix(output)
         prepared = _prepare(loaded, certificate, uncertified=True)
@@ -202,9 +201,13 @@ def simulate(
 @app.command(epilog="Example: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json")
 def launch(
     session: SessionPath,
-    duration: Duration = None,
-    clock: Annotated[str, typer.Option(metavar="realtime|simulated", help="What paces the session.")] = "realtime",
-    transport: Annotated[str, typer.Option(metavar="ipc|tcp", help="How the processes talk (tcp: loopback).")] = "ipc",
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="How long to run, in s; without it, until Ctrl-C.")
+    ] = None,
+    clock: Clock = REALTIME,
+    transport: Annotated[
+        str, typer.Option(metavar="|".join(SCHEMES), help="How the processes talk (tcp: loopback).")
+    ] = SCHEMES[0],
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE", help=f"Keep every x and f_v ({', '.join(SUFFIXES)}).")
     ] = None,
@@ -217,12 +220,8 @@ def launch(
     from manyhands.launch.running import run_session
 
     with _errors():
-        for option, value, valid in (
-            ("--clock", clock, ("realtime", "simulated")),
-            ("--transport", transport, ("ipc", "tcp")),
-        ):
-            if value not in valid:
-                _refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
+        _require_one_of("--clock", clock, CLOCKS)
+        _require_one_of("--transport", transport, SCHEMES)
         loaded = _load(session, overrides)
         ticks = 0 if duration is None else _ticks(loaded, duration)
         if record is not None:
@@ -243,18 +242,17 @@ def launch(
 def demo(
     output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Where plots and report go.")] = Path("out/demo"),
     duration: Duration = 10.0,
-    clock: Annotated[str, typer.Option(metavar="realtime|simulated", help="What paces the session.")] = "realtime",
+    clock: Clock = REALTIME,
 ) -> None:
     """Design Example 1's coupling, run its seven processes, and draw the paper's Figs. 5-7."""
     from manyhands.launch.demo import run_demo
 
     with _errors():
-        if clock not in ("realtime", "simulated"):
-            _refuse(f"--clock: found {clock!r}; expected realtime or simulated")
+        _require_one_of("--clock", clock, CLOCKS)
         if output.exists() and not output.is_dir():
             _refuse(f"{output}: found a file; expected the name of a folder")
         shipped = {name: _load(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
-        code = run_demo(shipped, out, err, output, _ticks(shipped["example1"], duration or 10.0), clock)
+        code = run_demo(shipped, out, err, output, _kept_ticks(shipped["example1"], duration), clock)
         if code:
             raise typer.Exit(code)
 
@@ -289,6 +287,22 @@ def _ticks(session: Session, duration: float) -> int:
     if not session.period <= duration <= 1e9:
         _refuse(f"--duration: found {duration:g} s; expected from one period, {session.period:g} s, to 1e9 s")
     return round(duration / session.period)
+
+
+def _kept_ticks(session: Session, duration: float) -> int:
+    """Number of ticks in ``duration`` (s) of a run that is kept in memory."""
+    ticks, ports = _ticks(session, duration), len(session.ports)
+    if ticks * ports > MOST_SIMULATED_VALUES:
+        _refuse(
+            f"--duration: found {duration:g} s, {ticks} ticks of {ports} ports; expected at most "
+            f"{MOST_SIMULATED_VALUES // ports} ticks"
+        )
+    return ticks
+
+
+def _require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
+    if value not in valid:
+        _refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
 
 
 def _print_json(data: object) -> None:

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from manyhands.design.certificate import save
 from manyhands.launch.display import say, status
+from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plots import plot_comparison, plot_velocities
 from manyhands.launch.preparation import prepare
 from manyhands.launch.recording import Recording
@@ -18,7 +19,6 @@ from manyhands.launch.simulation import Simulation
 from manyhands.launch.summary import print_certificate, print_report
 
 SETTLED = 1e-3  # of its peak: the speed below which a device counts as come to rest
-EXIT_FAILED = 1
 
 
 def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder: Path, ticks: int, clock: str) -> int:
@@ -80,4 +80,4 @@ def _judge(nodes: Mapping[str, Mapping[str, float]], out: Console, folder: Path)
     verdict = "every device came to rest" if settled else f"not every device came to rest (below {SETTLED:g})"
     say(out, f"speed at the end over peak speed: {text}: {verdict}")
     say(out, f"plots, certificate and report: {folder}")
-    return 0 if settled else EXIT_FAILED
+    return EXIT_OK if settled else EXIT_FAILED

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.launch.files import replacing, require_target
+
 Array = NDArray[np.float64]
 
 SUFFIXES = (".npz", ".csv")
@@ -22,10 +24,6 @@ MOST_MISSING_TICKS = 10_000_000  # in one gap; more would be a nonsensical tick,
 
 class RecordingError(Exception):
     """A recording cannot be written, or is not whole."""
-
-
-class TargetError(Exception):
-    """A file cannot be written where it was asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,25 +64,22 @@ class Recording:
             RecordingError: unknown suffix, or the file cannot be written.
         """
         require_suffix(path)
-        partial = path.with_name(f".{path.name}.part{path.suffix}")
         try:
-            if path.suffix == ".npz":
-                np.savez(
-                    partial,
-                    x=self.x,
-                    f_v=self.f_v,
-                    ports=np.array(self.ports),
-                    period=self.period,
-                    session=self.session,
-                    certificate=self.certificate,
-                )
-            else:
-                self._save_csv(partial)
-            partial.replace(path)
+            with replacing(path) as partial:
+                if path.suffix == ".npz":
+                    np.savez(
+                        partial,
+                        x=self.x,
+                        f_v=self.f_v,
+                        ports=np.array(self.ports),
+                        period=self.period,
+                        session=self.session,
+                        certificate=self.certificate,
+                    )
+                else:
+                    self._save_csv(partial)
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-        finally:
-            partial.unlink(missing_ok=True)
 
     def _save_csv(self, path: Path) -> None:
         with path.open("w", newline="") as file:
@@ -106,18 +101,6 @@ def require_suffix(path: Path) -> None:
     if path.suffix not in SUFFIXES:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}")
     require_target(path)
-
-
-def require_target(path: Path) -> None:
-    """Refuse a file name that cannot be written to; before a run, not after it.
-
-    Raises:
-        TargetError: no such folder, or a folder of that name.
-    """
-    if not path.absolute().parent.is_dir():
-        raise TargetError(f"{path}: found no folder {path.parent}; expected one that exists")
-    if path.is_dir():
-        raise TargetError(f"{path}: found a folder; expected the name of a file")
 
 
 class Collector:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from manyhands.launch.files import replacing
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Report, Role
 
@@ -66,9 +67,5 @@ def save_json(data: Mapping[str, Any], path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.part")
-    try:
+    with replacing(path) as partial:
         partial.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

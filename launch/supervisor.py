@@ -19,6 +19,7 @@ from typing import Any
 
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import Conductor, Instruction, Kill, Phase, Send, Terminate
+from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.placement import placement
 from manyhands.launch.preparation import Prepared
@@ -39,8 +40,6 @@ from manyhands.protocol.transport.zeromq import ZmqTransport
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 REFRESH = from_seconds(0.2)
-
-EXIT_OK, EXIT_FAILED = 0, 1
 
 _PREFIX = "manyhands-"
 
@@ -137,7 +136,7 @@ class Supervisor:
             return self._outcome(interrupt.signal)
 
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
-        transport = ZmqTransport.ipc(directory) if self._transport_name == "ipc" else ZmqTransport.tcp()
+        transport = ZmqTransport.of(self._transport_name, directory)
         processes = Processes(directory)
         try:
             hub, endpoint = transport.bind_hub("control")

@@ -22,6 +22,7 @@ MAX_FILE_BYTES = 256 * 2**20
 
 SIMULATED = "simulated"
 REALTIME = "realtime"
+CLOCKS = (REALTIME, SIMULATED)
 
 
 class BundleError(Exception):

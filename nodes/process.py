@@ -74,7 +74,7 @@ def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
 
 def run(common: Common, node: Node, life: Life) -> int:
     """Run one node to its end; returns the exit code."""
-    transport: Transport = ZmqTransport.ipc(Path(common.directory)) if common.transport == "ipc" else ZmqTransport.tcp()
+    transport: Transport = ZmqTransport.of(common.transport, Path(common.directory))
     try:
         control = ControlLine(transport.join(common.control, common.name), common)
         try:

@@ -28,6 +28,9 @@ from manyhands.protocol.transport import (
     require_sendable,
 )
 
+SCHEMES: Final = ("ipc", "tcp")
+"""What a session can be carried by."""
+
 
 class ZmqLink:
     """A PAIR socket, or the DEALER end of a hub."""
@@ -154,6 +157,17 @@ class ZmqTransport:
     def tcp(cls, host: str = "127.0.0.1") -> "ZmqTransport":
         """TCP on ``host``, with ports that the system chooses."""
         return cls("tcp", lambda name: f"{host}:*")
+
+    @classmethod
+    def of(cls, scheme: str, directory: Path) -> "ZmqTransport":
+        """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, and ``tcp`` stays on loopback.
+
+        Raises:
+            TransportError: if there is no such scheme.
+        """
+        if scheme not in SCHEMES:
+            raise TransportError(f"found the transport {scheme!r:.40}; expected {' or '.join(SCHEMES)}")
+        return cls.ipc(directory) if scheme == "ipc" else cls.tcp()
 
     def bind(self, name: str) -> tuple[Link, str]:
         """A link to connect to; see :class:`~manyhands.protocol.transport.Transport`."""

@@ -8,7 +8,7 @@ import os
 import signal
 from types import FrameType
 
-EXIT_INTERRUPTED = 130
+from manyhands.launch.exits import EXIT_INTERRUPTED
 
 
 def _leave(_signum: int, _frame: FrameType | None) -> None:

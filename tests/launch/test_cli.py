@@ -77,6 +77,8 @@ def test_a_broken_session_is_exit_2_and_one_message(path: Path) -> None:
         (["demo", "--clock", "sundial"], "--clock: found 'sundial'"),
         (["design", "example1.yaml", "-o", "/tmp"], "/tmp: found a folder; expected the name of a file"),
         (["launch", "example1.yaml", "--report", "/tmp"], "/tmp: found a folder"),
+        (["demo", "--duration", "0"], "--duration: found 0 s"),
+        (["demo", "--duration", "1e8"], "expected at most"),
         (["demo", "-o", "/dev/null"], "/dev/null: found a file; expected the name of a folder"),
         (["design"], "Missing argument"),
         (["dance"], "No such command"),
