@@ -88,7 +88,11 @@ def _main(
     signal.signal(signal.SIGINT, _unwind)
 
 
-def _unwind(_signum: int, _frame: FrameType | None) -> None:
+_ctrl_c: list[int] = []  # what was asked, for the unwinding may be caught on its way by code that is not ours
+
+
+def _unwind(signum: int, _frame: FrameType | None) -> None:
+    _ctrl_c.append(signum)
     raise SystemExit(EXIT_INTERRUPTED)
 
 
@@ -171,11 +175,11 @@ def simulate(
 
     No hand is shaken by a simulation: a session that cannot be certified is simulated with a warning.
     """
-    from rich.progress import Progress
-
-    from manyhands.launch.simulation import Simulation
-
     with _errors():
+        from rich.progress import Progress
+
+        from manyhands.launch.simulation import Simulation
+
         loaded = _load(session, overrides)
         ticks = _kept_ticks(loaded, duration)
         if output is not None:
@@ -217,9 +221,9 @@ def launch(
     uncertified: Uncertified = False,
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
-    from manyhands.launch.running import run_session
-
     with _errors():
+        from manyhands.launch.running import run_session
+
         _require_one_of("--clock", clock, CLOCKS)
         _require_one_of("--transport", transport, SCHEMES)
         loaded = _load(session, overrides)
@@ -245,9 +249,9 @@ def demo(
     clock: Clock = REALTIME,
 ) -> None:
     """Design Example 1's coupling, run its seven processes, and draw the paper's Figs. 5-7."""
-    from manyhands.launch.demo import run_demo
-
     with _errors():
+        from manyhands.launch.demo import run_demo
+
         _require_one_of("--clock", clock, CLOCKS)
         if output.exists() and not output.is_dir():
             _refuse(f"{output}: found a file; expected the name of a folder")
@@ -316,9 +320,13 @@ def _refuse(text: str) -> None:
 
 @contextmanager
 def _errors() -> Iterator[None]:
-    """Every error of ours as one message and its exit code."""
+    """Every error of ours as one message and its exit code; Ctrl-C as its own, whatever an import made of it."""
     try:
-        yield
+        try:
+            yield
+        finally:
+            if _ctrl_c:
+                raise SystemExit(EXIT_INTERRUPTED) from None
     except (SessionError, CertificateError, RecordingError, TargetError, LinkTooWide) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_BAD_INPUT) from error

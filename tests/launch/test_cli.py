@@ -13,6 +13,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 import manyhands
+from manyhands.launch import cli
 from manyhands.launch.cli import app
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -189,6 +190,24 @@ def test_an_uncertified_simulation_warns(tmp_path: Path) -> None:
     assert "not certified" in result.stderr
     quiet = manyhands_command("simulate", "example1-uncoupled.yaml", "--duration", "0.1", "--uncertified")
     assert "not certified" not in quiet.stderr
+
+
+@pytest.mark.parametrize("becomes", [ImportError("half an import"), None])
+def test_ctrl_c_is_130_even_when_an_import_catches_it(
+    becomes: Exception | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Extension modules may turn what is raised while they load into an error of theirs, or swallow it."""
+
+    def importing(*_: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except SystemExit:
+            if becomes is not None:
+                raise becomes from None
+
+    monkeypatch.setattr(cli, "certify", importing)
+    monkeypatch.setattr(cli, "_ctrl_c", [])
+    assert manyhands_command("design", "example1.yaml").exit_code == 130
 
 
 def test_help_of_every_command_ends_with_an_example() -> None:
