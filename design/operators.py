@@ -5,8 +5,9 @@ operator. For a stable proper H(s) that is
 
     H(jw) + H(jw)^* >= 0    for all real w,
 
-which is checked here on a frequency grid, dense around every pole, refined around every local minimum of the
-smallest eigenvalue.
+which is checked exactly (:mod:`manyhands.design.level_sets`), and besides on a frequency grid, dense around every
+pole, so that operators too large or too badly scaled for the exact test are still judged by their own response:
+whatever frequency either finds, the figure reported is that of the rational functions there.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
+from manyhands.design.level_sets import least_hermitian_eigenvalue
 from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
 
 Rational = tuple[tuple[float, ...], tuple[float, ...]]
@@ -22,6 +25,7 @@ Rational = tuple[tuple[float, ...], tuple[float, ...]]
 
 _POINTS_PER_DECADE = 400
 _DECADES_BEYOND = 3
+_EXACT_ORDER = 64  # states of the largest realisation that is tested exactly; the eigenvalue problem is twice as large
 _ROUNDING = 1e-12  # of the largest gain: below that, a negative eigenvalue is rounding of the evaluation
 
 
@@ -32,7 +36,7 @@ class PassivityFinding:
     Attributes:
         passive: whether H is passive.
         smallest: the least eigenvalue of the Hermitian part of H(jw) over w, in N*s/m.
-        frequency: where it is reached, in rad/s.
+        frequency: where it is reached, in rad/s; inf when it is the limit.
         reason: one sentence, also when passive.
     """
 
@@ -79,12 +83,15 @@ class RationalMatrix:
         return len(self.entries)
 
     def response(self, frequencies: Matrix) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-        """H(jw), frequencies x m x m, for ``frequencies`` w in rad/s."""
-        s = 1j * np.asarray(frequencies)
+        """H(jw), frequencies x m x m, for ``frequencies`` w in rad/s; inf is the limit."""
+        w = np.asarray(frequencies, dtype=np.float64)
+        beyond = np.isinf(w)
+        s = 1j * np.where(beyond, 0.0, w)
         out = np.zeros((s.size, self.size, self.size), dtype=np.complex128)
         for i, row in enumerate(self.entries):
             for j, (num, den) in enumerate(row):
-                out[:, i, j] = np.polyval(num or (0.0,), s) / np.polyval(den, s)
+                limit = num[0] / den[0] if len(num) == len(den) else 0.0
+                out[:, i, j] = np.where(beyond, limit, np.polyval(num or (0.0,), s) / np.polyval(den, s))
         return out
 
     def poles(self) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
@@ -133,18 +140,45 @@ class RationalMatrix:
                 False,
                 smallest,
                 frequency,
-                f"operator not passive at {frequency:.3g} rad/s: the least eigenvalue of its Hermitian part "
+                f"operator not passive {_at(frequency)}: the least eigenvalue of its Hermitian part "
                 f"there is {smallest:.3g} N*s/m",
             )
         return PassivityFinding(
             True,
             smallest,
             frequency,
-            f"passive: least eigenvalue {smallest:.3g} N*s/m at {frequency:.3g} rad/s",
+            f"passive: least eigenvalue {smallest:.3g} N*s/m {_at(frequency)}",
         )
 
     def _least_eigenvalue(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:
         """The frequency (rad/s) and value of the least eigenvalue of the Hermitian part."""
+        found = [self._on_grid(poles)]
+        for part in self.components():
+            frequency = part.exactly_least()
+            if frequency is not None:
+                found.append((frequency, float(self._smallest_at(np.array([frequency]))[0])))
+        return min(found, key=lambda each: each[1])
+
+    def components(self) -> tuple[RationalMatrix, ...]:
+        """The diagonal blocks that no entry joins: axes, or groups of axes, that the operator keeps apart."""
+        joined = np.array([[bool(num) for num, _ in row] for row in self.entries])
+        _, labels = connected_components(joined | joined.T)
+        groups = [np.flatnonzero(labels == label) for label in range(int(labels.max()) + 1)]
+        return tuple(RationalMatrix(tuple(tuple(self.entries[i][j] for j in group) for i in group)) for group in groups)
+
+    def exactly_least(self) -> float | None:
+        """Where the least eigenvalue of the Hermitian part is, rad/s; None for what floating point cannot take."""
+        try:
+            with np.errstate(all="ignore"):  # what overflows is refused as not finite
+                system = self.realisation()
+            if system.order > _EXACT_ORDER:
+                return None
+            return least_hermitian_eigenvalue(system, "continuous")[1]
+        except (ValueError, np.linalg.LinAlgError):  # coefficients so far apart that the realisation overflows
+            return None
+
+    def _on_grid(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:
+        """The best of a grid: a frequency (rad/s) and the least eigenvalue there."""
         corners: list[float] = [float(abs(p)) for p in poles]
         for row in self.entries:
             for num, _ in row:
@@ -168,6 +202,11 @@ class RationalMatrix:
         H = self.response(frequencies)
         hermitian = (H + np.conj(np.swapaxes(H, 1, 2))) / 2.0
         return np.asarray(np.linalg.eigvalsh(hermitian)[:, 0])
+
+
+def _at(frequency: float) -> str:
+    """Where, for a message."""
+    return "at high frequencies" if np.isinf(frequency) else f"at {frequency:.3g} rad/s"
 
 
 def _around(pole: complex) -> Matrix:

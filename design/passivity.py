@@ -13,14 +13,19 @@ satisfy. A *neutral* pair (psi, w), one with
 neither stores nor exchanges anything, so its quadratic form is zero whatever P is, and M(P) <= 0 forces
 M(P) (psi, w) = 0: linear equalities on P. They are imposed exactly, by writing P = P_0 + sum_i p_i N_i, and
 strictness is asked on a complement of the neutral pairs only. Handed the unreduced (2), a solver has no interior point.
+
+More generally every pair with A psi + B w = z psi, |z| = 1, that exchanges nothing at the levels Delta, Phi is neutral
+(:mod:`manyhands.design.level_sets`), complex ones included: :func:`storage_face_of`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manyhands.design.statespace import Matrix, StateSpace
 
@@ -107,22 +112,67 @@ def storage_face(system: StateSpace, at: NeutralAt) -> StorageFace | None:
     None means, at the output of V_hat, that V(1) is not symmetric, and at the input of E_hat that its
     static stiffness is not.
     """
-    n = system.order
     pairs = neutral_pairs(system, at)
-    complement = kernel(pairs.T)
+    psi, right = neutral_equalities(system, at, pairs)
+    left = np.hstack([system.A - np.eye(system.order), system.B]).T
+    return _solved(
+        system,
+        lambda N: (left @ N @ psi).ravel(),
+        right.ravel(),
+        kernel(pairs.T),
+    )
+
+
+def storage_face_of(
+    system: StateSpace, M_0: Matrix, pairs: Sequence[tuple[complex, NDArray[np.complex128]]]
+) -> StorageFace | None:
+    """The face that any neutral ``pairs`` leave: M(P) x = 0 for each of them.
+
+    With G = [A, B], E = [I, 0], x = (psi, w): M(P) x = (z G - E)^T P psi + M(0) x, real and imaginary parts.
+
+    Args:
+        system: (A, B, C, D), n states, m inputs.
+        M_0: M(0) at the levels in question, (n+m) x (n+m).
+        pairs: (z, x) with |z| = 1, x of n+m complex entries and length 1 or so.
+
+    Returns:
+        The face, or None when the equalities have no symmetric solution.
+    """
+    n, m = system.order, system.inputs
+    if not pairs:
+        return _solved(system, lambda _: np.zeros(0), np.zeros(0), np.eye(n + m))
+    G, E = np.hstack([system.A, system.B]), np.hstack([np.eye(n), np.zeros((n, m))])
+    stacked = np.stack([x for _, x in pairs], axis=1)
+    left = [(z * G - E).T for z, _ in pairs]
+    right = -M_0 @ stacked
+
+    def both(columns: NDArray[np.complex128]) -> Matrix:
+        return np.concatenate([columns.real.ravel(), columns.imag.ravel()])
+
+    return _solved(
+        system,
+        lambda N: both(np.stack([rows @ (N @ x[:n]) for rows, (_, x) in zip(left, pairs, strict=True)], axis=1)),
+        both(right),
+        kernel(np.hstack([stacked.real, stacked.imag]).T),
+    )
+
+
+def _solved(
+    system: StateSpace, equations_of: Callable[[Matrix], Matrix], right: Matrix, complement: Matrix
+) -> StorageFace | None:
+    """Solve equations that are linear in P: ``equations_of(P)`` = ``right``."""
+    n = system.order
     rows, columns = np.triu_indices(n)
     basis = np.zeros((rows.size, n, n))
     basis[np.arange(rows.size), rows, columns] = 1.0
     basis[np.arange(rows.size), columns, rows] = 1.0
-    if pairs.shape[1] == 0:
+    if right.size == 0:
         return StorageFace(np.zeros((n, n)), basis, complement)
-    psi, right = neutral_equalities(system, at, pairs)
-    left = np.hstack([system.A - np.eye(n), system.B]).T
-    equations = np.stack([(left @ N @ psi).ravel() for N in basis], axis=1)
+    equations = np.stack([equations_of(N) for N in basis], axis=1) if len(basis) else np.zeros((right.size, 0))
     free = kernel(equations)
     determined = kernel(free.T)  # so that rounding in the free directions is not divided by rounding
-    coefficients = determined @ np.linalg.lstsq(equations @ determined, right.ravel(), rcond=None)[0]
-    residual = float(np.max(np.abs(equations @ coefficients - right.ravel())))
+    coefficients = determined @ np.linalg.lstsq(equations @ determined, right, rcond=None)[0]
+    residual = float(np.max(np.abs(equations @ coefficients - right)))
     gain = float(np.max(np.abs(np.hstack([system.C, system.D]))))  # ``right`` may vanish, up to the rounding of this
     if residual > _EQUALITY_TOLERANCE * max(gain, 1e-300):
         return None

@@ -1,7 +1,7 @@
 """The one place where a semidefinite program is handed to a solver.
 
 Statuses are turned into errors of our own, and no "optimal" is believed: callers re-establish every
-inequality from the numbers that come back (:mod:`manyhands.design.verification`).
+inequality from the numbers that come back (:mod:`manyhands.design.proof`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def solve(program: cp.Problem, what: str) -> float:
     """
     try:
         with warnings.catch_warnings():
-            # a rough answer is told by its status, and verification tells whether it is good enough
+            # a rough answer is told by its status, and the proof tells whether it is good enough
             warnings.filterwarnings("ignore", message="Solution may be inaccurate", category=UserWarning)
             program.solve(solver=SOLVER)
     except cp.error.SolverError as error:
@@ -74,6 +74,23 @@ def storage_on(face: StorageFace) -> Any:
         return cp.Constant(face.P_0)
     p = cp.Variable(d)
     return face.P_0 + cp.reshape(face.directions.reshape(d, n * n).T @ p, (n, n), order="C")
+
+
+def affine(constant: Matrix, directions: Matrix, p: Any) -> Any:
+    """The symmetric matrix constant + sum_i p_i directions_i as one affine cvxpy expression.
+
+    A product and a reshape, whatever the directions came from: what cvxpy makes of the same matrix written out in
+    blocks takes it several times as long to compile.
+
+    Args:
+        constant: k x k symmetric.
+        directions: d x k x k, symmetric.
+        p: cvxpy variable with d entries; unused when d = 0.
+    """
+    d, k = directions.shape[0], constant.shape[0]
+    if d == 0:
+        return cp.Constant(constant)
+    return constant + cp.reshape(directions.reshape(d, k * k).T @ p, (k, k), order="C")
 
 
 def storage_inequality_expression(system: StateSpace, P: Any, Delta: Any = None, Phi: Any = None) -> Any:

@@ -78,6 +78,35 @@ def test_a_gain_that_joins_axes_far_beyond_the_poles_is_seen() -> None:
     assert finding.frequency > 3000.0
 
 
+def test_a_limit_below_zero_is_named_as_one() -> None:
+    """(1 - s) / (1 + s) falls to -1 only as the frequency grows."""
+    finding = scalar((-1.0, 1.0), (1.0, 1.0)).passivity()
+    assert finding.frequency == np.inf
+    assert finding.smallest == pytest.approx(-1.0, abs=1e-12)
+    assert "operator not passive at high frequencies" in finding.reason
+
+
+def test_axes_that_no_entry_joins_are_judged_apart(problems) -> None:
+    row = lambda *entries: tuple(entries)  # noqa: E731
+    H = RationalMatrix((row(problems.h, ZERO, problems.h), row(ZERO, problems.h, ZERO), row(ZERO, ZERO, problems.h)))
+    parts = H.components()
+    assert [part.size for part in parts] == [2, 1]
+    assert parts[0].entries == ((problems.h, problems.h), ((((), (1.0,))), problems.h))
+    frequencies = [part.exactly_least() for part in parts]
+    assert frequencies[1] == pytest.approx(20.9, abs=0.05)
+
+
+def test_what_is_too_large_for_the_exact_test_is_still_judged(problems, monkeypatch: pytest.MonkeyPatch) -> None:
+    exact = problems.operator(0.1).passivity()
+    monkeypatch.setattr("manyhands.design.operators._EXACT_ORDER", 1)
+    assert problems.operator(0.1).exactly_least() is None
+    assert problems.operator(0.1).passivity().smallest == pytest.approx(exact.smallest, rel=1e-6)
+
+
+def test_coefficients_beyond_floating_point_are_left_to_the_response() -> None:
+    assert scalar((1e300, 1.0), (1e-300, 1.0)).exactly_least() is None
+
+
 def test_a_skew_coupling_between_axes_costs_nothing() -> None:
     """A gyrator, H - H^T, does no work."""
     unit = ((1e-3,), (1.0,))

@@ -5,12 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from manyhands.design.cayley import cayley
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.level_sets import pairs_at
 from manyhands.design.passivity import (
     equality_residual,
     kernel,
     neutral_pairs,
     storage_face,
+    storage_face_of,
     storage_inequality,
 )
 from manyhands.design.statespace import StateSpace
@@ -53,7 +56,7 @@ def test_the_face_of_a_network_holds_its_physical_storage(problems, data: st.Dat
 def test_every_point_of_a_face_is_on_it(problems, data: st.DataObject, seed: int) -> None:
     loop = data.draw(problems.loops())
     V_hat = transformed_coupling(data.draw(problems.couplings(loop)).realisation(loop.period), loop.K, loop.period)
-    for system, at in ((loop.E_hat, "input"), (V_hat, "output")):
+    for system, at in ((loop.environment.transformed_environment(loop.period), "input"), (V_hat, "output")):
         face = storage_face(system, at)
         assert face is not None
         p = np.random.default_rng(seed).normal(size=len(face.directions))
@@ -68,19 +71,19 @@ def test_every_point_of_a_face_is_on_it(problems, data: st.DataObject, seed: int
 
 
 def test_off_the_face_the_residual_says_so(problems) -> None:
-    E_hat = problems.example_1().E_hat
+    E_hat = problems.network.transformed_environment(problems.T)
     assert equality_residual(E_hat, np.eye(5), "input") < 1e-12
     assert equality_residual(E_hat, np.eye(5) + 1e-3 * np.ones((5, 5)), "input") > 1e-6
 
 
 def test_example_1_has_an_integrator_a_port(problems) -> None:
-    assert neutral_pairs(problems.example_1().E_hat, "input").shape == (8, 3)
+    assert neutral_pairs(problems.network.transformed_environment(problems.T), "input").shape == (8, 3)
     V_hat = transformed_coupling(problems.C26.realisation(1e-3), problems.example_1().K, 1e-3)
     assert neutral_pairs(V_hat, "output").shape == (9, 3)
 
 
 def test_neutral_pairs_are_steady_and_silent(problems) -> None:
-    E_hat = problems.example_1().E_hat
+    E_hat = problems.network.transformed_environment(problems.T)
     pairs = neutral_pairs(E_hat, "input")
     np.testing.assert_allclose(E_hat.A @ pairs[:5], pairs[:5], atol=1e-12)
     np.testing.assert_allclose(pairs[5:], 0.0, atol=1e-12)
@@ -108,6 +111,35 @@ def test_a_system_without_neutral_pairs_is_not_reduced() -> None:
     assert face is not None
     assert face.directions.shape == (1, 1, 1)
     np.testing.assert_allclose(face.complement.T @ face.complement, np.eye(2), atol=1e-15)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 2), st.integers(1, 3))
+def test_a_face_keeps_complex_pairs_neutral(seed: int, n: int, m: int, points: int) -> None:
+    """A lossless system, A skew and C = B^T, is neutral at every z: M(P) x = 0 on the whole face, which has P = I/2."""
+    rng = np.random.default_rng(seed)
+    A, D = (X - X.T for X in (rng.normal(size=(n, n)), rng.normal(size=(m, m))))
+    B = rng.normal(size=(n, m))
+    system = cayley(StateSpace(A, B, B.T, D), 1.7)
+    pairs = [(complex(z), x) for z in np.exp(1j * rng.uniform(0.1, 3.0, points)) for x in pairs_at(system, z).T]
+    face = storage_face_of(system, storage_inequality(system, np.zeros((n, n))), pairs)
+    assert face is not None
+    p = rng.normal(size=len(face.directions))
+    M = storage_inequality(system, face.P_0 + np.tensordot(p, face.directions, axes=1))
+    stacked = np.stack([x for _, x in pairs], axis=1)
+    assert np.abs(M @ stacked).max() < 1e-7 * max(1.0, np.abs(M).max())
+    np.testing.assert_allclose(face.complement.T @ stacked, 0.0, atol=1e-8)
+    N = face.directions.reshape(len(face.directions), n * n)
+    difference = (np.eye(n) / 2.0 - face.P_0).ravel()
+    left_over = difference - N.T @ np.linalg.lstsq(N.T, difference, rcond=None)[0] if len(N) else difference
+    assert np.abs(left_over).max() < 1e-7
+
+
+def test_without_pairs_a_face_is_everything() -> None:
+    system = StateSpace(0.5 * np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((1, 1)))
+    face = storage_face_of(system, storage_inequality(system, np.zeros((2, 2))), [])
+    assert face is not None
+    assert face.directions.shape == (3, 2, 2)
+    np.testing.assert_array_equal(face.complement, np.eye(3))
 
 
 def test_the_kernel_of_rounding_is_everything() -> None:

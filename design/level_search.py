@@ -1,0 +1,241 @@
+"""The program behind the best levels: Lemma 1 with a level to be found, and the proof of what it finds.
+
+The level is L = sum_a p_a L_a with given symmetric L_a; the aim is d = p for L = d I, and the trace of L otherwise. The
+program is solved in scaled coordinates (:mod:`manyhands.design.scaling`), again in those that its own storage
+matrix suggests, and every optimum is lowered until :func:`~manyhands.design.lemma1.analyse` confirms it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cvxpy as cp
+import numpy as np
+
+from manyhands.design.cayley import Time
+from manyhands.design.errors import SolverFailure
+from manyhands.design.lemma1 import Pairs, analyse, dissipation_on
+from manyhands.design.level_sets import (
+    generic_points,
+    input_rows,
+    least_ratio,
+    output_rows,
+    pairs_at,
+    special_points,
+    supply_form,
+)
+from manyhands.design.passivity import storage_face_of
+from manyhands.design.scaling import Scaled, scaled, with_storage
+from manyhands.design.solver import (
+    ProgramInfeasible,
+    affine,
+    solve,
+    value,
+)
+from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+
+Role = Literal["output", "input"]
+
+_LOWERED = (1e-7, 1e-6, 1e-5, 1e-4)  # of the level's scale: the first that leaves room for a checked storage matrix
+_SILENT = 1e-9  # of the largest: an output, or an input, smaller than that is none
+_NEUTRAL = 1e-12  # of the supply form's norm
+_PASSES = 3  # solutions of the program, each in the coordinates that the one before suggests
+_SETTLED = 1e-6  # relative: a pass that gains less is the last
+_LEAST_STORAGE = 1e-9
+_VERY_LOW = (1e4, 1e3, 1e2)  # times the natural size of a level: what has none above minus that counts as having none
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """A level, proved.
+
+    Attributes:
+        matrix: the level, m x m: N*s/m for an output level of a system from force to velocity.
+        value: what was maximised: d for the shape "scalar", the trace for the others.
+        P: the storage matrix that proves it, n x n.
+        bound: no greater d is possible (exact over frequency, up to its rounding); None for other shapes than
+            "scalar". A level well below its bound is held back by P > 0.
+    """
+
+    matrix: Matrix
+    value: float
+    P: Matrix
+    bound: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What stays the same in one search.
+
+    Attributes:
+        system: as given.
+        time: how it is read.
+        discrete: the same in discrete time.
+        role: which level is searched.
+        fixed: the other one, m x m.
+        basis: the shape, symmetric matrices k x m x m whose span it is.
+        scalar: whether d is maximised, or the trace.
+    """
+
+    system: StateSpace
+    time: Time
+    discrete: StateSpace
+    role: Role
+    fixed: Matrix
+    basis: Matrix
+    scalar: bool
+
+    def levels(self, level: Matrix) -> tuple[Matrix, Matrix]:
+        """(Delta, Phi) with ``level`` as the searched one."""
+        return (level, self.fixed) if self.role == "output" else (self.fixed, level)
+
+    def in_units(self, units: Scaled, level: Matrix, role: Role) -> Matrix:
+        """A level in scaled ports."""
+        return units.output_level(level) if role == "output" else units.input_level(level)
+
+    def supply(self, units: Scaled) -> Matrix:
+        """Q in scaled coordinates without the searched level."""
+        fixed = self.in_units(units, self.fixed, "input" if self.role == "output" else "output")
+        return supply_form(units.system, *((None, fixed) if self.role == "output" else (fixed, None)))
+
+    def rows(self, units: Scaled) -> Matrix:
+        """What the searched level acts on, y or u, as rows over (psi, u)."""
+        return output_rows(units.system) if self.role == "output" else input_rows(units.system)
+
+
+def frequency_bound(search: Search) -> float:
+    """The least of (supply without the searched level) over y^* y (or w^* w): no d I above it is a level."""
+    units = scaled(search.discrete)
+    back = 1.0 / units.S if search.role == "output" else units.S
+    return least_ratio(units.system, search.supply(units), back[:, None] * search.rows(units)).value
+
+
+def idle_directions(search: Search) -> Matrix:
+    """Directions, m x k, in which the searched level cannot be positive.
+
+    They are the y (or u) of pairs that exchange nothing at the level 0: a positive level would draw from them.
+    """
+    units = scaled(search.discrete)
+    Q, rows = search.supply(units), search.rows(units)
+    back = 1.0 / units.S if search.role == "output" else units.S  # to the ports as they are
+    seen_by = back[:, None] * rows
+    found = []
+    for z in _points(units.system):
+        X = pairs_at(units.system, z)
+        values, vectors = np.linalg.eigh(X.conj().T @ Q @ X)
+        quiet = X @ vectors[:, np.abs(values) <= _NEUTRAL * np.linalg.norm(Q, 2)]
+        seen = seen_by @ quiet
+        found += [seen.real, seen.imag]
+    stacked = np.hstack(found)
+    if stacked.shape[1] == 0:
+        return stacked
+    left, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
+    return np.asarray(left[:, sizes > _SILENT * np.linalg.norm(seen_by, 2)])
+
+
+def _points(system: StateSpace) -> list[complex]:
+    return [*special_points(system), *generic_points((system.order + system.inputs) // system.inputs + 3)]
+
+
+def best_level(search: Search, bound: float | None) -> Level | None:
+    """The best level in the span of a search; None when there is none."""
+    units = scaled(search.discrete)
+    if len(search.basis) == 0:
+        m = search.system.inputs
+        analysis = analyse(search.system, *search.levels(np.zeros((m, m))), search.time)
+        return None if analysis.P is None else Level(np.zeros((m, m)), 0.0, analysis.P, bound)
+    best: Level | None = None
+    for _ in range(_PASSES):
+        try:
+            optimum = _optimum(search, units)
+        except (ProgramInfeasible, SolverFailure):
+            break
+        if optimum is None:
+            break
+        found = _proved(search, units, optimum[0], bound)
+        settled = found is not None and best is not None and found.value - best.value <= _SETTLED * abs(best.value)
+        if found is not None and (best is None or found.value > best.value):
+            best = found
+        if settled or (best is not None and bound is not None and bound - best.value <= _SETTLED * abs(bound)):
+            return best
+        try:
+            units = with_storage(search.discrete, optimum[1] if best is None else best.P, units.S)
+        except np.linalg.LinAlgError:
+            break
+    if best is None and not _hopeless(search, units):
+        raise SolverFailure("the best level found does not survive its check, nor do levels a little below it")
+    return best
+
+
+def _hopeless(search: Search, units: Scaled) -> bool:
+    """Whether even a very low level is refuted, and with it every level above that."""
+    _, down = _downwards(search, units)
+    for low in _VERY_LOW:
+        try:
+            return not analyse(search.system, *search.levels(-low * down), search.time).holds
+        except SolverFailure:
+            continue  # so low a level may be beyond floating point: try a higher one
+    return False
+
+
+def _downwards(search: Search, units: Scaled) -> tuple[Matrix, Matrix]:
+    """The span's levels in scaled ports, and the level, in the ports as they are, that is nearest I in scaled ones."""
+    own = np.stack([search.in_units(units, L, search.role) for L in search.basis])
+    nearest = np.linalg.lstsq(own.reshape(len(own), -1).T, np.eye(own.shape[1]).ravel(), rcond=None)[0]
+    return own, symmetric_part(np.tensordot(nearest, search.basis, axes=1))
+
+
+def _optimum(search: Search, units: Scaled) -> tuple[Matrix, Matrix] | None:
+    """The best level and its storage matrix by the program, in the ports and states as given; None: there is none."""
+    system = units.system
+    Q, rows = search.supply(units), search.rows(units)
+    own, _ = _downwards(search, units)
+    sizes = np.array([np.linalg.norm(L, 2) for L in own])
+    own = own / sizes[:, None, None]
+    face = storage_face_of(system, -Q, _always_neutral(system, Q, own @ rows))
+    if face is None:
+        return None
+    stored, k = len(face.directions), len(own)
+    p, q = cp.Variable(stored + k), np.zeros((k, system.order, system.order))
+    P = affine(symmetric_part(face.P_0), np.concatenate([face.directions, q]), p)
+    constant, directions = dissipation_on(system, face, Q)
+    seen = rows @ face.complement
+    constraints = []
+    if seen.shape[1]:
+        constraints.append(affine(constant, np.concatenate([directions, seen.T @ own @ seen]), p) << 0)
+    if system.order:
+        constraints.append(P >> _LEAST_STORAGE * np.eye(system.order))
+    weights = np.array([1.0 if search.scalar else np.trace(L) for L in search.basis]) / sizes
+    weights /= max(float(np.max(np.abs(weights))), 1e-300)
+    solve(cp.Problem(cp.Maximize(weights @ p[stored:]), constraints), f"the greatest {search.role} level")
+    level = np.tensordot(value(p)[stored:] / sizes, search.basis, axes=1)
+    return symmetric_part(level), units.storage(symmetric_part(value(P)))
+
+
+def _always_neutral(system: StateSpace, Q: Matrix, seen: Matrix) -> Pairs:
+    """Pairs that exchange nothing at any level of the span: the supply without it and all of ``seen`` vanish."""
+    pairs: Pairs = []
+    scale = float(np.linalg.norm(Q, 2))
+    for z in _points(system):
+        X = pairs_at(system, z)
+        stacked = np.vstack([X.conj().T @ Q @ X / max(scale, 1e-300), *(rows @ X for rows in seen)])
+        _, sizes, right = np.linalg.svd(stacked)
+        pairs += [(z, np.asarray(X @ v.conj())) for v in right[int(np.sum(sizes > _NEUTRAL)) :]]
+    return pairs
+
+
+def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -> Level | None:
+    """A level just below ``level`` with a storage matrix that was checked; None when there is none near."""
+    _, down = _downwards(search, units)
+    size = max(1.0, float(np.linalg.norm(search.in_units(units, level, search.role), 2)))
+    for part in _LOWERED:
+        lowered = symmetric_part(level - part * size * down)
+        try:
+            analysis = analyse(search.system, *search.levels(lowered), search.time)
+        except SolverFailure:
+            continue  # nearer to the edge than floating point can decide: a little further down
+        if analysis.P is not None:
+            figure = float(lowered[0, 0]) if search.scalar else float(np.trace(lowered))
+            return Level(lowered, figure, analysis.P, bound)
+    return None

@@ -1,0 +1,217 @@
+"""Supply over frequency, exactly: the least value on the unit circle by level sets, without a grid.
+
+A *pair* (psi, w) at z, |z| = 1, has A psi + B w = z psi: a state and an input that come back to themselves, turned.
+Whatever P is, its storage does not change, so that Lemma 1 of [Bianchini2010]_ leaves of the inequality (2) only
+
+    w^* y - y^* Delta y - w^* Phi w = x^* Q x >= 0,    x = (psi, w),  y = C psi + D w,
+
+    Q = -M(0) = [ -C^T Delta C        C^T/2 - C^T Delta D                  ]
+                [  .                  (D + D^T)/2 - D^T Delta D - Phi      ].
+
+A pair with x^* Q x < 0 therefore refutes every P at once, and one with x^* Q x = 0 is *neutral*. This holds at
+poles on the circle too, where a frequency response is not defined.
+
+The least of x^* Q x / |R x|^2 over all pairs, for rows R, is found as H-infinity norms are ([Boyd1990]_,
+[Bruinsma1990]_): the points of the circle where Q - g R^T R is singular on the pairs are generalised eigenvalues,
+and between two neighbours the ratio is below g or above it throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig
+
+from manyhands.design.cayley import Time, frequency_of, in_discrete_time
+from manyhands.design.passivity import storage_inequality
+from manyhands.design.statespace import Matrix, StateSpace
+
+Complex = NDArray[np.complex128]
+
+_ON_CIRCLE = 1e-6  # relative distance of a crossing from |z| = 1: what is counted too much is only evaluated once more
+_LEVEL_STEP = 1e-12  # how far below the least value found a level is tried, of the forms' scale
+_ROUNDS = 60  # level sets; convergence is quadratic, a handful is usual
+_RANK = 1e-12  # singular values below this, of the largest, are zero: only of modes that no input reaches
+_SILENT = 1e-13  # of R's norm: directions that R does not see
+_SILENT_AT = 1e-11  # the same, for a point of the circle to count as one where R is silent
+_NEAR_SILENT = 1e-4  # from a point where R is silent, the ratio is rounding / 1e-8, and its limit as near
+_PROBES = 7  # generic points that are tried before any level set
+_POLE_ON_CIRCLE = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class LeastRatio:
+    """The least of x^* Q x / |R x|^2 over the pairs of the unit circle.
+
+    Attributes:
+        value: the least ratio.
+        angle: where it is taken, z = e^{j angle} with 0 <= angle <= pi.
+        pair: the pair x = (psi, w) that takes it, n+m complex entries: anyone can evaluate the ratio on it.
+    """
+
+    value: float
+    angle: float
+    pair: Complex
+
+
+def supply_form(system: StateSpace, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
+    """Q of the module, (n+m) x (n+m): the supply y^T u - y^T Delta y - u^T Phi u as a form of (psi, u)."""
+    return -storage_inequality(system, np.zeros((system.order, system.order)), Delta, Phi)
+
+
+def output_rows(system: StateSpace) -> Matrix:
+    """[C, D]: y as rows over (psi, u)."""
+    return np.hstack([system.C, system.D])
+
+
+def input_rows(system: StateSpace) -> Matrix:
+    """[0, I]: u as rows over (psi, u)."""
+    return np.hstack([np.zeros((system.inputs, system.order)), np.eye(system.inputs)])
+
+
+def pairs_at(system: StateSpace, z: complex) -> Complex:
+    """An orthonormal basis, (n+m) x d with d >= m, of the pairs at z."""
+    n, m = system.order, system.inputs
+    rows = np.hstack([system.A - z * np.eye(n), system.B.astype(np.complex128)])
+    if n == 0:
+        return np.eye(m, dtype=np.complex128)
+    _, values, right = np.linalg.svd(rows)
+    rank = int(np.sum(values > _RANK * float(values[0])))
+    return np.asarray(right[rank:].conj().T)
+
+
+def special_points(system: StateSpace) -> list[complex]:
+    """Points of the upper half circle where a system may be neutral by structure: 1, -1, poles and zeros."""
+    n, m = system.order, system.inputs
+    points = [1.0 + 0.0j, -1.0 + 0.0j]
+    candidates = [complex(z) for z in np.linalg.eigvals(system.A)]
+    pencil = np.block([[system.A, system.B], [system.C, system.D]])
+    candidates += _ratios(pencil, np.diag(np.concatenate([np.ones(n), np.zeros(m)])))
+    for z in candidates:
+        if abs(abs(z) - 1.0) < _POLE_ON_CIRCLE and z.imag >= 0.0 and min(abs(z - p) for p in points) > _POLE_ON_CIRCLE:
+            points.append(z / abs(z))
+    return points
+
+
+def generic_points(count: int) -> list[complex]:
+    """``count`` points of the open upper half circle that no system was built around."""
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    return [complex(np.exp(1j * np.pi * ((k * golden + 0.237) % 1.0))) for k in range(1, count + 1)]
+
+
+def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
+    """The least of x^* Q x / |R x|^2 over all pairs x of a discrete system; see the module.
+
+    Args:
+        system: (A, B, C, D), n states, m inputs.
+        Q: symmetric form of (psi, w), (n+m) x (n+m).
+        R: k x (n+m). Pairs that it does not see are left out, and what is within 1e-4 of them on the circle, where the
+            ratio is 0/0. The root is asked for, and not R^T R: beside a sharp resonance w is so much smaller than psi
+            that its square is lost.
+
+    Raises:
+        ValueError: R sees no pair at all.
+    """
+    size = max(_norm(R), 1e-150)
+    N = R.T @ R
+    scale = _norm(Q) / size**2
+    special = special_points(system)
+    silent = [z for z in special if _smallest(system, R, z) <= _SILENT_AT * size]
+    start = [*special, *generic_points(_PROBES)]
+    start += [_circle(float(np.angle(z))) for z in np.linalg.eigvals(system.A) if z != 0.0]
+    best = _least_of(system, Q, R, start, silent)
+    if best is None:
+        raise ValueError("every pair is silent: there is nothing to compare the supply with")
+    for _ in range(_ROUNDS):
+        step = _LEVEL_STEP * max(scale, abs(best.value))
+        angles = _crossings(system, Q - (best.value - step) * N)
+        middles = [(a + b) / 2.0 for a, b in zip([0.0, *angles], [*angles, np.pi], strict=True)]
+        found = _least_of(system, Q, R, map(_circle, [*angles, *middles]), silent)
+        if found is None or found.value >= best.value:
+            return best
+        if found.value >= best.value - step:
+            return found
+        best = found
+    return best
+
+
+def least_hermitian_eigenvalue(system: StateSpace, time: Time = "discrete") -> tuple[float, float]:
+    """The least eigenvalue of (G + G^*)/2 over all frequencies, and where it is.
+
+    For a stable system it is the greatest Phi I with which it is input strictly passive.
+
+    Args:
+        system: (A, B, C, D), m x m, without poles on the circle (the imaginary axis).
+        time: how it is read.
+
+    Returns:
+        The eigenvalue, in the response's unit, and the frequency in rad a tick or rad/s (inf where it is the limit).
+    """
+    discrete, rate = in_discrete_time(system, time)
+    least = least_ratio(discrete, supply_form(discrete), input_rows(discrete))
+    return least.value, frequency_of(least.angle, time, rate)
+
+
+def _smallest(system: StateSpace, R: Matrix, z: complex) -> float:
+    """The least that R sees of a unit pair at z."""
+    X = pairs_at(system, z)
+    return float(np.linalg.svd(R @ X, compute_uv=False)[-1]) if X.shape[1] <= len(R) else 0.0
+
+
+def _least_of(
+    system: StateSpace, Q: Matrix, R: Matrix, points: Iterable[complex], silent: list[complex]
+) -> LeastRatio | None:
+    """The least ratio over the pairs at ``points`` that R sees and that are not too near ``silent`` ones."""
+    best: LeastRatio | None = None
+    unseen = _SILENT * _norm(R)
+    for z in points:
+        if any(abs(z - p) < _NEAR_SILENT for p in silent):
+            continue
+        X = pairs_at(system, z)
+        _, seen, vectors = np.linalg.svd(R @ X, full_matrices=False)
+        keep = seen > unseen
+        if not np.any(keep):
+            continue
+        Y = X @ (vectors[keep].conj().T / seen[keep])
+        values, directions = np.linalg.eigh(Y.conj().T @ Q @ Y)
+        if best is None or values[0] < best.value:
+            best = LeastRatio(float(values[0]), float(abs(np.angle(z))), np.asarray(Y @ directions[:, 0]))
+    return best
+
+
+def _crossings(system: StateSpace, F: Matrix) -> list[float]:
+    """Angles in [0, pi], sorted, where the form F may be singular on the pairs.
+
+    With the costate q = z (A^T q + F_xx psi + F_xu w), F is singular on the pairs at z iff
+
+        z [ I     0    0    ]   [ psi ]   [ A     0    B    ] [ psi ]
+          [ F_xx  A^T  F_xu ] * [  q  ] = [ 0     I    0    ] [  q  ]
+          [ 0     0    0    ]   [  w  ]   [ F_ux  B^T  F_uu ] [  w  ].
+    """
+    n, m = system.order, system.inputs
+    A, B = system.A, system.B
+    F_xx, F_xu, F_uu = F[:n, :n], F[:n, n:], F[n:, n:]
+    zero, I = np.zeros((n, n)), np.eye(n)
+    left = np.block([[A, zero, B], [zero, I, np.zeros((n, m))], [F_xu.T, B.T, F_uu]])
+    right = np.block([[I, np.zeros((n, n + m))], [F_xx, A.T, F_xu], [np.zeros((m, 2 * n + m))]])
+    return sorted(abs(float(np.angle(z))) for z in _ratios(left, right) if abs(abs(z) - 1.0) < _ON_CIRCLE)
+
+
+def _ratios(left: Matrix, right: Matrix) -> list[complex]:
+    """Finite generalised eigenvalues of the pencil left - z right."""
+    if left.size == 0:
+        return []
+    alpha, beta = eig(left, right, right=False, homogeneous_eigvals=True)
+    finite = np.abs(beta) > 1e-12 * (np.abs(alpha) + np.abs(beta))
+    return [complex(z) for z in alpha[finite] / beta[finite]]
+
+
+def _circle(angle: float) -> complex:
+    return complex(np.exp(1j * angle))
+
+
+def _norm(F: Matrix) -> float:
+    return float(np.linalg.norm(F, 2)) if F.size else 0.0
