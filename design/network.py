@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.split import Split
+from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 GROUND = "ground"
 
@@ -110,6 +111,88 @@ class Network:
         state = np.vstack([u_now, q_now, v_now])
         order = m + 2 * n
         return StateSpace(state[:, :order], state[:, order:], force[:, :order], force[:, order:])
+
+    @property
+    def passive_network(self) -> Network:
+        """The network itself: its mechanical energy is a storage function."""
+        return self
+
+    @property
+    def order(self) -> int:
+        """The order of Rest, 2n; less where masses float freely."""
+        return 2 * len(self.masses)
+
+    def felt(self) -> Network:
+        """The network without the masses that no chain of links joins to a port: they are never moved."""
+        joined = set(self.ports)
+        links = [link for link in self.links if GROUND not in link.ends and (link.stiffness or link.damping)]
+        while links:
+            touching = [link for link in links if joined & set(link.ends)]
+            if not touching:
+                break
+            joined.update(end for link in touching for end in link.ends)
+            links = [link for link in links if not joined >= set(link.ends)]
+        kept = joined | {GROUND}
+        return Network(
+            self.ports,
+            tuple((name, mass) for name, mass in self.masses if name in joined),
+            tuple(link for link in self.links if kept >= set(link.ends)),
+        )
+
+    def split(self, T: float) -> Split:
+        """E_hat = T/(z-1) E1 + Rest, with Rest stable and without a state that the ports never feel.
+
+        Masses that no port moves are left out. Of the others, with I a set of r = rank K_qq masses such that K_II is
+        nonsingular, and R = K_II^{-1} K_I:, the state is (e, v): e in R^r the deflection of the masses in I from the
+        static equilibrium of the tick before (m), v in R^n the velocities (m/s). I are all masses, but the last of each
+        group joined by springs that no spring holds to a port or to the ground:
+
+            (M/T + B_qq + T K_qq) v+ = M v / T - K_qI e - (B_qu + T K_qu) w
+            e+ = e + T (R v+ + K_II^{-1} K_Iu w)
+            f  = [E1 x-] + K_uI e + (B_uq + T K_uq) v+ + (B_uu + T K_uu) w,     E1 = K_uu - K_uI K_II^{-1} K_Iu.
+
+        The order is 2n where every mass is moved by a port and held by springs, however far away; else it is less.
+        """
+        felt = self.felt()
+        if len(felt.masses) < len(self.masses):
+            return felt.split(T)
+        m, n = len(self.ports), len(self.masses)
+        K, B, M = self.stiffness_matrix(), self.damping_matrix(), self.mass_matrix()
+        chosen = self._deflected()
+        r = len(chosen)
+        seen = m + np.array(chosen, dtype=np.intp)
+        K_uI = K[:m][:, seen]
+        solved = np.linalg.solve(K[np.ix_(seen, seen)], K[seen]) if r else np.zeros((0, m + n))  # (K_II^{-1} K_Iu, R)
+        # rows over (e, v, w)
+        e = np.hstack([np.eye(r), np.zeros((r, n + m))])
+        v = np.hstack([np.zeros((n, r)), np.eye(n), np.zeros((n, m))])
+        w = np.hstack([np.zeros((m, r + n)), np.eye(m)])
+        load = M @ v / T - K[m:][:, seen] @ e - (B[m:, :m] + T * K[m:, :m]) @ w
+        v_now = np.linalg.solve(M / T + B[m:, m:] + T * K[m:, m:], load) if n else load
+        e_now = e + T * (solved[:, m:] @ v_now + solved[:, :m] @ w)
+        force = K_uI @ e + (B[:m, m:] + T * K[:m, m:]) @ v_now + (B[:m, :m] + T * K[:m, :m]) @ w
+        state, order = np.vstack([e_now, v_now]), r + n
+        rest = StateSpace(state[:, :order], state[:, order:], force[:, :order], force[:, order:])
+        return Split(matrix(symmetric_part(K[:m, :m] - K_uI @ solved[:, :m])), rest)
+
+    def _deflected(self) -> list[int]:
+        """Indices of the masses I of :meth:`split`."""
+        index = {name: i for i, (name, _) in enumerate(self.masses)}
+        group = list(range(len(index)))
+        springs = [link for link in self.links if link.stiffness > 0.0]
+        for link in springs:
+            ends = [index[end] for end in link.ends if end in index]
+            if len(ends) == 2:
+                kept, gone = sorted(group[end] for end in ends)
+                group = [kept if g == gone else g for g in group]
+        held = {
+            group[index[end]]
+            for link in springs
+            for end in link.ends
+            if end in index and not set(link.ends) <= set(index)
+        }
+        last = {g: i for i, g in enumerate(group)}
+        return [i for i, g in enumerate(group) if g in held or i != last[g]]
 
     def transformed_environment(self, T: float) -> StateSpace:
         """E_hat = E * Tz/(z-1), from tool velocity (m/s) to force (N), in energy coordinates.

@@ -84,6 +84,26 @@ def test_example_1_is_passive_with_0463_to_spare(problems) -> None:
     assert least == pytest.approx(0.463, abs=1e-3)
 
 
+@given(st.data())
+def test_what_no_port_moves_is_not_felt(problems, data: st.DataObject) -> None:
+    """Without the masses that no chain of links joins to a port, E is the same."""
+    network = data.draw(problems.networks())
+    felt = network.felt()
+    assert felt.felt() == felt
+    assert set(felt.masses) <= set(network.masses)
+    for angle in ANGLES:
+        s = (1.0 - np.exp(-1j * angle)) / 1e-3
+        expected = problems.impedance(network, s)
+        np.testing.assert_allclose(problems.impedance(felt, s), expected, atol=1e-9 * max(np.abs(expected).max(), 1.0))
+
+
+def test_a_far_mass_is_left_out() -> None:
+    links = (Link(("p", "near"), 1.0, 0.0), Link(("far", GROUND), 1.0, 1.0), Link(("far", "near"), 0.0, 0.0))
+    felt = Network(("p",), (("near", 1.0), ("far", 2.0)), links).felt()
+    assert felt.masses == (("near", 1.0),)
+    assert felt.links == links[:1]
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(0, 6))
 def test_the_factor_has_the_rank_and_gives_the_matrix(seed: int, size: int, rank: int) -> None:
     rank = min(rank, size)

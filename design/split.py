@@ -1,0 +1,133 @@
+"""The transformed environment E_hat = Tz/(z-1) E with its integrators split off exactly.
+
+E_hat has an integrator for each port, which stores energy and can never be strictly dissipative. With the static
+stiffness E1 = E(1) and a stable E,
+
+    E_hat(z) = T/(z-1) E1 + Rest(z),        Re T/(e^jw - 1) = -T/2,
+
+so that E_hat is (-Phi_E)-ISP exactly when E1 = E1^T >= 0 and Rest + Phi_E - (T/2) E1 is positive real. Rest has
+no integrator left: its inequality,
+
+    [ A^T P A - P          A^T P B - C^T/2                                 ]
+    [ B^T P A - C/2        B^T P B - (D + D^T)/2 - Phi_E + (T/2) E1        ]  <= 0,      P > 0,
+
+(Lemma 1 of [Bianchini2010]_ for Rest = (A, B, C, D)) can be strict, and P is all that a certificate has to store.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manyhands.design.errors import Infeasible
+from manyhands.design.passivity import storage_inequality
+from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
+
+_ASYMMETRY = 1e-9  # of E1, relative: more than that is no rounding of somebody's matrices
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """E_hat = T/(z-1) E1 + Rest.
+
+    Attributes:
+        stiffness: E1, the static stiffness, m x m symmetric, N/m.
+        rest: Rest, from velocity (m/s) to force (N), of order n, stable.
+    """
+
+    stiffness: Matrix
+    rest: StateSpace
+
+    def hermitian_part(self, points: np.ndarray[tuple[int], np.dtype[np.complex128]], T: float) -> np.ndarray:
+        """The Hermitian part of E_hat at ``points`` of the unit circle (1 excepted), points x m x m, N*s/m."""
+        response = np.stack([self.rest.response(z) for z in points])
+        return (response + np.conj(np.swapaxes(response, 1, 2))) / 2.0 - T / 2.0 * self.stiffness
+
+    def environment(self, T: float) -> StateSpace:
+        """E put together again, in the state (eta, u_) of Rest's and the displacement of the tick before.
+
+        A = [A_r -B_r/T; 0 0], B = [B_r/T; I], C = [C_r  E1 - D_r/T], D = D_r/T: stable also where masses drift freely.
+        """
+        rest, m = self.rest, self.rest.inputs
+        return StateSpace(
+            np.block([[rest.A, -rest.B / T], [np.zeros((m, rest.order + m))]]),
+            np.vstack([rest.B / T, np.eye(m)]),
+            np.hstack([rest.C, self.stiffness - rest.D / T]),
+            rest.D / T,
+        )
+
+    def dissipation(self, P: Matrix, Phi_E: Matrix, T: float) -> Matrix:
+        """The matrix of the module's inequality, (n+m) x (n+m); E_hat is (-Phi_E)-ISP when it is <= 0."""
+        return storage_inequality(self.rest, P, Phi=T / 2.0 * self.stiffness - Phi_E)
+
+
+def split_system(E: StateSpace, T: float) -> Split:
+    """Split E_hat for a stable discrete environment E, from displacement (m) to force (N), with period T (s).
+
+    Rest = (A, -T A (I - A)^{-1} B, C, T D), in the state of E less its steady state under the displacement of the
+    tick before.
+
+    Raises:
+        Infeasible: E is not stable, or its static stiffness E(1) is not symmetric or not positive semidefinite:
+            E_hat is then passive at no level.
+    """
+    n, m = E.order, E.inputs
+    radius = float(np.max(np.abs(np.linalg.eigvals(E.A)), initial=0.0))
+    if radius >= 1.0:
+        raise Infeasible(
+            f"the environment is not stable: it has a pole of modulus {radius:.6g}",
+            ("give every mode of the environment some damping",),
+        )
+    steady = np.linalg.solve(np.eye(n) - E.A, E.B)
+    stiffness = E.C @ steady + E.D
+    # what cancels in E(1), of which a free mass leaves nothing but rounding
+    scale = max(float(np.max(np.abs(E.C) @ np.abs(steady) + np.abs(E.D), initial=0.0)), 1e-300)
+    if float(np.max(np.abs(stiffness - stiffness.T), initial=0.0)) > _ASYMMETRY * scale:
+        raise Infeasible(
+            "the environment's static stiffness E(1) is not symmetric, so that E_hat is passive at no level",
+            ("derive static forces from an energy: a symmetric stiffness",),
+        )
+    least = float(np.linalg.eigvalsh(symmetric_part(stiffness))[0]) if m else 0.0
+    if least < -_ASYMMETRY * scale:
+        raise Infeasible(
+            f"the environment's static stiffness has the negative eigenvalue {least:.4g} N/m, so that E_hat is "
+            "passive at no level",
+            ("remove what pushes the tools away from rest",),
+        )
+    rest = StateSpace(E.A, -T * E.A @ steady, E.C, T * E.D)
+    return Split(matrix(symmetric_part(stiffness)), rest)
+
+
+def delayed_split(split: Split, ticks: int, T: float) -> Split:
+    """The split of E_hat z^-d, for d = ``ticks``: T/(z-1) E1 + [z^-d Rest - E1 T (z^-1 + ... + z^-d)].
+
+    The states are those of Rest, then the velocities w_{k-1}, ..., w_{k-d}.
+    """
+    rest, m, n, d = split.rest, split.rest.inputs, split.rest.order, ticks
+    if d == 0:
+        return split
+    order = n + m * d
+    A, B = np.zeros((order, order)), np.zeros((order, m))
+    A[:n, :n] = rest.A
+    A[:n, n + m * (d - 1) :] = rest.B
+    B[n : n + m] = np.eye(m)
+    A[n + m :, n : n + m * (d - 1)] = np.eye(m * (d - 1))
+    C = np.hstack([rest.C, *[-T * split.stiffness] * d])
+    C[:, n + m * (d - 1) :] += rest.D
+    return Split(split.stiffness, StateSpace(A, B, C, np.zeros((m, m))))
+
+
+def delayed_system(E: StateSpace, ticks: int) -> StateSpace:
+    """E z^-d, with the states of E, then the inputs of the last d ticks, the latest first."""
+    n, m, d = E.order, E.inputs, ticks
+    if d == 0:
+        return E
+    order = n + m * d
+    A, B = np.zeros((order, order)), np.zeros((order, m))
+    A[:n, :n] = E.A
+    A[:n, n + m * (d - 1) :] = E.B
+    B[n : n + m] = np.eye(m)
+    A[n + m :, n : n + m * (d - 1)] = np.eye(m * (d - 1))
+    C = np.hstack([E.C, np.zeros((E.outputs, m * (d - 1))), E.D])
+    return StateSpace(A, B, C, np.zeros((E.outputs, m)))
