@@ -1,0 +1,138 @@
+"""What latency costs in stiffness: the stiffest coupling that a device's damping certifies, against period and delay.
+
+With K = kappa T Delta_D^-1 and Lambda = Delta_D/(2 kappa), a spring-damper coupling (K_s, B) is certified where
+J = Lambda - T K_s/2 > 0, J - B > 0 and (10) of [Bianchini2010]_ holds with (share Delta_D, Delta_V*),
+Delta_V* = Lambda J^-1 (J + B) J^-1 Lambda - Lambda. As J -> 0 with B below J, Delta_V* grows without bound, and (10)
+asks only for
+
+    share(kappa, tau/T) Delta_D > Phi_E,
+
+which no coupling can replace. So the supremum of K_s over the class, in every direction, is
+
+    K_s < 2 Lambda/T = Delta_D/(kappa T),    kappa the least gain that leaves the share which Phi_E needs
+
+(:mod:`manyhands.design.delay`): for a passive environment Delta_D/(T/2 + 3 tau/2), whatever the environment.
+
+Beside it stands the limit of [Colgate1997]_ for one device of damping b that renders a wall H directly, passive for
+every hand:
+
+    b > sup_w T/2 / (1 - cos wT) Re{(1 - e^{-jwT}) H(e^{jwT})},    H = k e^{-jw tau}.
+
+The right side is (T k/2) sin((T/2 + tau) w)/sin(wT/2), greatest as w -> 0, for sin(nx) <= n sin x where n >= 1 and
+0 <= x <= pi/2:
+
+    k < b/(T/2 + tau).
+
+That wall is known beforehand and is the device's own; the certified coupling may be joined to any passive
+environment and, through it, to any number of other users.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from manyhands.design.delay import gain_for_share, greatest_share
+from manyhands.design.environment import Environment
+from manyhands.design.environment_level import lack_of_passivity
+from manyhands.design.errors import Infeasible
+from manyhands.design.statespace import Matrix, matrix
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """The limits of one device's coupling at one period and delay.
+
+    Attributes:
+        T: period, s.
+        tau: longest delay inside the tick, s.
+        certified: supremum of the certified stiffness in the device's weakest direction, N/m; 0 where
+            nothing can be certified.
+        colgate: Colgate's passivity limit there, N/m.
+        kappa: the gain K = kappa T Delta_D^-1 at which it is reached; None where nothing can be certified.
+    """
+
+    T: float
+    tau: float
+    certified: float
+    colgate: float
+    kappa: float | None
+
+
+def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffness:
+    """How stiff a coupling to a device of this level can be.
+
+    Args:
+        level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
+        T: period, s.
+        tau: the longest delay inside the tick, s, 0 ... T.
+        share: what the environment needs of the devices' levels, :func:`needed_share`; 0 for a passive one.
+
+    Raises:
+        ValueError: T is not positive and finite, tau is outside 0 ... T, share negative, or level not
+            positive definite.
+    """
+    if not 0.0 < T < np.inf:
+        raise ValueError(f"T: found {T!r} s, expected a finite positive period")
+    if not 0.0 <= tau <= T:
+        raise ValueError(f"tau: found {tau!r} s, expected 0 ... T = {T!r} s: a delay inside the tick")
+    if not 0.0 <= share < np.inf:
+        raise ValueError(f"share: found {share!r}, expected 0 or more")
+    least = float(np.linalg.eigvalsh(matrix(level))[0])
+    if least <= 0.0:
+        raise ValueError(f"level: found the eigenvalue {least:.3g}, expected a positive definite OSP level")
+    # (10) is strict: at the greatest share itself nothing is left
+    kappa = gain_for_share(share, tau / T) if share < greatest_share(tau / T) else None
+    certified = 0.0 if kappa is None else least / (kappa * T)
+    return Stiffness(T, tau, certified, colgate_limit(least, T, tau), kappa)
+
+
+def colgate_limit(damping: float, T: float, tau: float) -> float:
+    """The stiffest delayed wall that one device can render passively, b/(T/2 + tau) in N/m [Colgate1997]_.
+
+    Args:
+        damping: b of the device, N*s/m.
+        T: period, s.
+        tau: the delay from sample to force, s.
+    """
+    return damping / (T / 2.0 + tau)
+
+
+def needed_share(Delta_D: Matrix, Phi_E: Matrix) -> float:
+    """The least s >= 0 with Phi_E <= s Delta_D: the share of the devices' levels that (10) takes.
+
+    Args:
+        Delta_D: m x m symmetric positive definite, N*s/m.
+        Phi_E: m x m symmetric, N*s/m; E_hat is (-Phi_E)-ISP. Not above 0 for a passive environment.
+    """
+    return max(0.0, float(eigh(Phi_E, Delta_D, eigvals_only=True)[-1]))
+
+
+def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> float:
+    """The least :func:`needed_share` over all admissible Phi_E; 0 for a passive environment.
+
+    It is reached by Phi_E = s Delta_D: if some Phi_E <= s Delta_D is admissible, s Delta_D is. So
+
+        s = max_w lambda_max(-Delta_D^-1/2 He E_hat(e^jwT) Delta_D^-1/2),
+
+    infinite for an environment that is passive at no level. A network's energy says 0 without any search.
+
+    Args:
+        environment: E.
+        Delta_D: m x m, N*s/m.
+        T: period, s.
+
+    Raises:
+        SolverFailure: the search over frequency did not end.
+    """
+    if environment.passive_network is not None:
+        return 0.0
+    try:
+        split = environment.split(T)
+    except Infeasible:
+        return float("inf")
+    if np.max(np.abs(np.linalg.eigvals(split.rest.A)), initial=0.0) >= 1.0:
+        return float("inf")  # a mode that does not decay: no strict inequality holds
+    return max(0.0, lack_of_passivity(split, T, Delta_D).multiple)

@@ -1,0 +1,247 @@
+"""What a delay inside the tick costs a device: the gain kappa of the loop transformation, and the share of its level.
+
+The force computed from the sample at kT acts from kT + tau_k on, 0 <= tau_k <= tau <= T, and tau_k may differ from tick
+to tick. Over the tick before kT the device moves by alpha while f_{k-2} still acts and by beta while f_{k-1} does, and
+it dissipates at least Delta (alpha^2/tau_k + beta^2/(T - tau_k)). With K = kappa T Delta_D^-1 in the transformation (7)
+of [Bianchini2010]_,
+
+    y_k = (x_k - x_{k-1} + K g_k)/T,    g_k = f_k - f_{k-1},
+
+the device's storage plus f^T K f/2 + c g^T (T Delta_D^-1) g, and the best split of sigma = alpha + beta, a tick leaves
+(in units with T = Delta_D = 1, t = tau_k/T, g- the force step before g; matrices by congruence with Delta_D^1/2)
+
+    F_t = sigma^2 + t sigma g- - t(1-t)/4 g-^2 + g sigma + (kappa/2 - c) g^2 + c g-^2 - share (sigma + kappa g)^2.
+
+If F_t >= 0 for every t in [0, tau_hat], tau_hat = tau/T, and one c >= 0, then G_hat is (share Delta_D)-OSP (f to y).
+
+**Solved in closed form.** With a = 1/2 - share kappa, b = kappa a, p = t/2, q = t(1-t)/4, Schur complements give
+
+    F_t >= 0  <=>  a^2/(b - c) + p^2/(c - q) <= 1 - share,    q <= c <= b,
+
+so a >= 0, and the left side is least, (a + p)^2/(b - q), at c = q + (b - q) p/(a + p). What is left is linear in share:
+
+    share <= v / (v^2 + (1 + 4t) v + 4 t^2),    v = 2 kappa - 1 - 3t.                                           (*)
+
+**A delay that varies costs no more than its longest.** The c of t = tau_hat is c >= q + p(a + p) >= tau_hat/4, and then
+p^2/(c - q) = t^2/(4c - t + t^2), whose derivative in t is t (8c - t)/(4c - t + t^2)^2, grows over all of [0, tau_hat].
+
+So share > 0 asks for kappa > 1/2 + 3/2 tau_hat; the greatest share is 1/(1 + 8 tau_hat), at kappa = 1/2 + 5/2 tau_hat;
+and without a delay share = 1/(2 kappa), which is the paper's (8)-(9) at kappa = 1/2.
+
+It is not far from necessary: a heavy mass on its damper, behind a constant delay, needs kappa >= (1 + tau_hat)^2/2 for
+G_hat to be passive, the same at tau_hat = 0 and 1 and less by tau_hat (1 - tau_hat)/2 between.
+
+**In pieces.** A proof need not know any of this. It can cut [0, tau_hat] into pieces, replace t^2 in F_t by its tangent
+at a piece's middle, and test the ends of every piece: with pieces of length h that costs h^2/16 of g-^2 and no more.
+:func:`device_share` gives what :data:`PIECES` pieces prove, checked in exact rational arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+PIECES = 16  # of [0, tau_hat]: the least gain rises by tau_hat^2/2048, 0.025 % at a whole tick
+
+_SAFETY = Fraction(1, 10**9)  # of the share, so that rounding it, c and tau/T leaves the claim true
+
+Real = float | Fraction
+"""A number that is taken exactly, as what it is in binary."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a device keeps of its level behind a delay.
+
+    Attributes:
+        share: G_hat is (share Delta_D)-OSP; in (0, 1].
+        c: the weight of the last force step in the storage, c g^T (T Delta_D^-1) g; dimensionless, >= 0.
+    """
+
+    share: float
+    c: float
+
+
+def least_gain(tau_hat: float) -> float:
+    """The kappa, 1/2 + 3/2 tau_hat, above which a device keeps a positive share; G_hat is passive at it.
+
+    Args:
+        tau_hat: tau/T, the longest delay in ticks, 0 ... 1.
+
+    Raises:
+        ValueError: tau_hat is outside [0, 1].
+    """
+    return float(Fraction(1, 2) + Fraction(3, 2) * _tick_fraction(tau_hat))
+
+
+def greatest_share(tau_hat: float) -> float:
+    """1/(1 + 8 tau_hat), rounded down: the most that any kappa leaves, reached at kappa = 1/2 + 5/2 tau_hat.
+
+    Raises:
+        ValueError: tau_hat is outside [0, 1].
+    """
+    exact = 1 / (1 + 8 * _tick_fraction(tau_hat))
+    rounded = float(exact)
+    return rounded if Fraction(rounded) <= exact else math.nextafter(rounded, 0.0)
+
+
+def gain_for_share(share: float, tau_hat: float, pieces: int | None = None) -> float | None:
+    """The least kappa that leaves ``share`` of the device's level: the smaller root of (*) for v.
+
+    Args:
+        share: 0 ... 1; 0 gives :func:`least_gain`, which is a limit and not reached.
+        tau_hat: tau/T, 0 ... 1.
+        pieces: the proof's; None for the limit of ever finer ones. With e = (tau_hat/pieces)^2/4, (*) is then
+            share = (v - e)/(v^2 + (1 + 4t) v + 4t^2 - e).
+
+    Returns:
+        kappa, or None where no kappa leaves ``share``.
+
+    Raises:
+        ValueError: an argument is outside its range.
+    """
+    t = float(_tick_fraction(tau_hat))
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"share: found {share}, expected 0 ... 1")
+    if share > greatest_share(tau_hat):
+        return None
+    if t == 0.0:
+        return 0.5
+    # s v^2 - (1 - s(1 + 4t)) v + 4 s t^2 + (1 - s) e = 0, its discriminant in a form that loses no digits
+    e = 4.0 * float(_lost(Fraction(t), pieces)) if pieces is not None else 0.0
+    half = 1.0 - share * (1.0 + 4.0 * t)
+    discriminant = (1.0 - share) * (1.0 - share * (1.0 + 8.0 * t) - 4.0 * share * e)
+    if discriminant < 0.0 and pieces is not None:
+        return None
+    root = math.sqrt(max(discriminant, 0.0))  # 0 at the greatest share, up to rounding
+    v = 2.0 * (4.0 * share * t**2 + (1.0 - share) * e) / (half + root)
+    return (1.0 + 3.0 * t + v) / 2.0
+
+
+def device_share_fixed(kappa: Real, tau_hat: Real) -> Share:
+    """The greatest share (*) for one constant delay, and by the argument above for every delay up to it.
+
+    This is the limit of ever finer pieces: F_t is singular at t = tau_hat, and what is returned is rounded.
+
+    Args:
+        kappa: K = kappa T Delta_D^-1; dimensionless.
+        tau_hat: tau/T, 0 ... 1.
+
+    Raises:
+        ValueError: no positive share, for kappa is not above :func:`least_gain` (at tau_hat = 0: not at least it).
+    """
+    gain, t = _gain(kappa), _tick_fraction(tau_hat)
+    share = _exact_share(gain, t, Fraction(0))
+    return Share(float(share), float(_exact_weight(gain, t, Fraction(0), share)))
+
+
+def device_share(kappa: Real, tau_hat: Real, pieces: int = PIECES) -> Share:
+    """The greatest share that ``pieces`` equal pieces of [0, tau_hat] prove for every delay up to tau_hat.
+
+    It is smaller than that by a relative 1e-9, so that every end of every piece is strictly inside. Without a
+    delay and with kappa = 1/2, the paper's case, it is exactly share 1 and c 0.
+
+    Args:
+        kappa: K = kappa T Delta_D^-1; dimensionless.
+        tau_hat: tau/T, 0 ... 1. A Fraction spares the rounding of the quotient.
+        pieces: into how many pieces the proof will cut.
+
+    Raises:
+        ValueError: no positive share, for kappa is not above :func:`least_gain` by what the pieces cost,
+            (tau_hat/pieces)^2/8; or pieces is not positive.
+    """
+    gain, t = _gain(kappa), _tick_fraction(tau_hat)
+    lost = _lost(t, pieces)
+    if t == 0 and gain == Fraction(1, 2):
+        return Share(1.0, 0.0)
+    limit = _exact_share(gain, t, lost)
+    safety = _SAFETY
+    while safety < Fraction(1, 1000):
+        share = float(limit * (1 - safety))
+        c = float(_exact_weight(gain, t, lost, Fraction(share)))
+        if share > 0.0 and pieces_hold(gain, t, Share(share, c), pieces):
+            return Share(share, c)
+        safety *= 100
+    raise ValueError(
+        f"kappa: found {float(kappa)!r}, so little above {least_gain(float(t))!r} that double precision does not "
+        f"tell the share, {float(limit):.3g}; expected more"
+    )
+
+
+def pieces_hold(kappa: Real, tau_hat: Real, claim: Share, pieces: int = PIECES) -> bool:
+    """Whether F_t, with t^2 replaced by its tangents, is >= 0 at both ends of every piece: exact, in rationals.
+
+    Args:
+        kappa: K = kappa T Delta_D^-1.
+        tau_hat: tau/T.
+        claim: share and c.
+        pieces: number of equal pieces; without a delay there is one point to test.
+    """
+    gain, t = _gain(kappa), _tick_fraction(tau_hat)
+    share, c = Fraction(claim.share), Fraction(claim.c)
+    if c < 0:
+        return False
+    if t == 0:
+        return _holds_at(gain, share, c, Fraction(0), Fraction(0))
+    h = t / pieces
+    for i in range(pieces):
+        middle = (2 * i + 1) * h / 2
+        for end in (i * h, (i + 1) * h):
+            square = 2 * middle * end - middle**2
+            if not _holds_at(gain, share, c, end, (end - square) / 4):
+                return False
+    return True
+
+
+def _holds_at(kappa: Fraction, share: Fraction, c: Fraction, t: Fraction, q: Fraction) -> bool:
+    """F_t >= 0 with t(1-t)/4 given as ``q``: every principal minor of its 3 x 3 matrix over (sigma, g, g-) is >= 0.
+
+    [[x, a, p], [a, y, 0], [p, 0, w]] with x = 1 - share, a and p as above, y = b - c, w = c - q.
+    """
+    x, a, p = 1 - share, Fraction(1, 2) - share * kappa, t / 2
+    y, w = kappa / 2 - share * kappa**2 - c, c - q
+    first = min(x, y, w) >= 0
+    second = x * y >= a**2 and x * w >= p**2
+    return first and second and x * y * w - a**2 * w - p**2 * y >= 0
+
+
+def _lost(t: Fraction, pieces: int) -> Fraction:
+    """What tangents lose of c at the ends: h^2/16 for pieces of length h."""
+    if pieces < 1:
+        raise ValueError(f"pieces: found {pieces}, expected 1 or more")
+    return (t / pieces) ** 2 / 16
+
+
+def _exact_share(kappa: Fraction, t: Fraction, lost: Fraction) -> Fraction:
+    """(*) with q = t(1-t)/4 + lost."""
+    v = 2 * kappa - 1 - 3 * t
+    if v - 4 * lost <= 0 and not (t == 0 and v == 0):
+        raise ValueError(
+            f"kappa: found {float(kappa)!r} with tau/T = {float(t):.6g}; expected more than 1/2 + 3/2 tau/T = "
+            f"{least_gain(float(t))!r}" + (f" by {float(2 * lost):.3g}" if lost else "")
+        )
+    if t == 0:
+        return 1 / (2 * kappa)
+    return (v - 4 * lost) / (v**2 + (1 + 4 * t) * v + 4 * t**2 - 4 * lost)
+
+
+def _exact_weight(kappa: Fraction, t: Fraction, lost: Fraction, share: Fraction) -> Fraction:
+    """The c that leaves most room at t with q = t(1-t)/4 + lost."""
+    if t == 0:
+        return Fraction(0)
+    a, p, q = Fraction(1, 2) - share * kappa, t / 2, t * (1 - t) / 4 + lost
+    b = kappa / 2 - share * kappa**2
+    return q + (b - q) * p / (a + p)
+
+
+def _gain(kappa: Real) -> Fraction:
+    if not 0.0 < kappa < math.inf:
+        raise ValueError(f"kappa: found {float(kappa)!r}, expected a finite positive number")
+    return Fraction(kappa)
+
+
+def _tick_fraction(tau_hat: Real) -> Fraction:
+    if not 0.0 <= tau_hat <= 1.0:
+        raise ValueError(f"tau/T: found {float(tau_hat)!r}, expected 0 ... 1: a delay inside the tick")
+    return Fraction(tau_hat)
