@@ -81,3 +81,16 @@ class SpringDamper:
             SpringDamper(K, B)
             for K, B in zip(partition.restrict(self.stiffness), partition.restrict(self.damping), strict=True)
         )
+
+
+CouplingBlock = SpringDamper | StateSpace
+"""One block of V: springs and dampers, or a discrete linear system from force (N) to displacement (m)."""
+
+
+def realisations(coupling: tuple[CouplingBlock, ...], T: float) -> tuple[StateSpace, ...]:
+    """The blocks of V as discrete systems, for period T (s).
+
+    Raises:
+        ValueError: a block of springs and dampers has T K + B singular.
+    """
+    return tuple(part.realisation(T) if isinstance(part, SpringDamper) else part for part in coupling)
