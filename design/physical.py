@@ -1,0 +1,204 @@
+"""What a spring-mass-damper network dissipates by its physics alone, without any program, sparse to a thousand ports.
+
+The mechanical energy over T is a storage function of E_hat, and in a tick with port velocities w and mass velocities v
+a network discretised by backward Euler dissipates at least
+
+    [w; v]^T Z [w; v],       Z = B + T/2 K  >= 0       (K, B as in :mod:`manyhands.design.network`, ports first).
+
+Hence Phi_E is admissible wherever Z + blockdiag(Phi_E, 0) >= 0. The least such Phi_E is -S, with S the Schur complement
+of Z onto the ports. Z grows with every stiffness and damping and does not contain the masses, so a level that holds at
+the lower ends of intervals holds for every network between them.
+
+Z is a sum of links, none of which is positive off the diagonal. Such a matrix is positive semidefinite when some y > 0
+has Z y >= 0 in every row [Berman1994]_, which takes one sparse solve to find and one pass over the links to check
+exactly. :func:`structured_level` uses it for levels with the structure of V.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from manyhands.design.environment_level import LoopMargins
+from manyhands.design.network import GROUND, Network
+from manyhands.design.partition import Partition
+from manyhands.design.statespace import Matrix, symmetric_part
+
+MOST_EXACT = 64  # ports and masses that hang together up to which their inequality is quickly proved in exact numbers
+
+_RESERVE = 1e-6  # part of the best margin given up, which leaves half of it as room in Z + blockdiag(Phi_E, 0)
+_ROUNDING = 1e-12  # of a row's diagonal: a row sum below it is that of a node without a link to ground
+_INNER_SLACK = 1e-9  # of a mass's own Z: what its row of Z y is above zero, so that rounding leaves it there
+_OUTER_SLACK = 1e-6  # part of a port's level given up for the same reason
+_ITERATIONS = 60  # each a sparse solve; levels are within a few per cent of their limit long before, and valid at once
+_COLUMNS = 128  # right-hand sides solved at a time: bounds the dense memory
+
+
+def link_matrices(network: Network) -> tuple[csc_array, csc_array]:
+    """K (N/m) and B (N*s/m), (m+n) x (m+n) and sparse; ports first, then masses."""
+    index = {name: i for i, name in enumerate([*network.ports, *(name for name, _ in network.masses)])}
+    rows: list[int] = []
+    columns: list[int] = []
+    signs: list[float] = []
+    of_link: list[int] = []
+    for number, link in enumerate(network.links):
+        ends = [index[end] for end in link.ends if end != GROUND]
+        for i in ends:
+            for j in ends:
+                rows.append(i)
+                columns.append(j)
+                signs.append(1.0 if i == j else -1.0)
+                of_link.append(number)
+    shape = (len(index), len(index))
+    weights = np.array([(link.stiffness, link.damping) for link in network.links]).reshape(-1, 2)
+    entries = np.array(signs)[:, None] * weights[np.array(of_link, dtype=np.intp)]
+    K, B = (coo_array((entries[:, i], (rows, columns)), shape=shape).tocsc() for i in (0, 1))
+    return K, B
+
+
+def dissipation_matrix(network: Network, T: float) -> csc_array:
+    """Z = B + T/2 K, (m+n) x (m+n), sparse, N*s/m."""
+    K, B = link_matrices(network)
+    Z = csc_array(B + T / 2.0 * K)
+    Z.eliminate_zeros()
+    return Z
+
+
+def port_dissipation(Z: csc_array, m: int) -> Matrix:
+    """S = Z_uu - Z_uq Z_qq^{-1} Z_qu, m x m, N*s/m: E_hat is S-ISP, and Phi_E = -S is the least that Z admits.
+
+    Args:
+        Z: :func:`dissipation_matrix` of the network.
+        m: number of ports.
+    """
+    felt = _felt_masses(Z, m)
+    S = Z[:m, :m].toarray()
+    if len(felt):
+        Z_qu = csc_array(Z[felt][:, :m])
+        solver = splu(csc_array(Z[felt][:, felt]))
+        for first in range(0, m, _COLUMNS):
+            chosen = slice(first, first + _COLUMNS)
+            S[:, chosen] -= Z_qu.T @ solver.solve(Z_qu[:, chosen].toarray())
+    return symmetric_part(S)
+
+
+def physical_level(
+    network: Network, T: float, Delta_G: tuple[Matrix, ...], Delta_V: tuple[Matrix, ...], partition: Partition
+) -> Matrix:
+    """The Phi_E, proved by the network's energy, that leaves condition (10) the greatest margin.
+
+    With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.environment_level`, and no frequency
+    has to be searched. This is done for each group of ports that hang together, by links or by blocks of V. Groups
+    of more than :data:`MOST_EXACT` ports and masses get Phi_E = 0, for which nothing is left to prove.
+
+    Args:
+        network: the network, or that at the lower ends of all its intervals.
+        T: period, s.
+        Delta_G: level of the devices behind the transformation, block by block, N*s/m.
+        Delta_V: level of V_hat, block by block, N*s/m.
+        partition: of the ports.
+
+    Returns:
+        Phi_E, m x m with the structure, N*s/m; Z + blockdiag(Phi_E, 0) >= 0.
+    """
+    m = partition.size
+    Z = dissipation_matrix(network, T)
+    together = coo_array(
+        (
+            np.ones(m),
+            ([p for block in partition.blocks for p in block], [block[0] for block in partition.blocks for _ in block]),
+        ),
+        shape=Z.shape,
+    )
+    _, group = connected_components(abs(Z) + together, directed=False)
+    Phi = np.zeros((m, m))
+    members: dict[int, list[int]] = {}
+    for number, block in enumerate(partition.blocks):
+        members.setdefault(int(group[block[0]]), []).append(number)
+    for label, numbers in members.items():
+        nodes = np.flatnonzero(group == label)
+        if len(nodes) > MOST_EXACT:
+            continue
+        ports = [port for number in numbers for port in partition.blocks[number]]
+        order = [*ports, *nodes[nodes >= m]]
+        S = port_dissipation(csc_array(Z[order][:, order]), len(ports))
+        at = iter(range(len(ports)))
+        blocks = tuple(tuple(next(at) for _ in partition.blocks[number]) for number in numbers)
+        own = Partition(tuple(partition.names[number] for number in numbers), blocks)
+        margins = LoopMargins(own.embed([Delta_G[i] for i in numbers]), own.embed([Delta_V[i] for i in numbers]), own)
+        Phi[np.ix_(ports, ports)] = margins.level((1.0 - _RESERVE) * margins.limit(S))
+    return Phi
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredLevel:
+    """A level with the structure of V that a network of any size keeps by its physics: Phi_E = -blockdiag(blocks).
+
+    Attributes:
+        blocks: one m_i x m_i matrix >= 0 for each block of the partition, N*s/m.
+        witness: y > 0, m + n entries: off its diagonal Z - blockdiag(blocks, 0) has nothing positive, and times y it
+            has no negative row; it is therefore positive semidefinite. A check needs additions only, link by link.
+    """
+
+    blocks: tuple[Matrix, ...]
+    witness: Matrix
+
+
+def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None = None) -> StructuredLevel:
+    """A level with the structure of V by weighted diagonal dominance, for networks of any size.
+
+    Inverse iteration y = Z^{-1} (weights * y at the ports, 0 at the masses) keeps y > 0 and nears the motion in which
+    the network dissipates least for the weights. Whatever y it stops at, (Z y)_i / y_i at the ports are a diagonal
+    level; to them come the links within a block. In the limit they are s * weights with the greatest admissible s. A
+    network that floats freely, without any link to ground, keeps nothing.
+
+    Args:
+        Z: :func:`dissipation_matrix` of the network.
+        partition: of its m ports.
+        weights: what the levels are to be proportional to, such as the devices' levels, m entries > 0; equal if None.
+    """
+    m, size = partition.size, Z.shape[0]
+    _, component = connected_components(Z, directed=False)
+    inner = _INNER_SLACK * Z.diagonal()
+    load = np.concatenate([np.ones(m) if weights is None else weights, np.zeros(size - m)])
+    solved = np.flatnonzero(np.isin(component, component[_grounded(Z)]))
+    y, kept = np.ones(size), np.zeros(m)
+    if len(solved):
+        solver = splu(csc_array(Z[solved][:, solved]))
+        for _ in range(_ITERATIONS):
+            y[solved] = solver.solve(((load + inner) * y)[solved])
+            greatest = np.zeros(int(component.max()) + 1)
+            np.maximum.at(greatest, component, y)
+            y /= greatest[component]
+        kept = (1.0 - _OUTER_SLACK) * (Z[:m] @ y) / y[:m]
+    # what is as small as the masses' slack may be rounding: its component then keeps nothing, with y = 1 as witness
+    empty = np.isin(component, component[:m][kept <= inner[:m]])
+    y[empty] = 1.0
+    kept = np.where(empty[:m], 0.0, kept)
+    blocks = []
+    for block in partition.blocks:
+        ports = list(block)
+        inside = (1.0 - _OUTER_SLACK) * Z[ports][:, ports].toarray()
+        np.fill_diagonal(inside, 0.0)
+        blocks.append(np.diag(kept[ports] - inside @ y[ports] / y[ports]) + inside)
+    return StructuredLevel(tuple(blocks), y)
+
+
+def _grounded(Z: csc_array) -> NDArray[np.bool_]:
+    """Which ports and masses have a link to ground: their rows have a sum."""
+    return np.asarray(Z @ np.ones(Z.shape[0]) > _ROUNDING * Z.diagonal())
+
+
+def _felt_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
+    """Indices of the masses whose part of Z is regular: all but groups that nothing ties to a port or to ground."""
+    _, component = connected_components(Z, directed=False)
+    tied = _grounded(Z)
+    tied[:m] = True
+    felt = np.isin(component, component[tied])
+    felt[:m] = False
+    return np.flatnonzero(felt)
