@@ -1,129 +1,192 @@
-"""Theorem 4 of [Bianchini2010]_ for spring-damper couplings, by cone complementarity linearisation (4.1).
+"""Theorem 4 of [Bianchini2010]_: a stabilising coupling of given structure, by cone complementarity linearisation.
 
 Unknown at once: V with the wanted structure, the levels Delta_V and Phi_E, and the storage functions. The
-conditions are linear matrix inequalities in
+conditions (13)-(16) are linear matrix inequalities in
 
-    P, Phi_E, Delta_V, Sigma, Q, Y, A_V, C_V    (B_V = T A_V, D_V = T C_V: the class (20)-(22))
+    P, Phi_E, Delta_V, Sigma, Q, Y, A_V, B_V, C_V, D_V
 
-but for Sigma = Delta_V^{-1}, Y = Q^{-1} (17). Cone complementarity linearisation [ElGhaoui1997]_ relaxes these to
-[W I; I Z] >= 0 with W = blockdiag(Sigma, Q), Z = blockdiag(Delta_V, Y), and then minimises
-trace(W_j Z + Z_j W) around the last iterate until W Z = I. Q, Y, Sigma and Delta_V have the structure of V, one small
-cone for each block.
+but for Sigma = Delta_V^{-1}, Y = Q^{-1} (17), which :mod:`manyhands.design.complementarity` takes care of. Q, Y, Sigma
+and Delta_V have the structure of V, one small cone for each block. Here stands what every class of V has in common,
+and the spring-damper class (20)-(22), B_V = T A_V, D_V = T C_V; :mod:`manyhands.design.theorem4_linear` has the
+general one.
 
-As in :mod:`manyhands.design.theorem3`, ports are scaled by S = Delta_D^{-1/2}, which keeps T K + B and so
-A_V, C_V at order one; (14) is put on its face, for E_hat's integrators leave it no interior.
+Ports are scaled by S = Delta_D^{-1/2}, where Delta_D = I and K = kappa T I; with B_V/T and D_V/T for unknowns, all of
+(12) is then of order one and T is gone from it. (14) is asked of E_hat without its integrators
+(:mod:`manyhands.design.split`), which leave it no interior.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
+from manyhands.design.complementarity import MOST_ITERATIONS, Convergence, Found, Pair, Relaxed, complement
+from manyhands.design.coordinates import balancing, change_states, scale_ports
 from manyhands.design.coupling import SpringDamper
-from manyhands.design.errors import Infeasible, NotConverged
-from manyhands.design.passivity import storage_face
+from manyhands.design.errors import Infeasible
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
     ProgramInfeasible,
     positive,
-    solve,
     storage_inequality_expression,
-    storage_on,
     symmetric,
     value,
 )
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.design.theorem3 import scale_ports
+from manyhands.design.statespace import symmetric_part
 
-TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
-MOST_ITERATIONS = 200
 _STRICT = 1e-6  # what ">" means to the solver, in scaled coordinates of order one
 _STRICT_E = 1e-9  # the same for (14): a mode of frequency omega without a damper dissipates (omega T)^2 at most
 
 
 @dataclass(frozen=True, eq=False)
-class Convergence:
-    """How the iteration went.
+class BlockUnknowns:
+    """What is searched for one block of V, of n states and m ports, in scaled ports.
 
     Attributes:
-        residuals: ||W Z - I|| after each iteration, the first one being step 2's.
+        A: A_V, n x n.
+        B: B_V/T, n x m.
+        C: C_V, m x n.
+        D: D_V/T, m x m.
+        levels: Sigma and Delta_V of the block, m x m.
+        storage: Q and Y, (n+m) x (n+m), in the coordinates (xi, u of the tick before) of (12).
     """
 
-    residuals: tuple[float, ...]
-
-    @property
-    def iterations(self) -> int:
-        """Number of linearised programs solved after the first feasible point."""
-        return len(self.residuals) - 1
-
-
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Unknowns of one block of V, in scaled ports; m_i ports, 2 m_i states of V_hat."""
-
-    A_V: cp.Variable
-    C_V: cp.Variable
-    Delta: cp.Variable
-    Sigma: cp.Variable
-    Q: cp.Variable
-    Y: cp.Variable
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    levels: Pair
+    storage: Pair
 
     @classmethod
-    def of(cls, m: int) -> _Block:
-        return cls(
-            cp.Variable((m, m)),
-            cp.Variable((m, m), symmetric=True),
-            cp.Variable((m, m), symmetric=True),
-            cp.Variable((m, m), symmetric=True),
-            cp.Variable((2 * m, 2 * m), symmetric=True),
-            cp.Variable((2 * m, 2 * m), symmetric=True),
-        )
+    def of(cls, A: Any, B: Any, C: Any, D: Any, n: int) -> BlockUnknowns:
+        """Unknowns for the realisation (A, B, C, D), expressions or, without states, None."""
+        m = D.shape[0]
+        return cls(A, B, C, D, Pair(_symmetric(m), _symmetric(m)), Pair(_symmetric(n + m), _symmetric(n + m)))
 
-    def constraints(self, K: Matrix, T: float) -> list[cp.Constraint]:
-        """(15), (16) and (18) for this block."""
-        m = K.shape[0]
-        I, zero = np.eye(m), np.zeros((m, m))
-        # (12) with B_V = T A_V, D_V = T C_V
-        A = cp.bmat([[self.A_V, -self.A_V], [zero, zero]])
-        B = cp.bmat([[self.A_V], [I]])
-        D = self.C_V - K / T
-        C = cp.bmat([[self.C_V, -D]])
-        R = cp.bmat([[C / 2], [A], [C]])
-        S = cp.bmat(
+    @classmethod
+    def spring_damper(cls, m: int) -> BlockUnknowns:
+        """Of the class (20): B_V = T A_V, D_V = T C_V (21), C_V symmetric."""
+        A, C = cp.Variable((m, m)), _symmetric(m)
+        return cls.of(A, A, C, C, m)
+
+    @property
+    def pairs(self) -> tuple[Pair, Pair]:
+        """The diagonal blocks of W and Z (19)."""
+        return self.levels, self.storage
+
+    def constraints(self, kappa: float, room: float = 0.0) -> list[cp.Constraint]:
+        """(15), (16) for this block, with K = kappa T.
+
+        A constant force u is neutral: deflected by V(1) u, V_hat stands still and gives nothing, whatever V is. In
+        (15) it is the vector (0, u; u; *, *; 0), so the matrix there cannot be definite. ``room`` asks for
+
+            [Y R^T; R S] >= room * N,    N = the squares of xi, of u - u-, and of Delta_V y,
+
+        which all neutral vectors fulfil with equality: strictness on a complement of them.
+        """
+        I, O = np.eye(self.D.shape[0]), np.zeros(self.D.shape)
+        D = self.D - kappa * I
+        if self.A is None:
+            A, B, C, n = O, I, -D, 0
+        else:
+            n = self.A.shape[0]
+            A = cp.bmat([[self.A, -self.B], [np.zeros((len(I), n)), O]])
+            B = cp.bmat([[self.B], [I]])
+            C = cp.bmat([[self.C, -D]])
+        (Sigma, Delta), (Q, Y) = ((pair.W, pair.Z) for pair in self.pairs)
+        between = np.zeros((n + len(I), len(I)))
+        M = cp.bmat(
             [
-                [symmetric(D), B.T, D.T],
-                [B, self.Q, np.zeros((2 * m, m))],
-                [D, np.zeros((m, 2 * m)), self.Sigma],
+                [Y, C.T / 2, A.T, C.T],
+                [C / 2, symmetric(D), B.T, D.T],
+                [A, B, Q, between],
+                [C, D, between.T, Sigma],
             ]
         )
+        N = np.zeros(M.shape)
+        N[:n, :n] = np.eye(n)
+        forces = slice(n, n + 2 * len(I))  # u of the tick before, u
+        N[forces, forces] = np.block([[I, -I], [-I, I]]) / 2.0
+        N[-len(I) :, -len(I) :] = I
         return [
-            symmetric(cp.bmat([[self.Y, R.T], [R, S]])) >> 0,
-            cp.bmat([[self.Sigma, I], [I, self.Delta]]) >> 0,
-            cp.bmat([[self.Q, np.eye(2 * m)], [np.eye(2 * m), self.Y]]) >> 0,
-            self.Delta >> _STRICT * I,
-            self.Q >> _STRICT * np.eye(2 * m),
+            symmetric(M) - room * N >> 0,
+            Delta >> _STRICT * I,
+            Q >> _STRICT * np.eye(n + len(I)),
         ]
 
-    def pairs(self) -> tuple[tuple[cp.Variable, cp.Variable], ...]:
-        """The diagonal blocks of W and Z that are to become inverses of each other (17)."""
-        return (self.Sigma, self.Delta), (self.Q, self.Y)
 
-    def residual(self) -> float:
-        """||W Z - I|| of this block."""
-        return max(float(np.linalg.norm(value(w) @ value(z) - np.eye(w.shape[0]), 2)) for w, z in self.pairs())
+def solve_theorem_4(
+    loop: HapticLoop,
+    blocks: Sequence[BlockUnknowns],
+    recover: Callable[[], Found | None],
+    *,
+    kappa: float,
+    share: float,
+    room: float,
+    iterations: int,
+    progress: Callable[[str], None] | None,
+) -> tuple[Found, Convergence]:
+    """Solve (13)-(17) for the given unknowns of each block.
+
+    Args:
+        loop: the haptic loop; its E_hat, structure and Delta_D are used.
+        blocks: unknowns, in the partition's order.
+        recover: the coupling in their present values, or None.
+        kappa: K = kappa T Delta_D^{-1}, dimensionless.
+        share: G_hat is (share Delta_D)-OSP, dimensionless, > 0.
+        room: see :meth:`BlockUnknowns.constraints`.
+        iterations: cap, see :func:`manyhands.design.complementarity.complement`.
+        progress: see there.
+
+    Raises:
+        Infeasible: step 2 has no solution.
+        StoppedShort, Interrupted, SolverFailure: see there.
+        ValueError: kappa or share is not positive.
+    """
+    if not (0.0 < kappa < np.inf and 0.0 < share < np.inf):
+        raise ValueError(f"found kappa = {kappa}, share = {share}, expected finite ones > 0")
+    m = len(loop.ports)
+    Phi, constraints = _environment(loop)
+    Delta = sum(
+        (select @ block.levels.Z @ select.T for select, block in zip(loop.partition.selections(), blocks, strict=True)),
+        start=cp.Constant(np.zeros((m, m))),
+    )
+    condition_10 = cp.bmat([[share * np.eye(m) - Phi, -Phi], [-Phi, Delta - Phi]])
+    constraints.append(symmetric(condition_10) >> _STRICT * np.eye(2 * m))
+    for block in blocks:
+        constraints += block.constraints(kappa, room)
+    pairs = [pair for block in blocks for pair in block.pairs]
+    try:
+        return complement(Relaxed(constraints, pairs, recover, "Theorem 4"), iterations=iterations, progress=progress)
+    except ProgramInfeasible as error:
+        raise Infeasible(
+            "no coupling of this structure satisfies Theorem 4: E_hat + Delta_D is not passive"
+            + (f", with {share:.3g} of Delta_D left by the delay" if share != 1.0 else ""),
+            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+        ) from error
 
 
 def design_spring_damper(
-    loop: HapticLoop, progress: Callable[[int, float], None] | None = None
+    loop: HapticLoop,
+    progress: Callable[[str], None] | None = None,
+    *,
+    kappa: float = 0.5,
+    share: float = 1.0,
+    iterations: int = MOST_ITERATIONS,
 ) -> tuple[SpringDamper, Convergence]:
     """Find a stabilising spring-damper coupling with the loop's block structure.
 
     Args:
         loop: the haptic loop.
-        progress: called with the iteration's number and its ||W Z - I||.
+        progress: called with a line of text after each iteration.
+        kappa: of the loop gain K = kappa T Delta_D^{-1}; 1/2 without delay.
+        share: G_hat is (share Delta_D)-OSP; 1 without delay.
+        iterations: cap on the iterations.
 
     Returns:
         The coupling (symmetric parts of K and B, exactly zero outside the blocks) and the convergence. That it
@@ -131,71 +194,48 @@ def design_spring_damper(
 
     Raises:
         Infeasible: step 2 has no solution.
-        NotConverged: the cap on iterations was reached.
+        StoppedShort: the cap on iterations was reached; ``best`` is the best iterate's coupling, or None.
+        Interrupted: KeyboardInterrupt arrived; ``best`` likewise.
         SolverFailure: the solver gave no usable answer.
+        ValueError: kappa or share is not positive, or the cap is negative.
     """
-    m, T, partition = len(loop.ports), loop.period, loop.partition
-    S = loop.scaling
-    inverse = np.linalg.inv(S)
-    K = symmetric_part(inverse @ loop.K @ inverse)  # T/2 I, up to rounding
-    E_hat: StateSpace = scale_ports(loop.E_hat, S, S)
-    face = storage_face(E_hat, "input")
-    if face is None:
-        raise Infeasible("the environment's static stiffness is not symmetric: E_hat cannot be passive", ())
-    P, Phi = storage_on(face), cp.Variable((m, m), symmetric=True)
-    blocks = [_Block.of(len(ports)) for ports in partition.blocks]
-    Delta = sum(
-        (select @ b.Delta @ select.T for select, b in zip(partition.selections(), blocks, strict=True)),
-        start=cp.Constant(np.zeros((m, m))),
+    blocks = [BlockUnknowns.spring_damper(len(ports)) for ports in loop.partition.blocks]
+    return solve_theorem_4(
+        loop,
+        blocks,
+        lambda: _spring_damper(loop, blocks),
+        kappa=kappa,
+        share=share,
+        room=0.0,
+        iterations=iterations,
+        progress=progress,
     )
-    M = storage_inequality_expression(E_hat, P, Phi=-Phi)
-    W = face.complement
-    constraints = [
-        *positive(P, _STRICT),
-        symmetric(W.T @ M @ W) << -_STRICT_E * np.eye(W.shape[1]),
-        symmetric(cp.bmat([[np.eye(m) - Phi, -Phi], [-Phi, Delta - Phi]])) >> _STRICT * np.eye(2 * m),
-    ]
-    for b, K_i in zip(blocks, partition.restrict(K), strict=True):
-        constraints += b.constraints(K_i, T)
-
-    try:
-        solve(cp.Problem(cp.Minimize(0), constraints), "Theorem 4, first feasible point")
-    except ProgramInfeasible as error:
-        raise Infeasible(
-            "no spring-damper coupling of this structure satisfies Theorem 4: E_hat + Delta_D is not passive",
-            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
-        ) from error
-    pairs = [pair for b in blocks for pair in b.pairs()]
-    last = [(cp.Parameter(w.shape, symmetric=True), cp.Parameter(z.shape, symmetric=True)) for w, z in pairs]
-    objective = sum(cp.trace(w_j @ z) + cp.trace(z_j @ w) for (w, z), (w_j, z_j) in zip(pairs, last, strict=True))
-    linearised = cp.Problem(cp.Minimize(objective), constraints)
-    residuals = [max(b.residual() for b in blocks)]
-    while residuals[-1] >= TOLERANCE:
-        if progress is not None:
-            progress(len(residuals) - 1, residuals[-1])
-        if len(residuals) > MOST_ITERATIONS:
-            raise NotConverged(
-                f"stopped after {MOST_ITERATIONS} iterations at ||W Z - I|| = {residuals[-1]:.2e}: "
-                f"wanted < {TOLERANCE:.0e}; give a soft spring by 'coupling: given', which needs no iteration"
-            )
-        for (w, z), (w_j, z_j) in zip(pairs, last, strict=True):
-            w_j.value, z_j.value = symmetric_part(value(w)), symmetric_part(value(z))
-        try:
-            solve(linearised, f"Theorem 4, iteration {len(residuals)}")
-        except ProgramInfeasible as error:  # feasible a moment ago
-            raise NotConverged(f"iteration {len(residuals)} was called infeasible after a feasible one") from error
-        residuals.append(max(b.residual() for b in blocks))
-    if progress is not None:
-        progress(len(residuals) - 1, residuals[-1])
-    return _recover(loop, blocks), Convergence(tuple(residuals))
 
 
-def _recover(loop: HapticLoop, blocks: list[_Block]) -> SpringDamper:
-    """K and B by (22), block by block, back in physical ports."""
+def _environment(loop: HapticLoop) -> tuple[cp.Variable, list[cp.Constraint]]:
+    """Phi_E in scaled ports, and (14) for it, on what is left of E_hat without its integrators."""
+    m, S, T = len(loop.ports), loop.scaling, loop.period
+    split = loop.environment.split(T)
+    rest = scale_ports(split.rest, S, S)
+    rest = change_states(rest, balancing(rest))
+    P, Phi = _symmetric(rest.order) if rest.order else cp.Constant(np.zeros((0, 0))), _symmetric(m)
+    M = storage_inequality_expression(rest, P, Phi=T / 2.0 * S @ split.stiffness @ S - Phi)
+    return Phi, [*positive(P, _STRICT), symmetric(M) << -_STRICT_E * np.eye(M.shape[0])]
+
+
+def _spring_damper(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> SpringDamper | None:
+    """K and B by (22), block by block, back in physical ports; None where C_V is singular."""
     parts = []
-    for b, S_i in zip(blocks, loop.partition.restrict(loop.scaling), strict=True):
-        scaled = SpringDamper.from_realisation(value(b.A_V), value(b.C_V), loop.period)
+    for block, S_i in zip(blocks, loop.partition.restrict(loop.scaling), strict=True):
+        try:
+            scaled = SpringDamper.from_realisation(value(block.A), value(block.C), loop.period)
+        except np.linalg.LinAlgError:
+            return None
         parts.append(scaled.scaled(symmetric_part(np.linalg.inv(S_i))))
     return SpringDamper(
         loop.partition.embed([p.stiffness for p in parts]), loop.partition.embed([p.damping for p in parts])
     )
+
+
+def _symmetric(m: int) -> cp.Variable:
+    return cp.Variable((m, m), symmetric=True)
