@@ -1,0 +1,230 @@
+"""The H-infinity norm of a stable discrete system, its peak frequencies, and a storage function that proves a bound.
+
+    ||S||_inf = max over theta in [0, pi] of sigma_max(S(e^{j theta}))
+
+A fine grid finds the peaks, narrowed down one by one; that no peak escaped between two points is then checked
+without a grid ([Bruinsma1990]_): gamma is a singular value of S(e^{j theta}) for some theta iff a Hamiltonian matrix
+(after a Cayley transform z = (1 + s)/(1 - s)) has an imaginary eigenvalue, and that eigenvalue tells where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+
+from manyhands.design.errors import SolverFailure
+from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+
+ComplexArray = NDArray[np.complex128]
+
+_TOLERANCE = 1e-7  # relative height that a peak between grid points must have to be looked for
+_ON_AXIS = 1e-5  # eigenvalues this close to the axis are tried: a false one costs an evaluation, a missed one the peak
+_UNREACHED = 1e-7  # relative reachability below which a state is scaled as if it were reached
+_SLACKS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # parts of gamma tried for strictness, the greatest that leaves a solution
+_LYAPUNOV = "bilinear"  # the direct method squares the order and the condition number
+_MOST_POLICIES = 60
+_MOST_ROUNDS = 20
+_POINTS_AT_ONCE = 4096
+
+
+def frequency_response(system: StateSpace, angles: Matrix) -> ComplexArray:
+    """S(e^{j theta}) for ``angles`` theta in rad, stacked: angles x outputs x inputs."""
+    out = np.empty((len(angles), system.outputs, system.inputs), dtype=np.complex128)
+    identity, B = np.eye(system.order), system.B.astype(np.complex128)
+    for start in range(0, len(angles), _POINTS_AT_ONCE):
+        part = slice(start, start + _POINTS_AT_ONCE)
+        z = np.exp(1j * angles[part])[:, None, None]
+        out[part] = system.C @ np.linalg.solve(z * identity - system.A, np.broadcast_to(B, (len(z), *B.shape)))
+    return out + system.D
+
+
+def frequency_grid(poles: ComplexArray, per_decade: int = 40) -> Matrix:
+    """Angles in [0, pi] that see every resonance: logarithmic, and dense around each pole's own angle.
+
+    Args:
+        poles: poles in the z plane.
+        per_decade: density of the logarithmic part.
+    """
+    moved = np.abs(poles[np.abs(poles) > 1e-6])
+    corners = np.abs(np.log(poles[np.abs(poles) > 1e-6].astype(np.complex128)))
+    slowest = max(min([1e-2, *(0.05 * corners[corners > 0.0])]), 1e-9)
+    base = np.logspace(np.log10(slowest), np.log10(np.pi), int(per_decade * np.log10(np.pi / slowest)) + 2)
+    parts = [np.array([0.0, np.pi]), base, np.linspace(0.05, np.pi, per_decade)]
+    steps = np.concatenate([-np.logspace(-1.0, 1.0, 9), np.zeros(1), np.logspace(-1.0, 1.0, 9)])
+    for pole, radius in zip(poles[np.abs(poles) > 1e-6], moved, strict=True):
+        parts.append(abs(np.angle(pole)) + abs(np.log(radius)) * steps)
+    grid = np.concatenate(parts)
+    return np.unique(np.clip(grid, 0.0, np.pi))
+
+
+def refined_peaks(height: Callable[[Matrix], Matrix], grid: Matrix, passes: int = 3) -> tuple[Matrix, Matrix]:
+    """Local maxima of ``height`` over [0, pi], each narrowed down: angles and heights, highest first.
+
+    Args:
+        height: values at many angles at once.
+        grid: sorted angles that separate the maxima.
+        passes: each divides the spacing around a maximum by 8.
+    """
+    values = height(grid)
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    at = np.flatnonzero(
+        (values >= padded[:-2]) & (values > padded[2:]) | (values > padded[:-2]) & (values >= padded[2:])
+    )
+    if at.size == 0:
+        at = np.array([int(np.argmax(values))])
+    centre, best = grid[at], values[at]
+    width = np.maximum(grid[np.minimum(at + 1, len(grid) - 1)] - centre, centre - grid[np.maximum(at - 1, 0)])
+    for _ in range(passes):
+        fine = np.clip(centre[:, None] + width[:, None] * np.linspace(-1.0, 1.0, 17), 0.0, np.pi)
+        found = height(fine.ravel()).reshape(fine.shape)
+        column = np.argmax(found, axis=1)
+        rows = np.arange(len(fine))
+        better = found[rows, column] > best
+        centre = np.where(better, fine[rows, column], centre)
+        best = np.where(better, found[rows, column], best)
+        width = width / 8.0
+    order = np.argsort(-best)
+    return np.asarray(centre[order]), np.asarray(best[order])
+
+
+def hinf_norm(system: StateSpace, T: float = 1.0) -> tuple[float, float]:
+    """||S||_inf of a discrete system and the frequency of its peak.
+
+    Args:
+        system: stable.
+        T: period in s; with the default, the frequency is in rad a sample.
+
+    Returns:
+        The norm, with a relative error of about 1e-7 at most, and the frequency in rad/s.
+
+    Raises:
+        ValueError: the system is not stable, so that it has no such norm.
+    """
+    poles = np.linalg.eigvals(system.A).astype(np.complex128) if system.order else np.zeros(0, dtype=np.complex128)
+    radius = float(np.max(np.abs(poles), initial=0.0))
+    if not radius < 1.0:
+        raise ValueError(f"found a pole of modulus {radius:.9g}: only a stable system has an H-infinity norm")
+    system, _ = _balanced(system)
+
+    def height(angles: Matrix) -> Matrix:
+        return np.asarray(np.linalg.norm(frequency_response(system, angles), 2, axis=(1, 2)), dtype=np.float64)
+
+    angles, heights = refined_peaks(height, frequency_grid(poles), passes=8)
+    angle, gamma = float(angles[0]), float(heights[0])
+    if system.order == 0 or gamma == 0.0:
+        return gamma, angle / T
+    for _ in range(_MOST_ROUNDS):
+        crossings = _crossings(system, gamma * (1.0 + _TOLERANCE))
+        if crossings.size == 0:
+            break
+        edges = np.unique(np.concatenate([[0.0], crossings, [np.pi]]))
+        between = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2.0])
+        angles, heights = refined_peaks(height, np.unique(between), passes=10)
+        if heights[0] <= gamma * (1.0 + _TOLERANCE):
+            break
+        angle, gamma = float(angles[0]), float(heights[0])
+    return gamma, angle / T
+
+
+def bounded_real_storage(system: StateSpace, gamma: float) -> Matrix:
+    """A storage matrix P > 0 that proves ||S||_inf < gamma, for the states as they stand.
+
+        [A B]^T P [A B] - blockdiag(P, gamma^2 I) + [C D]^T [C D] < 0                (bounded real lemma)
+
+    From the discrete Riccati equation of the worst input, with a little of gamma's room spent on strictness.
+
+    Args:
+        system: stable, n states.
+        gamma: above the norm.
+
+    Raises:
+        SolverFailure: no such P was found; gamma is not above the norm, or too little.
+    """
+    n, p = system.order, system.inputs
+    balanced, units = _balanced(system)
+    scaled, inverse = _input_balanced(balanced)
+    inverse = inverse / units
+    left, out = np.hstack([scaled.A, scaled.B]), np.hstack([scaled.C, scaled.D]) / gamma
+    for slack in _SLACKS:
+        P = _worst_input_storage(scaled, gamma, slack)
+        if P is None:
+            continue  # no room left for this slack
+        M = left.T @ P @ left + out.T @ out
+        M[:n, :n] -= P
+        M[n:, n:] -= np.eye(p)
+        if np.linalg.eigvalsh(symmetric_part(M))[-1] < 0.0 and (n == 0 or np.linalg.eigvalsh(P)[0] > 0.0):
+            return symmetric_part(gamma**2 * inverse.T @ P @ inverse)
+    raise SolverFailure(f"bounded real lemma: found no storage function for gamma = {gamma:.9g}; is the norm below it?")
+
+
+def _worst_input_storage(system: StateSpace, gamma: float, slack: float) -> Matrix | None:
+    """The bounded real Riccati equation for S/gamma by policy iteration; None where an input gains without end.
+
+    For the input w = F psi the storage is a Lyapunov equation's solution; the next F is the input that is worst under
+    it. From F = 0 the storages grow to the stabilising solution if ||S||_inf < gamma, quadratically at the end, and
+    rounding of one step is mended by the next, where a pencil's invariant subspace may be lost.
+    """
+    A, B, C, D = system.A, system.B, system.C / gamma, system.D / gamma
+    n, p = system.order, system.inputs
+    F: Matrix = np.zeros((p, n))
+    P: Matrix = np.zeros((n, n))
+    for _ in range(_MOST_POLICIES):
+        y, closed = C + D @ F, A + B @ F
+        if n and not np.max(np.abs(np.linalg.eigvals(closed))) < 1.0:
+            return None
+        supply = y.T @ y - (1.0 - slack) * F.T @ F + slack**2 * np.eye(n)
+        before, P = P, symmetric_part(solve_discrete_lyapunov(closed.T, supply, method=_LYAPUNOV)) if n else P
+        room = (1.0 - slack) * np.eye(p) - D.T @ D - B.T @ P @ B
+        if np.linalg.eigvalsh(symmetric_part(room))[0] <= 0.0:
+            return None
+        F = np.asarray(np.linalg.solve(room, B.T @ P @ A + D.T @ C), dtype=np.float64)
+        if np.max(np.abs(P - before), initial=0.0) <= 1e-13 * np.max(np.abs(P), initial=1e-300):
+            break
+    return P
+
+
+def _balanced(system: StateSpace) -> tuple[StateSpace, Matrix]:
+    """The same system in states z, x = scale z, with A's rows and columns alike in size, and scale (powers of two)."""
+    if system.order == 0:
+        return system, np.zeros(0)
+    _, (scale, _) = matrix_balance(system.A, permute=False, separate=True)
+    A, B, C = system.A * scale[None, :] / scale[:, None], system.B / scale[:, None], system.C * scale[None, :]
+    return StateSpace(A, B, C, system.D), np.asarray(scale, dtype=np.float64)
+
+
+def _input_balanced(system: StateSpace) -> tuple[StateSpace, Matrix]:
+    """The system in states X z with reachability Gramian about I, and X^{-1}.
+
+    States that no input reaches keep a scale of their own, a little below what the others have.
+    """
+    n = system.order
+    if n == 0:
+        return system, np.zeros((0, 0))
+    gramian = symmetric_part(solve_discrete_lyapunov(system.A, system.B @ system.B.T, method=_LYAPUNOV))
+    size = np.sqrt(np.diag(gramian))
+    size = np.where(size > _UNREACHED * np.max(size), size, max(float(np.max(size)), 1.0))
+    values, vectors = np.linalg.eigh(gramian / np.outer(size, size))
+    root = np.sqrt(np.maximum(values, _UNREACHED * values[-1]))
+    X = size[:, None] * vectors * root
+    inverse = (vectors / root).T / size
+    return StateSpace(inverse @ system.A @ X, inverse @ system.B, system.C @ X, system.D), inverse
+
+
+def _crossings(system: StateSpace, gamma: float) -> Matrix:
+    """Angles in [0, pi] at which gamma may be a singular value of S(e^{j theta}); none only if it is not."""
+    A, B, C, D = system.A, system.B, system.C, system.D
+    n, p, m = system.order, system.inputs, system.outputs
+    inverse = np.linalg.inv(A + np.eye(n))
+    A_c, B_c, C_c = inverse @ (A - np.eye(n)), np.sqrt(2.0) * inverse @ B, np.sqrt(2.0) * C @ inverse
+    D_c = (D - C @ inverse @ B) / gamma
+    C_c = C_c / gamma
+    R = np.linalg.inv(D_c.T @ D_c - np.eye(p))
+    S = np.linalg.inv(D_c @ D_c.T - np.eye(m))
+    F = A_c - B_c @ R @ D_c.T @ C_c
+    hamiltonian = np.block([[F, -B_c @ R @ B_c.T], [C_c.T @ S @ C_c, -F.T]])
+    eigenvalues = np.linalg.eigvals(hamiltonian)
+    near = np.abs(eigenvalues.real) <= _ON_AXIS * np.abs(eigenvalues)
+    return np.asarray(2.0 * np.arctan(np.abs(eigenvalues[near].imag)))

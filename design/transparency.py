@@ -1,0 +1,289 @@
+"""Transparent couplings: the H-infinity problems (23), (24) of [Bianchini2010]_ over certified couplings.
+
+Every coupling that is returned satisfies the conditions of Theorem 3 with a little room; the level gamma is the
+H-infinity norm of the weighted loop, computed from the coupling itself, not the program's own bound.
+
+Spring-damper couplings: sequential convex programs over the exact conditions of the class. Linear couplings: over fixed
+poles loop shaping is one convex program, whose optimum is global; the closed loop is not convex, and is taken down by
+sequential convex programs from the loop-shaping optimum. The search for the poles is
+:mod:`manyhands.design.pole_search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from manyhands.design.basis import FixedPoleBlock, PoleBasis
+from manyhands.design.coupling import SpringDamper
+from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.fixed_poles import FixedPoleFamily
+from manyhands.design.frame import Frame
+from manyhands.design.hinfinity import hinf_norm
+from manyhands.design.minimax import Minimum, minimise_peak
+from manyhands.design.partition import Partition
+from manyhands.design.solver import ProgramInfeasible
+from manyhands.design.spring_damper_family import SpringDamperFamily
+from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.weighted_loop import Transparency, WeightedLoop, weighted
+from manyhands.design.weights import Filter
+
+__all__ = [
+    "LinearDesign",
+    "SpringDamperDesign",
+    "Transparency",
+    "design_fixed_poles",
+    "design_spring_damper",
+    "hinf_norm",
+    "weighted",
+]
+
+Progress = Callable[[str], None]
+StaticAim = Literal["feasible", "stiffest"]
+
+ROOM = (
+    1e-6  # least eigenvalue of a linear block's conditions where Delta_D = I: ten digits above rounding, 3e-5 of gamma
+)
+FEASIBLE_COMPLIANCE = 4.0  # "feasible": v(1) up to this times the loop's K, a quarter of the greatest stiffness
+_NO_AIM = Transparency("loop-shaping", Filter.one(), Filter.one())
+
+
+@dataclass(frozen=True, eq=False)
+class SpringDamperDesign:
+    """A spring-damper coupling and its level.
+
+    Attributes:
+        coupling: K and B with the structure of the partition.
+        gamma: H-infinity norm of the weighted loop.
+        frequency: where it is reached, rad/s.
+        history: gamma after each step that lowered it, first the stiffest coupling's.
+        interrupted: whether Ctrl-C ended the search; the coupling is certified nevertheless.
+    """
+
+    coupling: SpringDamper
+    gamma: float
+    frequency: float
+    history: tuple[float, ...]
+    interrupted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LinearDesign:
+    """A linear coupling, what proves its levels, and its level of transparency.
+
+    Attributes:
+        blocks: realisation of each block, order n_i m_i, with symmetric C_j and D (:mod:`manyhands.design.basis`).
+        storages: P of each block, for (zeta, phi) with zeta = (xi - xi_)/T: V_hat,i is (least level)-OSP.
+        gamma: H-infinity norm of the weighted loop; None where nothing was to be minimised.
+        frequency: where it is reached, rad/s; None with gamma.
+        bound: no coupling over the same poles, with the same room, is below this (loop shaping); else 0.
+        poles: of each block, in the z plane, each for every port of the block.
+        history: gamma after each step that lowered it.
+        interrupted: whether Ctrl-C ended the search; the coupling is certified nevertheless.
+    """
+
+    blocks: tuple[StateSpace, ...]
+    storages: tuple[Matrix, ...]
+    gamma: float | None
+    frequency: float | None
+    bound: float
+    poles: tuple[tuple[complex, ...], ...]
+    history: tuple[float, ...]
+    interrupted: bool
+
+
+def design_spring_damper(
+    E: StateSpace,
+    Delta_D: Matrix,
+    kappa: float,
+    T: float,
+    partition: Partition,
+    aim: Transparency,
+    Phi_E: Matrix,
+    share: float = 1.0,
+    progress: Progress | None = None,
+) -> SpringDamperDesign:
+    """Minimise the weighted loop over the spring-damper class, all blocks at once.
+
+    Args:
+        E: discrete, displacement (m) to force (N), m x m.
+        Delta_D: m x m, N*s/m, with the partition's structure.
+        kappa: K = kappa T Delta_D^{-1}; 1/2 without delay.
+        T: period, s.
+        partition: structure of the coupling.
+        aim: objective and weights.
+        Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
+        share: G_hat is (share Delta_D)-OSP.
+        progress: told the level as it falls.
+
+    Raises:
+        Infeasible: no coupling of the class satisfies (10) with this Phi_E.
+        SolverFailure: the solver gave no usable answer.
+        ValueError: arguments that do not fit each other.
+    """
+    frame = Frame.of(WeightedLoop(E, aim), Delta_D, kappa, T, partition)
+    S = partition.embed(frame.scaling)
+    family = SpringDamperFamily(frame, symmetric_part(S @ Phi_E @ S), share)
+    history: list[float] = []
+    try:
+        start = family.stiffest()
+    except ProgramInfeasible as error:
+        raise Infeasible(
+            "no spring-damper coupling satisfies (10) with this Phi_E: E_hat + Delta_D is not passive enough",
+            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+        ) from error
+    found = minimise_peak(family, start, "spring-damper transparency", _told(progress, history))
+    coupling = family.coupling(found.x)
+    if min(np.linalg.eigvalsh(M)[0] for M in family.conditions(found.x)) < -1e-6:
+        raise SolverFailure("spring-damper transparency: the answer does not survive a check of its conditions")
+    gamma, frequency = hinf_norm(weighted(E, coupling.realisation(T), aim), T)
+    return SpringDamperDesign(coupling, gamma, frequency, tuple(history), found.interrupted)
+
+
+def design_fixed_poles(
+    E: StateSpace,
+    Delta_D: Matrix,
+    kappa: float,
+    T: float,
+    partition: Partition,
+    aim: Transparency | StaticAim,
+    poles: tuple[tuple[complex, ...], ...],
+    least_levels: tuple[Matrix, ...],
+    progress: Progress | None = None,
+    room: float = ROOM,
+) -> LinearDesign:
+    """The best coupling over given poles.
+
+    Args:
+        E: discrete, displacement (m) to force (N), m x m.
+        Delta_D: m x m, N*s/m, with the partition's structure.
+        kappa: K = kappa T Delta_D^{-1}; 1/2 without delay.
+        T: period, s.
+        partition: structure of the coupling.
+        aim: objective and weights; or "stiffest", the least trace of S^{-1} V(1) S^{-1}; or "feasible",
+            the coupling with the most room among those up to :data:`FEASIBLE_COMPLIANCE` as compliant as the loop's K.
+        poles: of each block in the z plane, complex ones each followed by the conjugate; none is a static spring.
+        least_levels: Delta_V,i that each block must have, m_i x m_i, positive definite, N*s/m.
+        progress: told the level as it falls.
+        room: least eigenvalue kept in the conditions, in ports where Delta_D = I.
+
+    Raises:
+        Infeasible: no coupling over these poles has these levels.
+        SolverFailure: the solver gave no usable answer.
+        ValueError: arguments that do not fit each other.
+    """
+    loop = WeightedLoop(E, aim if isinstance(aim, Transparency) else _NO_AIM)
+    frame = Frame.of(loop, Delta_D, kappa, T, partition)
+    family = fixed_pole_family(frame, tuple(PoleBasis(block) for block in poles), least_levels, room)
+    history: list[float] = []
+    try:
+        if isinstance(aim, Transparency):
+            found = minimised(family, None, _told(progress, history))
+        else:
+            x = family.stiffest() if aim == "stiffest" else family.roomiest(FEASIBLE_COMPLIANCE)
+            found = Minimum(x, np.inf, 0.0, 1)
+    except ProgramInfeasible as error:
+        raise Infeasible(
+            "no linear coupling over these poles has the least levels asked for",
+            ("ask for smaller levels: (10) needs Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E",),
+        ) from error
+    design = recovered(family, found, tuple(history))
+    return design if isinstance(aim, Transparency) else replace(design, gamma=None, frequency=None)
+
+
+def fixed_pole_family(
+    frame: Frame, bases: tuple[PoleBasis, ...], least_levels: tuple[Matrix, ...], room: float
+) -> FixedPoleFamily:
+    """The couplings over ``bases`` with the least levels (N*s/m) of each block.
+
+    Raises:
+        ValueError: not one basis and one level for each block, or a level that is not positive definite.
+    """
+    count = len(frame.partition.blocks)
+    if len(bases) != count or len(least_levels) != count:
+        raise ValueError(f"expected poles and a level for {count} blocks, found {len(bases)} and {len(least_levels)}")
+    blocks = []
+    for basis, ports, level, S, name in zip(
+        bases, frame.partition.blocks, least_levels, frame.scaling, frame.partition.names, strict=True
+    ):
+        if level.shape != S.shape or not np.linalg.eigvalsh(level)[0] > 0.0:
+            raise ValueError(f"coupling {name}: expected a positive definite {len(ports)} x {len(ports)} level")
+        blocks.append(FixedPoleBlock(basis, len(ports), frame.kappa, symmetric_part(S @ level @ S)))
+    return FixedPoleFamily(frame, tuple(blocks), room)
+
+
+def minimised(
+    family: FixedPoleFamily,
+    start: Matrix | None,
+    told: Callable[[float], None] | None = None,
+    most_steps: int = 60,
+) -> Minimum:
+    """The optimum over fixed poles: global for loop shaping; for the closed loop from ``start``.
+
+    Args:
+        family: the couplings.
+        start: gains (C, D) to start from; the loop-shaping optimum by default.
+        told: called with the level as it falls.
+        most_steps: cap on the programs.
+    """
+    what = "transparency over fixed poles"
+    if family.affine:
+        return minimise_peak(family, _plain(family), what, told, most_steps=most_steps)
+    if start is None:
+        loop = WeightedLoop(family.frame.loop.E, replace(family.frame.loop.aim, objective="loop-shaping"))
+        shaped = replace(family, frame=replace(family.frame, loop=loop))
+        start = shaped.gains(minimise_peak(shaped, _plain(shaped), what).x)
+    return minimise_peak(family, family.nearest(start), what, told, most_steps=most_steps)
+
+
+def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...]) -> LinearDesign:
+    """The design in physical units, its conditions and its level computed anew.
+
+    Raises:
+        SolverFailure: the numbers do not satisfy the conditions.
+    """
+    frame = family.frame
+    blocks, storages = [], []
+    for i, (block, x) in enumerate(zip(family.blocks, family.parts(found.x), strict=True)):
+        if min(block.margins(x)) <= 0.0:
+            raise SolverFailure(
+                f"coupling {frame.partition.names[i]}: the answer does not survive a check: least eigenvalues "
+                f"{block.margins(x)[0]:.3g} of the storage and {block.margins(x)[1]:.3g} of the supply"
+            )
+        blocks.append(frame.physical(block.realisation(x), i))
+        storages.append(frame.storage(block.unpack(x)[2], i))
+    gamma, frequency = hinf_norm(weighted(frame.loop.E, frame.partition.join(blocks), frame.loop.aim), frame.T)
+    return LinearDesign(
+        tuple(blocks),
+        tuple(storages),
+        gamma,
+        frequency,
+        found.bound,
+        tuple(block.basis.poles for block in family.blocks),
+        history,
+        found.interrupted,
+    )
+
+
+def _plain(family: FixedPoleFamily) -> Matrix:
+    """Static springs a little softer than the loop's K: the scale to start from."""
+    parts = []
+    for block in family.blocks:
+        states = block.basis.order * block.ports
+        C, P = np.zeros((block.ports, states)), np.zeros((states, states))
+        parts.append(block.pack(C, 1.2 * block.kappa * np.eye(block.ports), P))
+    return family.joined(parts)
+
+
+def _told(progress: Progress | None, history: list[float]) -> Callable[[float], None]:
+    """Note the level, and tell it."""
+
+    def told(level: float) -> None:
+        history.append(level)
+        if progress is not None:
+            progress(f"gamma = {level:.5g}")
+
+    return told
