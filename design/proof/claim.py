@@ -1,0 +1,296 @@
+"""What a certificate claims, as read from its plain data: every name resolved, every number exact, nothing believed.
+
+The format is version 2 of the certificate file. Matrices keep the paper's letters; indices count ports from 0 in the
+certificate's order, masses after them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from flint import fmpq
+
+from manyhands.design.proof.finding import ProofInputError
+from manyhands.design.proof.physical import EnvironmentData, read_environment
+from manyhands.design.proof.reading import MAX_DEGREE, MAX_DENSE, MAX_PORTS, Item, Number, Table, exact
+from manyhands.design.proof.sparse import Sparse, add
+
+FORMAT = "manyhands-certificate"
+VERSION = 2
+_KEYS: tuple[str, ...] = (
+    "id",
+    "format",
+    "version",
+    "session",
+    "period",
+    "tau",
+    "ports",
+    "devices",
+    "structure",
+    "environment",
+)
+_KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some ports under a name: a device or a block of V.
+
+    Attributes:
+        name: its name.
+        ports: their indices, in its own order.
+    """
+
+    name: str
+    ports: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SpringDamper:
+    """A block of the class V = (K + B (z-1)/(Tz))^-1.
+
+    Attributes:
+        stiffness: K, N/m.
+        damping: B, N*s/m.
+    """
+
+    stiffness: Table
+    damping: Table
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A block (A, B, C, D), discrete, from force (N) to displacement (m), and its storage matrix.
+
+    Attributes:
+        A, B, C, D: n x n, n x m_i, m_i x n, m_i x m_i.
+        P: n x n, the storage matrix.
+    """
+
+    A: Table
+    B: Table
+    C: Table
+    D: Table
+    P: Table
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A scalar filter num(z)/den(z), descending powers of z."""
+
+    num: tuple[Number, ...]
+    den: tuple[Number, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TransparencyClaim:
+    """The claim that ||W1 E V W2|| (loop-shaping) or ||W1 (F - E) W2|| (closed-loop) is below gamma.
+
+    Attributes:
+        objective: which of the two.
+        W1, W2: the weights, one scalar filter for all ports.
+        gamma: the level, N/m over m/N: dimensionless for loop shaping, N/m for the closed loop.
+        P: the storage matrix of the bounded real lemma.
+    """
+
+    objective: str
+    W1: Filter
+    W2: Filter
+    gamma: Number
+    P: Table
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """A certificate.
+
+    Attributes:
+        data: the plain data, for the id.
+        id: the stated SHA-256.
+        period: T, s.
+        tau: greatest delay inside the tick, s.
+        ports: names of the m ports.
+        devices: name and ports of each device.
+        osp: the promised level of each device, N*s/m.
+        blocks: name and ports of each block of V.
+        environment: the physical data of E.
+        coupling: the blocks of V, in order.
+        kappa, share, c: the loop gain K = kappa T Delta_D^-1, and what is left of the device's level.
+        Delta_D, Delta_V: by block, N*s/m.
+        Phi_E: m x m, N*s/m.
+        P_E: the storage matrix of Rest; None where the storage is the mechanical energy.
+        transparency: None where no level is claimed.
+        margins: by name.
+    """
+
+    data: Mapping[str, Any]
+    id: str
+    period: fmpq
+    tau: fmpq
+    ports: tuple[str, ...]
+    devices: tuple[Part, ...]
+    osp: tuple[Table, ...]
+    blocks: tuple[Part, ...]
+    environment: EnvironmentData
+    coupling: tuple[SpringDamper | Linear, ...]
+    kappa: fmpq
+    share: fmpq
+    c: fmpq
+    Delta_D: tuple[Table, ...]
+    Delta_V: tuple[Table, ...]
+    Phi_E: Sparse
+    P_E: Table | None
+    transparency: TransparencyClaim | None
+    margins: dict[str, fmpq]
+
+
+def read(data: Mapping[str, Any]) -> Claim:
+    """The claim that a certificate's plain data make.
+
+    Raises:
+        ProofInputError: a key is missing, unknown, or not of its type, shape or size.
+    """
+    fields = Item(data, "").fields(_KEYS)
+    fields["format"].text(FORMAT)
+    fields["version"].whole(VERSION, VERSION)
+    fields["session"].text()
+    for item in fields["method"].entries(1_000).values():
+        if not isinstance(item.value, str):
+            item.whole(-(2**63), 2**63)
+        elif len(item.value) > 100_000:
+            raise item.refusal("a shorter text")
+    ports = tuple(item.text() for item in fields["ports"].items(MAX_PORTS))
+    if len(set(ports)) != len(ports) or not ports:
+        raise fields["ports"].refusal("one distinct name for each port, and a port at least")
+    index = {name: i for i, name in enumerate(ports)}
+    devices, osp = [], []
+    for name, item in fields["devices"].entries(MAX_PORTS).items():
+        device = item.fields(("ports", "osp"))
+        devices.append(Part(name, _indices(device["ports"], index)))
+        osp.append(device["osp"].symmetric(len(devices[-1].ports)))
+    blocks = tuple(Part(name, _indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items())
+    levels = fields["levels"].fields(("kappa", "share", "c", "Delta_D", "Delta_V", "Phi_E"))
+    storage = fields["storage"].fields(("E_hat", "V_hat"))
+    E_hat = storage["E_hat"]
+    return Claim(
+        data=data,
+        id=fields["id"].text(),
+        period=exact(fields["period"].number()),
+        tau=exact(fields["tau"].number()),
+        ports=ports,
+        devices=tuple(devices),
+        osp=tuple(osp),
+        blocks=blocks,
+        environment=read_environment(fields["environment"], ports),
+        coupling=_coupling(fields["coupling"], storage["V_hat"], blocks),
+        kappa=exact(levels["kappa"].number()),
+        share=exact(levels["share"].number()),
+        c=exact(levels["c"].number()),
+        Delta_D=_by_block(levels["Delta_D"], blocks),
+        Delta_V=_by_block(levels["Delta_V"], blocks),
+        Phi_E=_input_level(levels["Phi_E"], blocks, len(ports)),
+        P_E=None if isinstance(E_hat.value, str) and E_hat.text("energy") else _square(E_hat),
+        transparency=_transparency(fields["transparency"]),
+        margins={name: exact(item.number()) for name, item in fields["margins"].entries(100).items()},
+    )
+
+
+def _indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
+    found = []
+    for entry in item.items(MAX_PORTS):
+        name = entry.text()
+        if name not in index:
+            raise entry.refusal("one of the certificate's ports")
+        found.append(index[name])
+    if not found:
+        raise item.refusal("a port at least")
+    if len(set(found)) != len(found):
+        raise item.refusal("every port once")
+    return tuple(found)
+
+
+def _same_names(item: Item, blocks: tuple[Part, ...]) -> dict[str, Item]:
+    found = item.entries(len(blocks) + 16)
+    if set(found) != {block.name for block in blocks}:
+        raise ProofInputError(f"{item.path}: expected one entry for each block of structure, under its name")
+    return found
+
+
+def _by_block(item: Item, blocks: tuple[Part, ...]) -> tuple[Table, ...]:
+    found = _same_names(item, blocks)
+    return tuple(found[block.name].symmetric(len(block.ports)) for block in blocks)
+
+
+def _input_level(item: Item, blocks: tuple[Part, ...], m: int) -> Sparse:
+    """Phi_E, whole or by block."""
+    out: Sparse = {}
+    if isinstance(item.value, Mapping):
+        for block, table in zip(blocks, _by_block(item, blocks), strict=True):
+            add(out, block.ports, table)
+    else:
+        add(out, range(m), item.symmetric(m))
+    return out
+
+
+def _square(item: Item) -> Table:
+    """A square matrix of bounded size."""
+    n = item.length()
+    if n > MAX_DENSE:
+        raise ProofInputError(f"{item.path}: found {n} rows, expected at most {MAX_DENSE}")
+    return item.table(n, n)
+
+
+def _coupling(item: Item, storage: Item, blocks: tuple[Part, ...]) -> tuple[SpringDamper | Linear, ...]:
+    fields = item.fields(("class", "blocks"))
+    kind = fields["class"].text("spring-damper", "linear")
+    found = _same_names(fields["blocks"], blocks)
+    if kind == "spring-damper":
+        storage.fields(())
+        out: list[SpringDamper | Linear] = []
+        for block in blocks:
+            parts = found[block.name].fields(("stiffness", "damping"))
+            m = len(block.ports)
+            out.append(SpringDamper(parts["stiffness"].symmetric(m), parts["damping"].symmetric(m)))
+        return tuple(out)
+    storages = _same_names(storage, blocks)
+    return tuple(_linear(found[block.name], storages[block.name], len(block.ports)) for block in blocks)
+
+
+def _linear(item: Item, storage: Item, m: int) -> Linear:
+    parts = item.fields(("A", "B", "C", "D"))
+    n = parts["A"].length()
+    if n > MAX_DENSE:
+        raise ProofInputError(f"{item.path}.A: found {n} rows, expected at most {MAX_DENSE}")
+    return Linear(
+        parts["A"].table(n, n),
+        parts["B"].table(n, m),
+        parts["C"].table(m, n),
+        parts["D"].table(m, m),
+        storage.table(n, n),
+    )
+
+
+def _transparency(item: Item) -> TransparencyClaim | None:
+    if item.value is None:
+        return None
+    parts = item.fields(("objective", "W1", "W2", "gamma", "P"))
+    return TransparencyClaim(
+        parts["objective"].text("loop-shaping", "closed-loop"),
+        _filter(parts["W1"]),
+        _filter(parts["W2"]),
+        parts["gamma"].number(),
+        _square(parts["P"]),
+    )
+
+
+def _filter(item: Item) -> Filter:
+    """A proper filter, without leading zeros in its denominator."""
+    parts = item.fields(("num", "den"))
+    num, den = (tuple(entry.number() for entry in parts[name].items(MAX_DEGREE + 1)) for name in ("num", "den"))
+    if not den or not den[0]:
+        raise parts["den"].refusal("coefficients, the first of them not zero")
+    if not num or len(num) > len(den):
+        raise parts["num"].refusal("coefficients, no more of them than the denominator has")
+    return Filter(num, den)

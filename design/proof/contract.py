@@ -1,0 +1,177 @@
+"""The contract between the parties: the levels as matrices over all ports, condition (10), and the margins.
+
+With G_hat (share Delta_D)-OSP, V_hat Delta_V-OSP and E_hat (-Phi_E)-ISP, Theorem 3 of [Bianchini2010]_ asks for
+
+    [ share Delta_D - Phi_E    -Phi_E         ]
+    [ -Phi_E                   Delta_V - Phi_E ]  > 0.                                                       (10)
+
+**The loop is well posed** by the same promises. Suppose (I + D_E D_V) x = 0, y = D_V x, x = -D_E y. At infinite
+frequency the promises say x'p >= p' Delta_V p for p = (D_V - K) x/T, and T y' D_E y >= -y' Phi_E
+y. With q = K x/T, y = T (q + p), K = kappa T Delta_D^-1,
+
+    (q + p)' Phi_E (q + p) >= x'y/T = q' Delta_D q/kappa + x'p >= q' (share Delta_D) q + p' Delta_V p,
+
+as share <= 1/(2 kappa) by F_0 >= 0, which contradicts (10) unless q = p = 0, and then x = 0.
+"""
+
+from __future__ import annotations
+
+from flint import fmpq
+
+from manyhands.design.proof import rational, sparse
+from manyhands.design.proof.claim import Claim, SpringDamper
+from manyhands.design.proof.finding import Finding, Verdict
+from manyhands.design.proof.sparse import Sparse
+from manyhands.design.proof.spring_damper import loop_stiffness_limit
+
+_ALLOWED = fmpq(1, 10**6)  # relative: by how much a stated margin may exceed what is proved
+
+
+def device_levels(claim: Claim) -> Sparse:
+    """The devices' promised levels, m x m."""
+    out: Sparse = {}
+    for device, table in zip(claim.devices, claim.osp, strict=True):
+        sparse.add(out, device.ports, table)
+    return out
+
+
+def Delta_D(claim: Claim) -> Sparse:
+    """The level that the design counts on, m x m, with the structure of V."""
+    out: Sparse = {}
+    for block, table in zip(claim.blocks, claim.Delta_D, strict=True):
+        sparse.add(out, block.ports, table)
+    return out
+
+
+def Delta_V(claim: Claim) -> Sparse:
+    """The level of V_hat, m x m."""
+    out: Sparse = {}
+    for block, table in zip(claim.blocks, claim.Delta_V, strict=True):
+        sparse.add(out, block.ports, table)
+    return out
+
+
+def condition_10(claim: Claim) -> Sparse:
+    """The left-hand side of (10), 2m x 2m, N*s/m."""
+    m = len(claim.ports)
+    out: Sparse = {(i, j): claim.share * value for (i, j), value in Delta_D(claim).items() if claim.share != 0}
+    for (i, j), value in Delta_V(claim).items():
+        sparse.add_entry(out, m + i, m + j, value)
+    for (i, j), value in claim.Phi_E.items():
+        for row in (i, m + i):
+            for column in (j, m + j):
+                sparse.add_entry(out, row, column, -value)
+    return out
+
+
+def one_party_each(claim: Claim) -> Finding:
+    """Every port belongs to one device and to one block."""
+    m = len(claim.ports)
+    faults = []
+    for what, parts in (("device", claim.devices), ("block", claim.blocks)):
+        times = [0] * m
+        for part in parts:
+            for port in part.ports:
+                times[port] += 1
+        faults += [f"{claim.ports[i]} is in {n} {what}s" for i, n in enumerate(times) if n != 1]
+    argument = "; ".join(faults[:3]) if faults else "counted"
+    return Finding("every port has one device and one block of V", not faults, float(-len(faults)), 0.0, "", argument)
+
+
+def times(claim: Claim) -> Finding:
+    """0 < T, 0 <= tau <= T."""
+    T, tau = claim.period, claim.tau
+    holds = T > 0 and 0 <= tau <= T
+    return Finding("0 < T and 0 <= tau <= T", holds, rational.rounded(T) if holds else 0.0, 0.0, "", "exactly")
+
+
+def device_findings(claim: Claim) -> list[Finding]:
+    """Delta_D is promised by the devices, each for itself where they are late, and positive."""
+    m = len(claim.ports)
+    level, promised = Delta_D(claim), device_levels(claim)
+    verdict = sparse.definite_by_groups(sparse.difference(promised, level), m, strict=False)
+    if claim.tau != 0:
+        owner = {port: i for i, device in enumerate(claim.devices) for port in device.ports}
+        if any(owner[i] != owner[j] for i, j in level):
+            verdict = Verdict(False, float("nan"), "with a delay, Delta_D may not join devices: each is late by itself")
+    return [verdict.finding("Delta_D <= the devices' levels"), _positive("Delta_D > 0", level, m, "Delta_D")]
+
+
+def gains(claim: Claim) -> Finding:
+    """Kappa > 0, share > 0, c >= 0."""
+    holds = claim.kappa > 0 and claim.share > 0 and claim.c >= 0
+    return Finding("kappa > 0, share > 0, c >= 0", holds, float(holds) - 1.0, 0.0, argument="exactly")
+
+
+def level_of_coupling(claim: Claim) -> Finding:
+    """Delta_V > 0."""
+    return _positive("Delta_V > 0", Delta_V(claim), len(claim.ports), "Delta_V")
+
+
+def loop_condition(claim: Claim) -> Finding:
+    """(10)."""
+    return _positive("condition (10)", condition_10(claim), 2 * len(claim.ports), "(10)")
+
+
+def well_posed(promises: list[Finding]) -> Finding:
+    """I + D_E D_V is regular, which follows when every one of ``promises`` holds."""
+    missing = [finding.condition for finding in promises if not finding.holds]
+    argument = "follows from the promises at infinite frequency and (10)"
+    if missing:
+        argument = f"not proved, as is: {missing[0]}"
+    return Finding("the loop is well posed: I + D_E D_V is regular", not missing, 0.0, 0.0, argument=argument)
+
+
+def _positive(condition: str, matrix: Sparse, size: int, key: str) -> Finding:
+    """``matrix`` > 0, with its least eigenvalue in N*s/m for the reader."""
+    verdict = sparse.definite_by_groups(matrix, size, name="rows")
+    least = sparse.least_eigenvalue(matrix, size)
+    return Finding(condition, verdict.holds, least, 0.0, key, verdict.argument)
+
+
+def margin_findings(claim: Claim) -> list[Finding]:
+    """Every stated margin is no larger than the true one, but for 1e-6 of it.
+
+    "(10)", "Delta_D" and "Delta_V" are least eigenvalues, N*s/m; "J" is that of Delta_D/(2 kappa) - (T/2) K over the
+    spring-damper blocks: what is left below the limit of their stiffness.
+    """
+    m = len(claim.ports)
+    out = []
+    for name, stated in claim.margins.items():
+        condition = f"the margin {name[:60]} is not overstated"
+        found = _margin_matrix(claim, name)
+        if found is None:
+            out.append(Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here"))
+            continue
+        size = 2 * m if name == "(10)" else m
+        bound = stated - abs(stated) * _ALLOWED
+        least = sparse.least_eigenvalue(found, size)
+        shifted = dict(found)
+        for i in range(size):
+            sparse.add_entry(shifted, i, i, -bound)
+        verdict = sparse.definite_by_groups(shifted, size, strict=False)
+        out.append(Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument))
+    return out
+
+
+def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
+    match name:
+        case "(10)":
+            return condition_10(claim)
+        case "Delta_D":
+            return Delta_D(claim)
+        case "Delta_V":
+            return Delta_V(claim)
+        case "J" if claim.kappa > 0:
+            out: Sparse = {}
+            for block, part, level in zip(claim.blocks, claim.coupling, claim.Delta_D, strict=True):
+                if not isinstance(part, SpringDamper):
+                    return None
+                J = loop_stiffness_limit(part, level, claim.kappa, claim.period).tolist()
+                for i, row in zip(block.ports, J, strict=True):
+                    for j, value in zip(block.ports, row, strict=True):
+                        if value != 0:
+                            sparse.add_entry(out, i, j, value)
+            return out
+        case _:
+            return None

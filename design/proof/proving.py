@@ -1,0 +1,78 @@
+"""Proving a certificate: every condition of Theorem 3 [Bianchini2010]_, from its plain data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from manyhands.design.proof import contract, environment, transparency
+from manyhands.design.proof.claim import Claim, SpringDamper, read
+from manyhands.design.proof.device import device_form
+from manyhands.design.proof.finding import Finding
+from manyhands.design.proof.linear import linear
+from manyhands.design.proof.spring_damper import spring_damper
+
+Progress = Callable[[str], None]
+
+
+def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Finding, ...]:
+    """Prove everything that a certificate claims.
+
+    Args:
+        data: the certificate's plain data, as json.load gives them.
+        progress: is told what is being proved.
+
+    Returns:
+        Every finding; the certificate is proved when all of them hold. What follows from a condition that does not
+        hold is left out, so that the first one that fails is the reason.
+
+    Raises:
+        ProofInputError: the data are no certificate of this version; names the key.
+    """
+    tell = progress if progress is not None else _silent
+    tell("reading the certificate")
+    claim = read(data)
+    findings = [_identity(claim), contract.one_party_each(claim), contract.times(claim)]
+    if not all(finding.holds for finding in findings[1:]):
+        return tuple(findings)
+    tell("the devices' levels")
+    promises = [*contract.device_findings(claim), contract.gains(claim)]
+    if not all(finding.holds for finding in promises):
+        return (*findings, *promises)
+    promises.append(device_form(claim.kappa, claim.share, claim.c, claim.tau / claim.period))
+    promises.append(contract.level_of_coupling(claim))
+    tell("the coupling's blocks")
+    promises += [_block(claim, i) for i in range(len(claim.blocks))] if promises[-1].holds else []
+    tell("the environment")
+    promises += environment.findings(claim.environment, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
+    tell("condition (10)")
+    promises.append(contract.loop_condition(claim))
+    findings += [*promises, contract.well_posed(promises)]
+    if claim.transparency is not None:
+        tell("transparency")
+        findings.append(transparency.finding(claim, claim.transparency))
+    tell("the margins")
+    return (*findings, *contract.margin_findings(claim))
+
+
+def _silent(text: str) -> None:
+    """No progress is shown."""
+
+
+def _identity(claim: Claim) -> Finding:
+    """The id is the SHA-256 over the content's canonical JSON: sorted keys, no spaces, shortest exact floats."""
+    content = {key: value for key, value in claim.data.items() if key != "id"}
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    holds = hashlib.sha256(canonical.encode()).hexdigest() == claim.id
+    return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument="computed again")
+
+
+def _block(claim: Claim, i: int) -> Finding:
+    V, Delta_D, Delta_V = claim.coupling[i], claim.Delta_D[i], claim.Delta_V[i]
+    condition = f"V_hat of {claim.blocks[i].name} is Delta_V-OSP, Lemma 1"
+    if isinstance(V, SpringDamper):
+        verdict = spring_damper(V, Delta_D, Delta_V, claim.kappa, claim.period)
+        return verdict.finding(condition, "the spring-damper class in closed form")
+    return linear(V, Delta_D, Delta_V, claim.kappa, claim.period).finding(condition, "storage matrix; V is stable")

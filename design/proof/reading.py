@@ -1,0 +1,198 @@
+"""Reading plain JSON data: one value and the path of its key, so that every refusal names its place.
+
+Numbers are read as what they are: a float is an exact dyadic rational, and so is a whole number where a float is
+meant. Sizes are bounded before anything is built from them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from flint import arb_mat, fmpq, fmpq_mat
+
+from manyhands.design.proof.finding import ProofInputError
+
+Number = int | float
+"""A number of the file, taken exactly."""
+
+MAX_PORTS = 10_000
+MAX_LINKS = 100_000
+MAX_DENSE = 1_200  # rows of a dense matrix: a product of two takes about 5 s in balls
+MAX_DEGREE = 32  # of a transfer function or a weight
+_MAX_BITS = 1023  # of a whole number: what a float can hold
+_MAX_TEXT = 1_000
+
+
+def exact(number: Number) -> fmpq:
+    """The rational number that ``number`` is."""
+    return fmpq(*number.as_integer_ratio())
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A matrix of the file.
+
+    Attributes:
+        rows: its number of rows, which JSON loses where there are no columns, and the other way round.
+        columns: its number of columns.
+        values: the entries, row by row.
+    """
+
+    rows: int
+    columns: int
+    values: list[list[Number]]
+
+    def rational(self) -> fmpq_mat:
+        """The matrix, exactly."""
+        return fmpq_mat(self.rows, self.columns, [exact(value) for row in self.values for value in row])
+
+    def balls(self) -> arb_mat:
+        """The matrix, exactly (balls of radius zero)."""
+        return arb_mat(self.rows, self.columns, [value for row in self.values for value in row])
+
+    def bits(self) -> int:
+        """The longest numerator or denominator, in bits: what exact arithmetic has to carry."""
+        pairs = (value.as_integer_ratio() for row in self.values for value in row)
+        return max((max(abs(p).bit_length(), q.bit_length()) for p, q in pairs), default=0)
+
+
+@dataclass(frozen=True)
+class Item:
+    """A value of the data and where it stands.
+
+    Attributes:
+        value: what json.load gives.
+        path: its keys, joined by dots.
+    """
+
+    value: object
+    path: str
+
+    def refusal(self, expected: str) -> ProofInputError:
+        """The error that says what was found here and what would be right."""
+        return ProofInputError(f"{self.path or 'certificate'}: found {_shown(self.value)}, expected {expected}")
+
+    def fields(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Item]:
+        """The values of an object with exactly these keys."""
+        found = self.entries(len(required) + len(optional) + 16)
+        missing = [key for key in required if key not in found]
+        unknown = [key for key in found if key not in required and key not in optional]
+        if missing or unknown:
+            raise ProofInputError(
+                f"{self.path or 'certificate'}: missing keys {missing}, unknown keys {[_shown(k) for k in unknown]}; "
+                f"expected {sorted(required)}"
+            )
+        return found
+
+    def entries(self, most: int) -> dict[str, Item]:
+        """The values of an object with names of somebody's choice, at most ``most`` of them."""
+        if not isinstance(self.value, Mapping):
+            raise self.refusal("an object")
+        if len(self.value) > most:
+            raise ProofInputError(
+                f"{self.path or 'certificate'}: found {len(self.value)} keys, expected at most {most}"
+            )
+        for key in self.value:
+            if not isinstance(key, str) or len(key) > _MAX_TEXT:
+                raise ProofInputError(
+                    f"{self.path or 'certificate'}: found the key {_shown(key)}, expected a short text"
+                )
+        return {key: Item(value, f"{self.path}.{key}" if self.path else key) for key, value in self.value.items()}
+
+    def items(self, most: int, exactly: int | None = None) -> list[Item]:
+        """The values of a list, at most ``most``, or ``exactly`` so many."""
+        if not isinstance(self.value, list | tuple):
+            raise self.refusal("a list")
+        if exactly is not None and len(self.value) != exactly:
+            raise ProofInputError(f"{self.path}: found {len(self.value)} entries, expected {exactly}")
+        if len(self.value) > most:
+            raise ProofInputError(f"{self.path}: found {len(self.value)} entries, expected at most {most}")
+        return [Item(value, f"{self.path}[{i}]") for i, value in enumerate(self.value)]
+
+    def text(self, *allowed: str) -> str:
+        """A text of bounded length, one of ``allowed`` where there are any."""
+        if not isinstance(self.value, str) or len(self.value) > _MAX_TEXT or (allowed and self.value not in allowed):
+            raise self.refusal(f"one of {list(allowed)}" if allowed else f"a text of at most {_MAX_TEXT} characters")
+        return self.value
+
+    def number(self) -> Number:
+        """A finite number."""
+        if not _is_number(self.value):
+            raise self.refusal("a finite number")
+        assert isinstance(self.value, int | float)  # noqa: S101  # for the type checker: _is_number has said so
+        return self.value
+
+    def whole(self, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``."""
+        if not isinstance(self.value, int) or isinstance(self.value, bool) or not low <= self.value <= high:
+            raise self.refusal(f"a whole number from {low} to {high}")
+        return self.value
+
+    def span(self) -> tuple[Number, Number]:
+        """A number, or an interval [low, high]: its two ends."""
+        if not isinstance(self.value, list | tuple):
+            number = self.number()
+            return number, number
+        low, high = (item.number() for item in self.items(2, exactly=2))
+        if low > high:
+            raise self.refusal("the lower end first")
+        return low, high
+
+    def table(self, rows: int, columns: int) -> Table:
+        """A matrix of this shape; one without rows or columns may be written [] or as empty rows."""
+        if not isinstance(self.value, list | tuple):
+            raise self.refusal("a list of rows")
+        lines = list(self.value)
+        if not lines and (rows == 0 or columns == 0):
+            return Table(rows, columns, [[] for _ in range(rows)])
+        if len(lines) != rows:
+            raise ProofInputError(f"{self.path}: found {len(lines)} rows, expected {rows}")
+        values: list[list[Number]] = []
+        for i, line in enumerate(lines):
+            if not isinstance(line, list | tuple):
+                raise Item(line, f"{self.path}[{i}]").refusal(f"a row of {columns} numbers")
+            if len(line) != columns:
+                raise ProofInputError(f"{self.path}[{i}]: found {len(line)} entries, expected {columns}")
+            for j, value in enumerate(line):
+                if not _is_number(value):
+                    raise Item(value, f"{self.path}[{i}][{j}]").refusal("a finite number")
+            values.append(list(line))
+        return Table(rows, columns, values)
+
+    def symmetric(self, size: int) -> Table:
+        """A symmetric matrix of this size, to the last bit: a level or a stiffness is nothing else."""
+        table = self.table(size, size)
+        for i, row in enumerate(table.values):
+            for j in range(i):
+                if row[j] != table.values[j][i]:
+                    raise ProofInputError(
+                        f"{self.path}: found {row[j]!r} in [{i}][{j}] and {table.values[j][i]!r} in [{j}][{i}], "
+                        "expected a symmetric matrix"
+                    )
+        return table
+
+    def length(self) -> int:
+        """Number of entries of a list."""
+        if not isinstance(self.value, list | tuple):
+            raise self.refusal("a list")
+        return len(self.value)
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return isinstance(value, int) and not isinstance(value, bool) and value.bit_length() <= _MAX_BITS
+
+
+def _shown(value: object) -> str:
+    """A short text for a message, whatever the value's size is."""
+    if isinstance(value, Mapping):
+        return f"an object of {len(value)} keys"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)} entries"
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > _MAX_BITS:
+        return f"a whole number of {value.bit_length()} bits"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
