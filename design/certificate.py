@@ -1,8 +1,9 @@
 """The certificate: one readable JSON file that says which loop is stable with which coupling, and why.
 
 It holds the physical data of the loop, the coupling, the levels each party promises, the storage matrices
-that prove them, the margins, and a SHA-256 id over all of it. Floats are written by their shortest exact
-representation, so that the file round-trips bit by bit. Reading needs numpy alone: a node can do it.
+that prove them where physics does not, the margins, and a SHA-256 id over all of it. Every fact stands in it once:
+what follows from the physical data (E_hat, V_hat, the realisation of springs and dampers) is rebuilt by whoever checks.
+Floats are written by their shortest exact representation, so that the file round-trips bit by bit.
 """
 
 from __future__ import annotations
@@ -12,24 +13,49 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import numpy as np
-
-from manyhands.design.contract import Levels
-from manyhands.design.coupling import SpringDamper
+from manyhands.design.certificate_parts import (
+    aim_of,
+    coupling_of,
+    describe_aim,
+    describe_coupling,
+    describe_environment,
+    environment_of,
+    matrices_by_block,
+    square,
+)
+from manyhands.design.contract import ENERGY, DeviceShare, Levels
+from manyhands.design.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.errors import CertificateError
-from manyhands.design.network import Link, Network
 from manyhands.design.partition import Partition
 from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.statespace import Matrix, StateSpace, matrix
+from manyhands.design.weighted_loop import Transparency
 
 FORMAT = "manyhands-certificate"
-VERSION = 1
+VERSION = 2
 MAX_FILE_BYTES = 256 * 2**20
 _KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
-_KEYS |= {"coupling", "levels", "storage", "margins", "method"}
+_KEYS |= {"coupling", "levels", "storage", "transparency", "margins", "method"}
+
+
+@dataclass(frozen=True, eq=False)
+class TransparencyClaim:
+    """What the coupling costs in transparency, and the storage that proves it.
+
+    Attributes:
+        aim: which of (23), (24), with its weights.
+        gamma: the weighted norm is below it; dimensionless for (24), N/m for (23).
+        P: storage matrix of the bounded real lemma, in the realisation that
+            :func:`manyhands.design.weighted_loop.weighted` builds of :meth:`manyhands.design.split.Split.environment`.
+    """
+
+    aim: Transparency
+    gamma: float
+    P: Matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,74 +63,86 @@ class Certificate:
     """A claim that a loop is stable, with its proof.
 
     Attributes:
-        loop: the physical data, the period and the block structure.
-        tau: delay inside the tick that the proof assumes, s.
-        coupling: K and B when the coupling is of the spring-damper class.
-        blocks: the realisation of each block of V, in the partition's order.
+        loop: the physical data, period, delay and block structure.
+        coupling: the blocks of V, each a spring-damper or a linear system, in the partition's order.
         levels: the promised levels and the storage matrices.
+        transparency: the claim on transparency, where the session aims at one.
         margins: by condition, how far it is from failing.
         method: how the coupling was found: algorithm, iterations, solver.
         id: SHA-256 (hex) over the content; empty until :func:`seal`.
     """
 
     loop: HapticLoop
-    tau: float
-    coupling: SpringDamper | None
-    blocks: tuple[StateSpace, ...]
+    coupling: tuple[CouplingBlock, ...]
     levels: Levels
+    transparency: TransparencyClaim | None
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
     id: str = ""
 
+    @property
+    def tau(self) -> float:
+        """Longest delay inside the tick that the proof covers, s."""
+        return self.loop.tau
+
+    @cached_property
+    def blocks(self) -> tuple[StateSpace, ...]:
+        """The realisation of each block of V."""
+        return realisations(self.coupling, self.loop.period)
+
+    @cached_property
+    def spring_damper(self) -> SpringDamper | None:
+        """K and B of the whole coupling, m x m, when it is of the spring-damper class."""
+        parts = [part for part in self.coupling if isinstance(part, SpringDamper)]
+        if len(parts) != len(self.coupling):
+            return None
+        embed = self.loop.partition.embed
+        return SpringDamper(embed([p.stiffness for p in parts]), embed([p.damping for p in parts]))
+
 
 def content(certificate: Certificate) -> dict[str, Any]:
     """Everything the certificate says, as JSON values, without its id."""
-    loop = certificate.loop
-    ports = loop.ports
-    coupling: dict[str, Any] = {"class": "linear"}
-    if certificate.coupling is not None:
-        coupling = {
-            "class": "spring-damper",
-            "stiffness": certificate.coupling.stiffness.tolist(),
-            "damping": certificate.coupling.damping.tolist(),
-        }
-    coupling["blocks"] = {
-        name: _system(block) for name, block in zip(loop.partition.names, certificate.blocks, strict=True)
-    }
+    loop, levels = certificate.loop, certificate.levels
+    ports, partition = loop.ports, loop.partition
+    Phi_E: Any = levels.Phi_E.tolist()
+    if partition.admits(levels.Phi_E):
+        Phi_E = _by_block(partition, partition.restrict(levels.Phi_E))
+    claim = certificate.transparency
     return {
         "format": FORMAT,
         "version": VERSION,
         "session": loop.session,
         "period": loop.period,
-        "tau": certificate.tau,
+        "tau": loop.tau,
         "ports": list(ports),
         "devices": {d.name: {"ports": [ports[p] for p in d.ports], "osp": d.level.tolist()} for d in loop.devices},
         "structure": {
-            name: [ports[p] for p in block]
-            for name, block in zip(loop.partition.names, loop.partition.blocks, strict=True)
+            name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
-        "environment": {
-            "type": "network",
-            "masses": dict(loop.network.masses),
-            "links": [
-                {"between": list(link.ends), "stiffness": link.stiffness, "damping": link.damping}
-                for link in loop.network.links
-            ],
-        },
-        "coupling": coupling,
+        "environment": describe_environment(loop.environment),
+        "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
-            "Delta_D": loop.Delta_D.tolist(),
-            "Delta_V": certificate.levels.Delta_V.tolist(),
-            "Phi_E": certificate.levels.Phi_E.tolist(),
+            "kappa": levels.device.kappa,
+            "share": levels.device.share,
+            "c": levels.device.c,
+            "Delta_D": _by_block(partition, levels.Delta_D),
+            "Delta_V": _by_block(partition, levels.Delta_V),
+            "Phi_E": Phi_E,
         },
         "storage": {
-            "E_hat": _system(loop.E_hat),
-            "P_E": certificate.levels.P_E.tolist(),
-            "P_V": {name: P.tolist() for name, P in zip(loop.partition.names, certificate.levels.P_V, strict=True)},
+            "E_hat": levels.P_E if isinstance(levels.P_E, str) else levels.P_E.tolist(),
+            "V_hat": {name: P.tolist() for name, P in zip(partition.names, levels.P_V, strict=True) if P is not None},
         },
+        "transparency": None
+        if claim is None
+        else describe_aim(claim.aim) | {"gamma": claim.gamma, "P": claim.P.tolist()},
         "margins": dict(certificate.margins),
         "method": dict(certificate.method),
     }
+
+
+def _by_block(partition: Partition, parts: tuple[Matrix, ...]) -> dict[str, list[list[float]]]:
+    return {name: part.tolist() for name, part in zip(partition.names, parts, strict=True)}
 
 
 def identity(data: Mapping[str, Any]) -> str:
@@ -178,8 +216,6 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         raise ValueError(f"expected {FORMAT} version {VERSION}, found {data['format']!r} {data['version']!r}")
     if unknown := set(data) - _KEYS:
         raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(_KEYS)}")
-    if data["environment"]["type"] != "network":
-        raise ValueError(f"environment.type: found {data['environment']['type']!r}, expected 'network'")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
         raise ValueError("expected session to be a text, and every value of method a text or a whole number")
     ports = tuple(str(p) for p in data["ports"])
@@ -195,65 +231,42 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
             for name, device in data["devices"].items()
         ),
         partition=Partition(tuple(structure), tuple(tuple(index[p] for p in block) for block in structure.values())),
-        network=Network(
-            ports,
-            tuple((str(name), float(mass)) for name, mass in data["environment"]["masses"].items()),
-            tuple(
-                Link((str(a), str(b)), float(link["stiffness"]), float(link["damping"]))
-                for link in data["environment"]["links"]
-                for a, b in [link["between"]]
-            ),
-        ),
+        environment=environment_of(data["environment"], ports),
+        tau=float(data["tau"]),
     )
-    coupling, levels, storage = data["coupling"], data["levels"], data["storage"]
-    blocks = tuple(read_system(coupling["blocks"][name]) for name in loop.partition.names)
-    read_system(storage["E_hat"])  # what is only restated must be readable too: verification compares it
-    matrix(levels["Delta_D"], m, m)
-    if len(storage["P_E"]) < len(loop.network.masses):  # before anything of that size squared is built
-        raise ValueError("storage.P_E: expected two rows a mass or more")
-    if coupling["class"] not in ("spring-damper", "linear"):
-        raise ValueError(f"coupling.class: found {coupling['class']!r}, expected 'spring-damper' or 'linear'")
-    spring_damper = None
-    if coupling["class"] == "spring-damper":
-        spring_damper = SpringDamper(matrix(coupling["stiffness"], m, m), matrix(coupling["damping"], m, m))
+    partition, levels, storage = loop.partition, data["levels"], data["storage"]
+    Phi_E = levels["Phi_E"]
+    linear = data["coupling"]["class"] == "linear"
+    claim = data["transparency"]
     return Certificate(
         loop=loop,
-        tau=float(data["tau"]),
-        coupling=spring_damper,
-        blocks=blocks,
+        coupling=coupling_of(data["coupling"], partition),
         levels=Levels(
-            Delta_V=matrix(levels["Delta_V"], m, m),
-            Phi_E=matrix(levels["Phi_E"], m, m),
-            P_E=_read_square(storage["P_E"]),
-            P_V=tuple(_read_square(storage["P_V"][name]) for name in loop.partition.names),
+            device=DeviceShare(float(levels["kappa"]), float(levels["share"]), float(levels["c"])),
+            Delta_D=matrices_by_block(levels["Delta_D"], partition),
+            Delta_V=matrices_by_block(levels["Delta_V"], partition),
+            Phi_E=partition.embed(matrices_by_block(Phi_E, partition))
+            if isinstance(Phi_E, Mapping)
+            else matrix(Phi_E, m, m),
+            P_E=_storage_of(storage["E_hat"]),
+            P_V=tuple(square(storage["V_hat"][name]) if linear else None for name in partition.names),
         ),
+        transparency=None
+        if claim is None
+        else TransparencyClaim(aim_of(claim), float(claim["gamma"]), square(claim["P"])),
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
         id=str(data["id"]),
     )
 
 
-def _system(system: StateSpace) -> dict[str, Any]:
-    return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), "D": system.D.tolist()}
-
-
-def _read_square(rows: Any) -> Matrix:
-    """A square matrix, which may have no rows: a network without springs and masses stores nothing."""
-    return matrix(rows, len(rows), len(rows)) if rows else np.zeros((0, 0))
-
-
-def read_system(data: Mapping[str, Any]) -> StateSpace:
-    """The system whose matrices :func:`content` wrote; JSON has no shape for a matrix without rows or columns.
-
-    Raises:
-        KeyError, TypeError, ValueError: a matrix is missing, or is none of that shape.
-    """
-    D = matrix(data["D"])
-    if not data["A"]:
-        if data["B"] or any(data["C"]):
-            raise ValueError("expected B and C without entries where A has none")
-        return StateSpace.static(D)
-    return StateSpace(matrix(data["A"]), matrix(data["B"]), matrix(data["C"]), D)
+def _storage_of(value: Any) -> Matrix | Literal["energy"]:
+    """E_hat's storage."""
+    if value == ENERGY:
+        return ENERGY
+    if isinstance(value, str):
+        raise ValueError(f"storage.E_hat: found {value[:40]!r}, expected {ENERGY!r} or a matrix")
+    return square(value)
 
 
 def _finite(text: str) -> float:

@@ -1,16 +1,45 @@
 """The contract between the parties: levels, the storage that proves them, and condition (10).
 
 Each party promises a level from data that it sees itself; together they make the loop stable when (10) of
-[Bianchini2010]_ holds. This module is what synthesis and verification have in common: the words, not the methods.
+[Bianchini2010]_ holds. This module is what synthesis and certificates have in common: the words, not the methods.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
-from manyhands.design.statespace import Matrix
+from manyhands.design.statespace import Matrix, symmetric_part
+
+NO_DELAY_GAIN: Final = 0.5
+"""kappa of (8), K = kappa T Delta_D^{-1}, when force and sample meet in one instant."""
+
+ENERGY: Final = "energy"
+"""The storage of a network that needs no matrix: its mechanical energy."""
+
+
+@dataclass(frozen=True)
+class DeviceShare:
+    """What is left of the device's level behind the sampler, with a delay inside the tick.
+
+    G_hat is (share Delta_D)-OSP with K = kappa T Delta_D^{-1}.
+
+    Attributes:
+        kappa: dimensionless gain of the loop transformation; 1/2 without delay (8).
+        share: dimensionless, 1 without delay (9).
+        c: dimensionless weight of the storage (f_k - f_{k-1})^2 that proves it.
+    """
+
+    kappa: float = NO_DELAY_GAIN
+    share: float = 1.0
+    c: float = 0.0
+
+    @property
+    def part(self) -> float:
+        """The a = 2 kappa share <= 1 that is share Delta_D in units of Lambda = Delta_D / (2 kappa)."""
+        return 2.0 * self.kappa * self.share
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +47,40 @@ class Levels:
     """Levels and storage matrices that are claimed to satisfy Theorem 3, in physical units.
 
     Attributes:
-        Delta_V: m x m, N*s/m, with the structure of V: V_hat,i is Delta_V,i-OSP.
+        device: kappa, share and c.
+        Delta_D: by block of V, m_i x m_i, N*s/m: the devices' level brought to the structure of V.
+        Delta_V: by block of V, m_i x m_i, N*s/m: V_hat,i is Delta_V,i-OSP.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
-        P_E: storage matrix of E_hat, in the coordinates of :attr:`manyhands.design.problem.HapticLoop.E_hat`.
-        P_V: storage matrix of each V_hat,i, in the realisation (12) of its block.
+        P_E: storage matrix of Rest (:mod:`manyhands.design.split`), n x n, N*s/m in its units; or "energy".
+        P_V: storage matrix of each linear block, n_i x n_i, in the state zeta = (xi - xi_)/T; None for springs and
+            dampers, whose level is in closed form.
     """
 
-    Delta_V: Matrix
+    device: DeviceShare
+    Delta_D: tuple[Matrix, ...]
+    Delta_V: tuple[Matrix, ...]
     Phi_E: Matrix
-    P_E: Matrix
-    P_V: tuple[Matrix, ...]
+    P_E: Matrix | Literal["energy"]
+    P_V: tuple[Matrix | None, ...]
 
 
-def loop_inequality(Delta_D: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> Matrix:
+def loop_inequality(Delta_G: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> Matrix:
     """The left-hand side of (10), 2m x 2m, N*s/m; its least eigenvalue is the certificate's margin."""
-    return np.block([[Delta_D - Phi_E, -Phi_E], [-Phi_E, Delta_V - Phi_E]])
+    return np.block([[Delta_G - Phi_E, -Phi_E], [-Phi_E, Delta_V - Phi_E]])
+
+
+def margin_of(Delta_G: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> float:
+    """The least eigenvalue of (10)."""
+    return float(np.linalg.eigvalsh(symmetric_part(loop_inequality(Delta_G, Delta_V, Phi_E)))[0])
+
+
+def least_coupling_level(Delta_G: Matrix, Phi_E: Matrix) -> Matrix:
+    """Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E: (10) holds for every Delta_V above it (Schur complement).
+
+    Raises:
+        ValueError: Delta_G - Phi_E is not positive definite, so that (10) holds for none.
+    """
+    rest = symmetric_part(Delta_G - Phi_E)
+    if float(np.linalg.eigvalsh(rest)[0]) <= 0.0:
+        raise ValueError("expected Phi_E < Delta_G")
+    return symmetric_part(Phi_E + Phi_E @ np.linalg.solve(rest, Phi_E))

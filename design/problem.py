@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
+from manyhands.design.contract import NO_DELAY_GAIN
 from manyhands.design.coupling import SpringDamper
-from manyhands.design.network import Network
+from manyhands.design.environment import Environment
 from manyhands.design.partition import Partition
 from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
-from manyhands.design.transformation import loop_gain
+from manyhands.design.weighted_loop import Transparency
+
+_BELOW = 1e-12  # relative, thousands of times the rounding of an eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,23 +43,86 @@ class DeviceLevel:
             raise ValueError(f"{self.name}: expected a symmetric positive definite OSP level")
 
 
+Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]
+Algorithm = Literal["convex", "complementarity"]
+MOST_ITERATIONS = 200
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a coupling that is to be found is chosen by.
+
+    Attributes:
+        objective: "feasible" (well inside every condition), "stiffest", or a transparency problem.
+        aim: the transparency problem; None for the other two.
+        algorithm: "convex", or "complementarity", the paper's own, for "feasible".
+        iterations: cap of the latter.
+    """
+
+    objective: Objective = "feasible"
+    aim: Transparency | None = None
+    algorithm: Algorithm = "convex"
+    iterations: int = MOST_ITERATIONS
+
+    def __post_init__(self) -> None:
+        wanted = None if self.objective in ("feasible", "stiffest") else self.objective
+        if (None if self.aim is None else self.aim.objective) != wanted:
+            raise ValueError(
+                f"objective {self.objective!r}: expected weights for a transparency problem, and only there"
+            )
+        if self.algorithm == "complementarity" and self.objective != "feasible":
+            raise ValueError("complementarity: expected objective 'feasible'")
+
+
 @dataclass(frozen=True)
 class SpringDamperWanted:
     """Find a coupling of the spring-damper class (20) with the loop's block structure."""
 
+    wish: Wish = Wish()
+
+
+@dataclass(frozen=True)
+class Pole:
+    """A pair of poles of a coupling: s^2 + 2 damping frequency s + frequency^2.
+
+    Attributes:
+        frequency: rad/s, > 0.
+        damping: ratio in (0, 1]; at 1 a double real pole.
+    """
+
+    frequency: float
+    damping: float = 1.0
+
+
+@dataclass(frozen=True)
+class LinearWanted:
+    """Find a linear coupling of given order with the loop's block structure.
+
+    Attributes:
+        orders: states a port, for each block.
+        wish: what it is chosen by.
+        poles: fixed pairs of poles, the same for every block; None to choose them.
+    """
+
+    orders: tuple[int, ...]
+    wish: Wish = Wish()
+    poles: tuple[Pole, ...] | None = None
+
 
 @dataclass(frozen=True, eq=False)
 class SpringDamperGiven:
-    """Certify this spring-damper coupling."""
+    """Certify this spring-damper coupling, and its transparency where an aim is stated."""
 
     coupling: SpringDamper
+    aim: Transparency | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class LinearGiven:
-    """Certify this linear coupling: one system for each block, in the partition's order."""
+    """Certify this linear coupling, one system for each block in the partition's order, and its transparency."""
 
     blocks: tuple[StateSpace, ...]
+    aim: Transparency | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +130,7 @@ class NoCoupling:
     """f_v = -E x: V = 0. Cannot be certified, for V_hat = -(z-1)/(Tz) K is not OSP."""
 
 
-CouplingRequest = SpringDamperWanted | SpringDamperGiven | LinearGiven | NoCoupling
+CouplingRequest = SpringDamperWanted | LinearWanted | SpringDamperGiven | LinearGiven | NoCoupling
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +143,8 @@ class HapticLoop:
         ports: names of the m ports.
         devices: their levels; together they cover every port once.
         partition: the blocks of V.
-        network: the environment, with the same ports in the same order.
+        environment: the environment, with the same ports in the same order.
+        tau: longest delay inside the tick, from x(k) to f_v(k) applied, that is to be certified, s, at most T.
     """
 
     session: str
@@ -84,7 +152,8 @@ class HapticLoop:
     ports: tuple[str, ...]
     devices: tuple[DeviceLevel, ...]
     partition: Partition
-    network: Network
+    environment: Environment
+    tau: float = 0.0
 
     def __post_init__(self) -> None:
         m = len(self.ports)
@@ -92,42 +161,55 @@ class HapticLoop:
             raise ValueError("expected at least one port")
         if sorted(p for d in self.devices for p in d.ports) != list(range(m)):
             raise ValueError("expected the devices to cover every port exactly once")
-        if self.partition.size != m or self.network.ports != self.ports:
-            raise ValueError("expected partition and network to have the loop's ports")
+        if self.partition.size != m or self.environment.ports != self.ports:
+            raise ValueError("expected partition and environment to have the loop's ports")
         if not 0.0 < self.period < np.inf:
             raise ValueError("expected a positive period")
+        if not 0.0 <= self.tau <= self.period:
+            raise ValueError(f"expected a delay from 0 to the period, found {self.tau} s")
 
     @cached_property
-    def Delta_D(self) -> Matrix:
-        """blockdiag(Delta_Di) of (6), m x m, N*s/m, brought to the coupling's structure.
+    def Delta_D_blocks(self) -> tuple[Matrix, ...]:
+        """Delta_D of (6) by block of V, m_i x m_i, N*s/m: the devices' levels brought to the coupling's structure.
 
         Where two blocks of V split a device whose level joins their ports, the level of that device is
         replaced by its least eigenvalue times the identity: Delta-OSP implies Delta'-OSP for every
         Delta' <= Delta, and each block can then keep its promise from its own data.
         """
-        m = len(self.ports)
-        out = np.zeros((m, m))
-        mask = self.partition.mask()
+        block_of = {port: i for i, block in enumerate(self.partition.blocks) for port in block}
+        place = {port: (i, j) for i, block in enumerate(self.partition.blocks) for j, port in enumerate(block)}
+        out = [np.zeros((len(block), len(block))) for block in self.partition.blocks]
         for device in self.devices:
             level = device.level
-            if np.any(level[~mask[np.ix_(device.ports, device.ports)]]):
-                level = np.linalg.eigvalsh(level)[0] * np.eye(len(device.ports))
-            out[np.ix_(device.ports, device.ports)] = level
-        return out
+            owners = np.array([block_of[p] for p in device.ports])
+            if np.any(level[owners[:, None] != owners[None, :]]):
+                # a little less, so that it is below the level in exact arithmetic too
+                level = np.linalg.eigvalsh(level)[0] * (1.0 - _BELOW) * np.eye(len(device.ports))
+            for a, p in enumerate(device.ports):
+                for b, q in enumerate(device.ports):
+                    if owners[a] == owners[b]:
+                        out[place[p][0]][place[p][1], place[q][1]] = level[a, b]
+        return tuple(matrix(M) for M in out)
+
+    @cached_property
+    def Delta_D(self) -> Matrix:
+        """Delta_D with the coupling's structure, m x m, N*s/m."""
+        return self.partition.embed(self.Delta_D_blocks)
+
+    def loop_gain(self, kappa: float) -> tuple[Matrix, ...]:
+        """K = kappa T Delta_D^{-1} by block of V, m_i x m_i, m/N; kappa = 1/2 is (8)."""
+        return tuple(symmetric_part(kappa * self.period * np.linalg.inv(Delta)) for Delta in self.Delta_D_blocks)
 
     @cached_property
     def K(self) -> Matrix:
-        """The transformation's K = T/2 Delta_D^{-1} (8), m x m, m/N."""
-        return loop_gain(self.Delta_D, self.period)
+        """The transformation's K = T/2 Delta_D^{-1} (8) without delay, m x m, m/N."""
+        return self.partition.embed(self.loop_gain(NO_DELAY_GAIN))
 
     @cached_property
     def scaling(self) -> Matrix:
         """S = Delta_D^{-1/2}, symmetric, with the coupling's structure: in ports scaled by S, Delta_D = I."""
-        values, vectors = np.linalg.eigh(self.Delta_D)
-        S = symmetric_part(vectors @ np.diag(values**-0.5) @ vectors.T)
-        return np.where(self.partition.mask(), S, 0.0)  # exactly, not up to rounding
-
-    @cached_property
-    def E_hat(self) -> StateSpace:
-        """The transformed environment in energy coordinates."""
-        return self.network.transformed_environment(self.period)
+        out = []
+        for Delta in self.Delta_D_blocks:
+            values, vectors = np.linalg.eigh(Delta)
+            out.append(symmetric_part(vectors @ np.diag(values**-0.5) @ vectors.T))
+        return self.partition.embed(out)

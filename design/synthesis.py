@@ -1,125 +1,146 @@
-"""From a loop and a wish to a certificate: synthesise, certify, verify, each distrusting the one before."""
+"""From a loop and a wish to a certificate: synthesise, certify, prove, each distrusting the one before."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-import cvxpy
 import numpy as np
 
-from manyhands.design.certificate import Certificate, content, seal
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.errors import Infeasible, SolverFailure, TooLarge
-from manyhands.design.problem import (
-    CouplingRequest,
-    HapticLoop,
-    LinearGiven,
-    NoCoupling,
-    SpringDamperGiven,
-)
-from manyhands.design.solver import SOLVER
+from manyhands.design.certificate import Certificate, TransparencyClaim, content, seal
+from manyhands.design.contract import margin_of
+from manyhands.design.coupling import CouplingBlock, realisations
+from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.hinfinity import bounded_real_storage, hinf_norm
+from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, NoCoupling, SpringDamperGiven
+from manyhands.design.proof import ProofInputError, prove
+from manyhands.design.search import Found, search
 from manyhands.design.statespace import StateSpace
 from manyhands.design.theorem3 import certify_given
-from manyhands.design.theorem4 import design_spring_damper
-from manyhands.design.verification import margins, verify
+from manyhands.design.weighted_loop import Transparency, weighted
 
-ASSUMED_DELAY = 0.0  # s; Theorem 2 assumes that f_v(k) is applied at the instant of x(k)
+Progress = Callable[[str], None]
 
-
-MOST_STATES = 48  # ports and masses; about a minute and a gigabyte
+_CLAIMED = 1e-6  # relative, above the norm found: what a storage function needs to be strict
 
 
-def design(
-    loop: HapticLoop, wanted: CouplingRequest, progress: Callable[[int, float], None] | None = None
-) -> Certificate:
-    """Find or take a coupling, prove it, and return the verified, sealed certificate.
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """A design with the way it took.
+
+    Attributes:
+        certificate: verified and sealed.
+        history: by iteration, what the method watches: ||W Z - I|| or gamma; empty for a method without iterations.
+        watched: what that is, with its unit, for the axis of a picture.
+        interrupted: whether somebody ended the search, so that a better coupling may exist.
+    """
+
+    certificate: Certificate
+    history: tuple[float, ...]
+    watched: str
+    interrupted: bool
+
+
+def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None = None) -> Designed:
+    """Find or take a coupling, prove it, and return the proved, sealed certificate.
 
     Args:
         loop: the haptic loop.
         wanted: what is asked of the coupling.
-        progress: called with the iteration's number and its ||W Z - I||.
+        progress: told what is being done.
 
     Raises:
         Infeasible: no coupling of that class, or not the given one, can be certified.
-        NotConverged: the synthesis stopped at its cap.
-        SolverFailure: the solver's answer does not survive verification.
-        TooLarge: more states than :data:`MOST_STATES`.
+        NotConverged: the synthesis stopped at its cap, and its last iterate could not be certified either.
+        SolverFailure: the solver's answer does not survive the proof.
+        TooLarge: the class's program would not fit the machine.
         ValueError: a given coupling has not the loop's ports or blocks.
     """
-    _require_size(loop)
-    coupling, blocks, method = _find(loop, wanted, progress)
+    found = _take(loop, wanted) or search(loop, wanted, progress)
+    certificate = certificate_of(loop, found, progress)
+    return Designed(certificate, found.history, found.watched, found.interrupted)
+
+
+def certificate_of(loop: HapticLoop, found: Found, progress: Progress | None = None) -> Certificate:
+    """Certify a coupling and prove the certificate."""
+    try:
+        blocks = realisations(found.coupling, loop.period)
+    except ValueError as error:
+        raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
     _well_posed(loop, blocks)
-    levels = certify_given(loop, blocks)
-    draft = Certificate(loop, ASSUMED_DELAY, coupling, blocks, levels, {}, method)
-    certificate = seal(replace(draft, margins=margins(draft)))
-    failing = [f for f in verify(certificate, content(certificate)) if not f.holds]
+    levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
+    claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim)
+    draft = Certificate(loop, found.coupling, levels, claim, {}, found.method)
+    certificate = seal(replace(draft, margins=_margins(draft)))
+    if progress is not None:
+        progress("proving the certificate")
+    try:
+        failing = [finding for finding in prove(content(certificate) | {"id": certificate.id}) if not finding.holds]
+    except ProofInputError as error:
+        raise SolverFailure(f"the certificate cannot be proved: {error}") from error
     if failing:
         worst = failing[0]
         raise SolverFailure(
-            f"the solver's answer does not survive verification: {worst.condition}: found {worst.value:.3g}, "
+            f"the solver's answer does not survive the proof: {worst.condition}: found {worst.value:.3g}, "
             f"bound {worst.bound:.3g}"
         )
     return certificate
 
 
-def _require_size(loop: HapticLoop) -> None:
-    """Storage matrices are dense here, and their programs grow with the fourth power of the states."""
-    m, n = len(loop.ports), len(loop.network.masses)
-    if m + n > MOST_STATES:
-        raise TooLarge(
-            f"found {m} ports and {n} masses, up to {m + n} states of the environment; expected at most {MOST_STATES}; "
-            "divide the session, or leave out what is far from the hands"
-        )
-
-
-def _find(
-    loop: HapticLoop, wanted: CouplingRequest, progress: Callable[[int, float], None] | None
-) -> tuple[SpringDamper | None, tuple[StateSpace, ...], dict[str, str | int]]:
-    """The coupling, its blocks, and how it was found."""
-    tools: dict[str, str | int] = {
-        "solver": SOLVER.lower(),
-        "cvxpy": cvxpy.__version__,
-        "numpy": np.__version__,
-    }
+def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
+    """The coupling that the session gives, None where one is to be found."""
     match wanted:
         case NoCoupling():
             raise Infeasible(
                 "there is no coupling: f_v = -E x leaves V_hat = -(z-1)/(Tz) K, output strictly passive at no level",
                 ("use 'design: {coupling: spring-damper}'",),
             )
-        case LinearGiven(blocks):
+        case LinearGiven(blocks, aim):
             found = [(block.outputs, block.inputs) for block in blocks]
             sizes = [(len(ports), len(ports)) for ports in loop.partition.blocks]
             if found != sizes:
                 raise ValueError(f"expected blocks of V with {sizes} outputs and inputs, found {found}")
-            return None, blocks, {"algorithm": "given", **tools}
-        case SpringDamperGiven(coupling):
-            method: dict[str, str | int] = {"algorithm": "given", **tools}
-        case _:
-            coupling, convergence = design_spring_damper(loop, progress)
-            method = {
-                "algorithm": "Theorem 4, cone complementarity linearisation",
-                "iterations": convergence.iterations,
-                **tools,
-            }
-    m = len(loop.ports)
-    if coupling.stiffness.shape != (m, m):
-        raise ValueError(f"expected a coupling of {m} ports, found {len(coupling.stiffness)}")
-    parts = coupling.restrict(loop.partition)
-    try:
-        blocks = tuple(part.realisation(loop.period) for part in parts)
-    except ValueError as error:
-        raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
-    return coupling, blocks, method
+            return Found(blocks, {"algorithm": "given"}, aim)
+        case SpringDamperGiven(coupling, aim):
+            m = len(loop.ports)
+            if coupling.stiffness.shape != (m, m):
+                raise ValueError(f"expected a coupling of {m} ports, found {len(coupling.stiffness)}")
+            return Found(coupling.restrict(loop.partition), {"algorithm": "given"}, aim)
+    return None
 
 
 def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
-    """The algebraic loop of D_E and D_V has one solution a tick."""
-    D_E = loop.network.environment(loop.period).D
+    """The algebraic loop of D_E and D_V has one solution a tick.
+
+    Always so where V_hat is output strictly passive, D_V + D_V^T >= 2 K > 0, and D_E = D_E^T >= 0, as a network's is.
+    """
+    if loop.environment.passive_network is not None:
+        return
+    D_E = loop.environment.environment(loop.period).D
     D_V = loop.partition.embed([block.D for block in blocks])
     if not np.linalg.cond(np.eye(len(loop.ports)) + D_E @ D_V) < 1e12:
         raise Infeasible(
             "I + D_E D_V is singular: force and tool position have no unique solution in a tick",
             ("change the coupling's direct feedthrough D",),
         )
+
+
+def _transparency(loop: HapticLoop, coupling: tuple[CouplingBlock, ...], aim: Transparency) -> TransparencyClaim:
+    """The weighted norm that the coupling reaches, and a storage function that proves it."""
+    V = loop.partition.join(realisations(coupling, loop.period))
+    system = weighted(loop.environment.split(loop.period).environment(loop.period), V, aim)
+    norm, _ = hinf_norm(system, loop.period)
+    gamma = norm * (1.0 + _CLAIMED)
+    return TransparencyClaim(aim, gamma, bounded_real_storage(system, gamma))
+
+
+def _margins(certificate: Certificate) -> dict[str, float]:
+    """The margins that the certificate states: the least eigenvalue of (10)."""
+    loop, levels = certificate.loop, certificate.levels
+    partition, share = loop.partition, levels.device.share
+    if partition.admits(levels.Phi_E):
+        parts = zip(levels.Delta_D, levels.Delta_V, partition.restrict(levels.Phi_E), strict=True)
+        margin = min(margin_of(share * D, V, Phi) for D, V, Phi in parts)
+    else:
+        margin = margin_of(share * loop.Delta_D, partition.embed(levels.Delta_V), levels.Phi_E)
+    return {"(10)": margin}

@@ -8,7 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from manyhands.design.statespace import Matrix
+import numpy as np
+
+from manyhands.design.contract import DeviceShare
+from manyhands.design.statespace import Matrix, symmetric_part
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.session import Device, TraceData
 from manyhands.launch.topology import ENVIRONMENT, Topology, topology
@@ -55,20 +58,20 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
     session, loop, certificate = prepared.session, prepared.loop, prepared.certificate
     graph = topology(session)
     commons = {name: _common(prepared, run, graph, name) for name in graph.nodes}
+    share = DeviceShare() if certificate is None else certificate.levels.device
     bundles: dict[str, Bundle] = {
-        name: DeviceBundle(commons[name], session.osp_level(name), _hand(device))
-        for name, device in session.devices.items()
+        name: _device(commons[name], device, session.osp_level(name), share) for name, device in session.devices.items()
     }
-    levels: list[Matrix | None] = [None] * len(prepared.blocks)
+    levels: tuple[Matrix | None, ...] = (None,) * len(prepared.blocks)
     if certificate is not None:
-        levels = list(loop.partition.restrict(certificate.levels.Delta_V))
+        levels = certificate.levels.Delta_V
     for name, block, K, level in zip(
-        loop.partition.names, prepared.blocks, loop.partition.restrict(loop.K), levels, strict=True
+        loop.partition.names, prepared.blocks, loop.loop_gain(share.kappa), levels, strict=True
     ):
         bundles[name] = CouplingBundle(commons[name], block, K, level)
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
-        loop.network.environment(loop.period),
+        loop.environment.environment(loop.period),
         None if certificate is None else certificate.levels.Phi_E,
     )
     return bundles
@@ -95,6 +98,12 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
         telemetry_ticks=max(1, min(MOST_TELEMETRY_TICKS, round(TELEMETRY_PERIOD / prepared.session.period))),
         traces=run.traces,
     )
+
+
+def _device(common: Common, device: Device, level: Matrix, share: DeviceShare) -> DeviceBundle:
+    """What a device promises behind its sampler: share Delta_D, with K = kappa T Delta_D^{-1}."""
+    K = symmetric_part(share.kappa * common.period * np.linalg.inv(level))
+    return DeviceBundle(common, share.share * level, K, _hand(device))
 
 
 def _hand(device: Device) -> SimulatedHand:

@@ -11,22 +11,22 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from manyhands.design.certificate import Certificate, load
-from manyhands.design.errors import DesignError, Infeasible
-from manyhands.design.problem import (
-    HapticLoop,
-    LinearGiven,
-    NoCoupling,
-    SpringDamperGiven,
-    SpringDamperWanted,
-)
+from manyhands.design.differences import differences
+from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.problem import HapticLoop, LinearGiven, NoCoupling, SpringDamperGiven
 from manyhands.design.statespace import StateSpace
-from manyhands.design.verification import differences, verify
 from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.session import Session
+
+if TYPE_CHECKING:
+    from manyhands.design.synthesis import Designed
+
+Progress = Callable[[str], None]
 
 UNCERTIFIED = "uncertified-"
 
@@ -54,7 +54,7 @@ class Prepared:
     id: str
 
 
-def certify(session: Session, progress: Callable[[int, float], None] | None = None) -> Certificate:
+def certify(session: Session, progress: Progress | None = None) -> Designed:
     """Design the session's coupling, or take the given one, and prove it.
 
     Raises:
@@ -72,8 +72,13 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
         CertificateError: the file is not a certificate.
         NotCertified: it does not hold, or is another session's.
     """
+    from manyhands.design.proof import ProofInputError, prove  # what only runs need not import
+
     certificate, data = load(path)
-    failing = [finding for finding in verify(certificate, data) if not finding.holds]
+    try:
+        failing = [finding for finding in prove(data) if not finding.holds]
+    except ProofInputError as error:
+        raise CertificateError(f"{path}: {error}") from error
     if failing:
         first = failing[0]
         raise NotCertified(
@@ -89,7 +94,7 @@ def prepare(
     session: Session,
     certificate: Path | None = None,
     uncertified: bool = False,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Prepared:
     """Settle the coupling of a run.
 
@@ -97,7 +102,7 @@ def prepare(
         session: the session.
         certificate: a certificate file to run under, instead of designing.
         uncertified: run even if nothing proves the session stable.
-        progress: called with the design's iteration and its ||W Z - I||.
+        progress: told what the design is doing.
 
     Raises:
         CertificateError: the certificate cannot be read.
@@ -105,7 +110,9 @@ def prepare(
     """
     loop = haptic_loop(session)
     try:
-        proof = certify(session, progress) if certificate is None else read_certificate(certificate, session)
+        proof = (
+            certify(session, progress).certificate if certificate is None else read_certificate(certificate, session)
+        )
     except DesignError as error:
         if certificate is not None:
             raise
@@ -127,7 +134,7 @@ def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError) -> tu
                 return tuple(part.realisation(loop.period) for part in coupling.restrict(loop.partition))
             except ValueError as error:
                 raise NotCertified(f"{session.name}: the given coupling cannot be realised: {error}") from error
-        case SpringDamperWanted():
+        case _:
             text = f"{session.name}: no coupling was found, so there is none to run uncertified: {why}"
             raise NotCertified(text) from (why if isinstance(why, Infeasible) else None)
 

@@ -49,7 +49,7 @@ class Simulation:
             ports = np.array([index[port] for port in bundle.common.ports])
             match bundle:
                 case DeviceBundle():
-                    device = DeviceCore(bundle.level, T)
+                    device = DeviceCore(bundle.level, bundle.K, T)
                     self._drivers.append(simulated_driver(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device

@@ -12,11 +12,12 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate
 from manyhands.design.coupling import SpringDamper
 from manyhands.design.problem import HapticLoop
+from manyhands.design.proof import Finding
 from manyhands.design.statespace import Matrix
-from manyhands.design.verification import Finding
 
 CERTIFIED, INFEASIBLE = "certified", "infeasible"
 CONDITION_10 = "(10)"
+_MOST_FINDINGS = 60  # lines of a proof that are shown; every block has some
 _LARGEST_SHOWN = 8  # ports, above which a matrix is told by its diagonal's range
 
 
@@ -24,11 +25,9 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
     """The object that ``--json`` prints for a certificate."""
     loop, levels = certificate.loop, certificate.levels
     coupling: dict[str, Any]
-    if certificate.coupling is not None:
-        coupling = {
-            "stiffness": certificate.coupling.stiffness.tolist(),
-            "damping": certificate.coupling.damping.tolist(),
-        }
+    springs = certificate.spring_damper
+    if springs is not None:
+        coupling = {"stiffness": springs.stiffness.tolist(), "damping": springs.damping.tolist()}
     else:
         V = loop.partition.join(certificate.blocks)
         coupling = {name: getattr(V, name).tolist() for name in "ABCD"}
@@ -36,12 +35,14 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "status": CERTIFIED if proved else INFEASIBLE,
         "id": certificate.id,
         "margin": certificate.margins.get(CONDITION_10),
-        "gamma": None,
+        "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
         "coupling": coupling,
         "levels": {
-            "Delta_D": loop.Delta_D.tolist(),
-            "Delta_V": levels.Delta_V.tolist(),
+            "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
+            "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
             "Phi_E": levels.Phi_E.tolist(),
+            "share": levels.device.share,
+            "kappa": levels.device.kappa,
         },
         "margins": dict(certificate.margins),
         "period": loop.period,
@@ -78,8 +79,24 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
     table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
     table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s")
-    if certificate.coupling is not None:
-        _coupling_rows(table, certificate.coupling)
+    levels = certificate.levels
+    if loop.tau:
+        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
+    if certificate.spring_damper is not None:
+        _coupling_rows(table, certificate.spring_damper)
+    else:
+        orders = ", ".join(
+            f"{name} {b.order}" for name, b in zip(loop.partition.names, certificate.blocks, strict=True)
+        )
+        table.add_row("states of V", orders)
+    claim = certificate.transparency
+    if claim is not None:
+        norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
+        table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
+    energy = isinstance(levels.P_E, str)
+    table.add_row(
+        "environment proved by", "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
+    )
     table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
     for key, margin in certificate.margins.items():
         if key != CONDITION_10:
@@ -92,11 +109,11 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
     table = Table(show_header=True)
     table.add_column("condition")
     table.add_column("found", justify="right")
-    table.add_column("bound", justify="right")
     table.add_column("")
-    for finding in findings:
-        mark = "[green]holds[/green]" if finding.holds else "[bold red]fails[/bold red]"
-        table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", f"{finding.bound:.1e}", mark)
+    table.add_column("by")
+    for finding in _shortened(findings):
+        mark = "[green]proved[/green]" if finding.holds else "[bold red]not proved[/bold red]"
+        table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", mark, _escaped(finding.argument))
     console.print(table)
 
 
@@ -136,6 +153,12 @@ def _blocks(loop: HapticLoop) -> list[tuple[str, list[str]]]:
 
 def _structure(loop: HapticLoop) -> list[list[str]]:
     return [ports for _, ports in _blocks(loop)]
+
+
+def _shortened(findings: tuple[Finding, ...]) -> list[Finding]:
+    """All that fail, and the first few that hold."""
+    failing = [finding for finding in findings if not finding.holds]
+    return failing + [finding for finding in findings if finding.holds][:_MOST_FINDINGS]
 
 
 def _escaped(text: str) -> str:

@@ -108,10 +108,11 @@ class SimulatedHand:
 
 @dataclass(frozen=True, eq=False)
 class DeviceBundle:
-    """A device's part: its level Delta_Di (N*s/m) and its simulated hand."""
+    """A device's part: the level of its G_hat (N*s/m), its K_i (m/N) and its simulated hand."""
 
     common: Common
     level: Matrix
+    K: Matrix
     hand: SimulatedHand
 
 

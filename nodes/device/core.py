@@ -1,8 +1,10 @@
 """A device's tick without its I/O: what it knows of x and f_v, and its energy ledger.
 
-The device with its hand promises that G_hat is Delta_D-OSP, from force F to
+The device with its hand promises that G_hat is (share Delta_D)-OSP, from force F to
 
-    y(k) = (x(k) - x(k-1))/T + K (F(k) - F(k-1))/T,    K = T/2 Delta_D^{-1}    ((7)-(9) of [Bianchini2010]_).
+    y(k) = (x(k) - x(k-1))/T + K (F(k) - F(k-1))/T,    K = kappa T Delta_D^{-1}    ((7)-(9) of [Bianchini2010]_),
+
+with share = 1 and kappa = 1/2 without delay, and what :mod:`manyhands.design.delay` gives for a delay inside the tick.
 
 What the hand *intends* is no part of that promise; where it is known, as for a simulated hand, the work
 that it did is added to the ledger.
@@ -15,7 +17,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.transformation import loop_gain
 from manyhands.nodes.ledger import Ledger
 
 Vector = NDArray[np.float64]
@@ -33,15 +34,16 @@ class DeviceCore:
         peak_speed: the greatest speed so far, m/s.
     """
 
-    def __init__(self, level: Vector, T: float) -> None:
+    def __init__(self, level: Vector, K: Vector, T: float) -> None:
         """Start at rest in x = 0.
 
         Args:
-            level: Delta_D of this device, m_i x m_i, N*s/m.
+            level: share Delta_D of this device, m_i x m_i, N*s/m.
+            K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
             T: period, s.
         """
         self._level, self._T = level, T
-        self._K_over_T = loop_gain(level, T) / T
+        self._K_over_T = K / T
         self._x = np.zeros(level.shape[0])
         self._f = np.zeros(level.shape[0])
         self._velocity = np.zeros(level.shape[0])

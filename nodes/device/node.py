@@ -38,7 +38,7 @@ class DeviceNode:
         """Make the node; ``driver`` is the device itself."""
         common = bundle.common
         self._common, self._driver = common, driver
-        self._core = DeviceCore(bundle.level, common.period)
+        self._core = DeviceCore(bundle.level, bundle.K, common.period)
         self._realtime = RealtimeClock()
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from manyhands.design.contract import Levels
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.environment import Environment
 from manyhands.design.network import GROUND, Link, Network
 from manyhands.design.operators import RationalMatrix
 from manyhands.design.partition import Partition
@@ -71,6 +73,27 @@ class Problems:
         J = Delta_D - coupling.stiffness * T / 2.0
         X = np.linalg.solve(J, Delta_D)
         return J, J - coupling.damping, X.T @ (J + coupling.damping) @ X - Delta_D
+
+    def margin(self, loop: HapticLoop, levels: Levels) -> float:
+        """The least eigenvalue of (10)."""
+        Delta_V, Phi_E = loop.partition.embed(levels.Delta_V), levels.Phi_E
+        return float(
+            np.linalg.eigvalsh(
+                np.block([[levels.device.share * loop.Delta_D - Phi_E, -Phi_E], [-Phi_E, Delta_V - Phi_E]])
+            )[0]
+        )
+
+    def dissipation(self, loop: HapticLoop, Phi_E: Matrix, environment: Environment | None = None) -> float:
+        """The least eigenvalue of He E_hat + Phi_E over frequency, relative to the size of E_hat there."""
+        E = (environment or loop.environment).environment(loop.period)
+        out = np.inf
+        for angle in np.concatenate([np.geomspace(1e-4, np.pi, 300), [np.pi]]):
+            z = np.exp(1j * angle)
+            E_hat = E.response(z) * loop.period * z / (z - 1.0)
+            H = (E_hat + E_hat.conj().T) / 2.0 + Phi_E
+            size = max(np.abs(E_hat).max(), np.abs(Phi_E).max(), 1e-300)
+            out = min(out, float(np.linalg.eigvalsh(H)[0]) / size)
+        return out
 
     def impedance(self, network: Network, s: complex) -> Matrix:
         """The continuous network's impedance from port displacement to force, at one s, link by link."""

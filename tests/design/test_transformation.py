@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.device import zero_order_hold
+from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, parallel_blocks
 from manyhands.design.transformation import (
     loop_gain,
@@ -35,6 +36,18 @@ def forces(G: StateSpace, V: StateSpace, E: StateSpace, r: Matrix) -> Matrix:
     return out
 
 
+def joined(loop: HapticLoop, T: float) -> StateSpace:
+    """E_hat put together again from its split: T/(z-1) E1 + Rest."""
+    split = loop.environment.split(T)
+    E1, rest, m = split.stiffness, split.rest, len(loop.ports)
+    return StateSpace(
+        block_diagonal([rest.A, np.eye(m)]),
+        np.vstack([rest.B, np.eye(m)]),
+        np.hstack([rest.C, T * E1]),
+        rest.D,
+    )
+
+
 @given(st.data())
 @settings(max_examples=60)
 def test_the_transformed_loop_has_the_same_forces(problems, data: st.DataObject) -> None:
@@ -43,13 +56,13 @@ def test_the_transformed_loop_has_the_same_forces(problems, data: st.DataObject)
     V = data.draw(problems.couplings(loop)).realisation(T)
     masses = data.draw(st.lists(st.floats(0.05, 2.0), min_size=m, max_size=m))
     G = parallel_blocks([device(M, b, T) for M, b in zip(masses, np.diag(loop.Delta_D), strict=True)])
-    E = loop.network.environment(T)
+    E = loop.environment.environment(T)
     r = np.random.default_rng(m).normal(size=(80, m)) * 1e-3
     original = forces(G, V, E, r)
     r_hat = np.diff(r, axis=0, prepend=np.zeros((1, m))) / T
     G_hat, V_hat = transformed_device(G, loop.K, T), transformed_coupling(V, loop.K, T)
     scale = max(float(np.abs(original).max()), 1e-300)
-    for E_hat in (loop.E_hat, transformed_environment(E, T)):
+    for E_hat in (loop.environment.transformed_environment(T), transformed_environment(E, T), joined(loop, T)):
         transformed = forces(G_hat, V_hat, E_hat, r_hat)
         # differences divide by T what the integrators multiply back: at most 1e4 roundings of the stiffest force
         np.testing.assert_allclose(transformed, original, atol=1e-8 * scale)

@@ -9,7 +9,7 @@ import pytest
 
 from manyhands.design.certificate import from_content, identity, save
 from manyhands.design.errors import CertificateError
-from manyhands.launch.preparation import NotCertified, prepare
+from manyhands.launch.preparation import NotCertified, prepare, read_certificate
 from manyhands.launch.session import load_session
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -34,6 +34,8 @@ def test_a_certificate_from_a_file_is_proved_again_and_used(tmp_path: Path) -> N
         ("period=0.0011", "the period differs"),
         ("session=other", "the session's name differs"),
         ("design.stiffness=706", "the coupling is not the one"),
+        ("design.tau=0.0001", "the delay inside the tick differs"),
+        ("environment.delay=1", "the environment differs"),
     ],
 )
 def test_another_sessions_certificate_is_refused(override: str, words: str, tmp_path: Path) -> None:
@@ -50,7 +52,7 @@ def test_a_forged_certificate_is_refused(tmp_path: Path) -> None:
     assert certificate is not None
     save(certificate, tmp_path / "c.json")
     data = json.loads((tmp_path / "c.json").read_text())
-    data["levels"]["Delta_V"][0][0] *= 1.5
+    data["levels"]["Delta_V"]["cx"][0][0] *= 1.5
     (tmp_path / "forged.json").write_text(json.dumps(data))
     with pytest.raises(NotCertified, match="id"):
         prepare(session, tmp_path / "forged.json")
@@ -61,6 +63,27 @@ def test_a_forged_certificate_is_refused(tmp_path: Path) -> None:
         prepare(session, tmp_path / "resealed.json")
     with pytest.raises(CertificateError, match="absent"):
         prepare(session, tmp_path / "absent.json")
+
+
+def test_a_file_that_only_the_proof_refuses_is_no_certificate(tmp_path: Path) -> None:
+    """The two readers differ in what they look at; either's refusal is bad input, with the file's name."""
+    certificate = prepare(load_session(SESSIONS / "example1.yaml", GIVEN)).certificate
+    assert certificate is not None
+    save(certificate, tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    data["margins"]["(10)"] = True
+    data["id"] = identity(data)
+    (tmp_path / "odd.json").write_text(json.dumps(data))
+    with pytest.raises(CertificateError, match=r"odd\.json: margins\.\(10\): found True"):
+        read_certificate(tmp_path / "odd.json")
+
+
+def test_a_run_may_be_designed_with_a_delay() -> None:
+    session = load_session(SESSIONS / "example1.yaml", [*GIVEN, "design.tau=0.0002"])
+    prepared = prepare(session)
+    assert prepared.certificate is not None
+    assert prepared.certificate.tau == prepared.loop.tau == 0.0002
+    assert prepared.certificate.levels.device.share < 1.0
 
 
 def test_uncertified_runs_the_coupling_that_the_session_states() -> None:

@@ -86,7 +86,7 @@ def test_environment_refuses_a_singular_algebraic_loop() -> None:
 
 def test_device_ledger_is_that_of_the_transformed_device() -> None:
     """T (F y - y Delta y), y = dx/T + K dF/T, K = T/(2 Delta), computed here by hand for two ticks."""
-    core = DeviceCore(np.array([[2.0]]), T)
+    core = DeviceCore(np.array([[2.0]]), np.array([[T / 4.0]]), T)
     K = T / 4.0
     core.sample(np.array([0.001]))
     core.apply(np.array([3.0]), 0.0)
@@ -102,7 +102,7 @@ def test_device_ledger_is_that_of_the_transformed_device() -> None:
 
 def test_a_broken_promise_shows_in_the_ledger() -> None:
     """A 'device' that moves against every force generates energy, and its ledger says so."""
-    core = DeviceCore(np.array([[1.0]]), T)
+    core = DeviceCore(np.array([[1.0]]), np.array([[T / 2.0]]), T)
     for k in range(10):
         core.sample(np.array([-1e-3 * k]))
         core.apply(np.array([5.0]), 0.0)
