@@ -4,13 +4,25 @@
 :class:`Session` or a :class:`SessionError`. docs/session-file.md is the reference of the format.
 """
 
-from manyhands.launch.session.design import BlockMatrices, Design
+from manyhands.launch.session.design import Design, Pole
 from manyhands.launch.session.device import Device
+from manyhands.launch.session.environment import (
+    GROUND,
+    Environment,
+    Link,
+    NetworkEnvironment,
+    StateSpaceEnvironment,
+    TransferFunctionEnvironment,
+)
 from manyhands.launch.session.error import SessionError
-from manyhands.launch.session.hand import DEFAULT_HAND, Hand, Rational
+from manyhands.launch.session.given import BlockMatrices
+from manyhands.launch.session.hand import DEFAULT_HAND, Hand
+from manyhands.launch.session.interval import Interval, LevelInterval
 from manyhands.launch.session.model import Session, load_session
-from manyhands.launch.session.structure import GROUND, RESERVED, CouplingBlock, Link, NetworkEnvironment
+from manyhands.launch.session.rational import Rational
+from manyhands.launch.session.structure import RESERVED, CouplingBlock
 from manyhands.launch.session.trace import TraceData
+from manyhands.launch.session.weights import Weight, Weights
 
 __all__ = [
     "DEFAULT_HAND",
@@ -20,12 +32,20 @@ __all__ = [
     "CouplingBlock",
     "Design",
     "Device",
+    "Environment",
     "Hand",
+    "Interval",
+    "LevelInterval",
     "Link",
     "NetworkEnvironment",
+    "Pole",
     "Rational",
     "Session",
     "SessionError",
+    "StateSpaceEnvironment",
     "TraceData",
+    "TransferFunctionEnvironment",
+    "Weight",
+    "Weights",
     "load_session",
 ]

@@ -1,110 +1,124 @@
 """What a session asks of the design: the class of couplings, the objective, and couplings that are given."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal, Self, TypeAlias
+from typing import Annotated, Final, Literal, Self, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 
-from manyhands.launch.session.error import listed, one_of
+from manyhands.launch.session.error import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
     Items,
     NamedParts,
     Problem,
     Quantity,
-    Rows,
     SessionModel,
+    Whole,
+    each_named,
     optional,
     part_name,
+    refusal,
     refuse,
-    unsymmetric,
 )
-from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_ORDER, MAX_PORTS
+from manyhands.launch.session.given import BlockMatrices, OneOrMany, given_problems, one_or_many
+from manyhands.launch.session.limits import (
+    LONGEST_PERIOD,
+    MAX_COUPLINGS,
+    MAX_ITERATIONS,
+    MAX_ORDER,
+    MAX_POLES,
+    MAX_PORT_ORDER,
+    MIN_POSITIVE,
+)
+from manyhands.launch.session.rational import Rational
+from manyhands.launch.session.weights import Weight, Weights
 
-Array: TypeAlias = npt.NDArray[np.float64]
-OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
-"""A number for all ports, one for each port, or a matrix."""
+Blocks: TypeAlias = Mapping[str, tuple[str, ...]]
+"""The ports of each coupling."""
 
-_ENTRY: Final = Quantity("an entry: a number")
-
-
-def _one_or_many(what: Quantity) -> Any:
-    def check(value: object) -> object:
-        if not isinstance(value, list | tuple):
-            return what(value)
-        if any(isinstance(row, list | tuple) for row in value):
-            return Items(f"rows of {what.what}", MAX_PORTS, Items("entries of a row", MAX_PORTS, what))(value)
-        return Items("numbers, one for each port", MAX_PORTS, what)(value)
-
-    return BeforeValidator(optional(check))
-
-
-def _rows(value: object) -> Rows:
-    rows: Rows = Items("rows", MAX_ORDER, Items("entries of a row", MAX_ORDER, _ENTRY, least=0), least=0)(value)
-    if len({len(row) for row in rows}) > 1:
-        raise refuse("rows of different lengths", "rows that are all of the same length")
-    return rows
-
-
-_Rows: TypeAlias = Annotated[Rows, BeforeValidator(_rows)]
+_FREQUENCY: Final = Quantity("a natural frequency", "rad/s", above=0.0, smallest=MIN_POSITIVE)
+_RATIO: Final = Quantity("a damping ratio", above=0.0, most=1.0, smallest=MIN_POSITIVE)
+_DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
+_ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
+_ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
+_COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
+_OBJECTIVES: Final = ("feasible", "stiffest", "loop-shaping", "closed-loop")
+_TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
 
 
-class BlockMatrices(SessionModel):
-    """A given coupling block V in discrete time: xi+ = A xi + B f_v, tool displacement = C xi + D f_v.
+def _order(value: object) -> object:
+    """One number for all blocks, or one for each."""
+    if not isinstance(value, Mapping):
+        return _ORDER(value)
+    _ORDERS(value)
+    return each_named(_ORDER, value)
 
-    With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m and N. A static block has
-    no states: ``A: [], B: [], C: []``.
-    """
 
-    A: _Rows = Field(description="the n x n matrix A, as rows")
-    B: _Rows = Field(description="the n x m matrix B, as rows")
-    C: _Rows = Field(description="the m x n matrix C, as rows")
-    D: _Rows = Field(description="the m x m matrix D, as rows")
+class Pole(SessionModel):
+    """A pair of fixed poles, s^2 + 2 damping frequency s + frequency^2 = 0; a double real one with damping 1."""
 
-    def problems(self, ports: int) -> Iterator[Problem]:
-        """Which matrices have not the size that a block of ``ports`` ports needs."""
-        n = len(self.A)
-        for name, rows, height, width in (
-            ("A", self.A, n, n),
-            ("B", self.B, n, ports),
-            ("C", self.C, ports, n),
-            ("D", self.D, ports, ports),
-        ):
-            found = (len(rows), len(rows[0]) if rows else width)
-            if found != (height, width) and not (n == 0 and not any(rows) and name == "C"):
-                size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
-                yield Problem((name,), f"a matrix of {size}", f"{height} x {width}, with {n} states and {ports} ports")
-
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, each in its full shape also without states."""
-        n, m = len(self.A), len(self.D)
-        shapes = ((self.A, (n, n)), (self.B, (n, m)), (self.C, (m, n)), (self.D, (m, m)))
-        A, B, C, D = (np.array(rows, dtype=np.float64).reshape(shape) for rows, shape in shapes)
-        return A, B, C, D
+    frequency: Annotated[float, BeforeValidator(_FREQUENCY)] = Field(description="the natural frequency in rad/s")
+    damping: Annotated[float, BeforeValidator(_RATIO)] = Field(
+        default=1.0, description="the damping ratio, greater than 0 and at most 1"
+    )
 
 
 class Design(SessionModel):
     """Which virtual coupling the session runs with, and by which aim it is chosen."""
 
-    coupling: Annotated[
-        Literal["spring-damper", "given", "none"],
-        BeforeValidator(Choice(("spring-damper", "given", "none"), absent=("linear",))),
-    ] = Field(description="the class of the coupling: spring-damper, given or none")
+    coupling: Annotated[Literal["spring-damper", "linear", "given", "none"], BeforeValidator(Choice(_COUPLINGS))] = (
+        Field(description="the class of the coupling: spring-damper, linear, given or none")
+    )
+    order: Annotated[int | dict[str, int] | None, BeforeValidator(optional(_order))] = Field(
+        default=None, description="the states of a linear coupling for each of its ports: a number, or one by coupling"
+    )
+    poles: Annotated[tuple[Pole, ...] | None, BeforeValidator(optional(Items("poles", MAX_POLES)))] = Field(
+        default=None, description="fixed pole pairs of a linear coupling, in place of a search"
+    )
+    algorithm: Annotated[
+        Literal["convex", "complementarity"], BeforeValidator(Choice(("convex", "complementarity")))
+    ] = Field(default="convex", description="how the coupling is found: convex or complementarity")
     objective: Annotated[
-        Literal["feasible"], BeforeValidator(Choice(("feasible",), absent=("loop-shaping", "closed-loop")))
-    ] = Field(default="feasible", description="what the design aims at: feasible")
-    stiffness: Annotated[OneOrMany | None, _one_or_many(Quantity("a stiffness", "N/m"))] = Field(
+        Literal["feasible", "stiffest", "loop-shaping", "closed-loop"], BeforeValidator(Choice(_OBJECTIVES))
+    ] = Field(
+        default="feasible", description="what the design aims at: feasible, stiffest, loop-shaping or closed-loop"
+    )
+    weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
+    tau: Annotated[float, BeforeValidator(_DELAY)] = Field(
+        default=0.0, description="the delay inside the tick that the certificate is to allow, in s"
+    )
+    iterations: Annotated[int | None, BeforeValidator(optional(Whole("iterations", 1, MAX_ITERATIONS)))] = Field(
+        default=None, description="the most iterations of complementarity"
+    )
+    stiffness: Annotated[OneOrMany | None, one_or_many(Quantity("a stiffness", "N/m"))] = Field(
         default=None, description="the given stiffness K in N/m: a number, one for each port, or a matrix"
     )
-    damping: Annotated[OneOrMany | None, _one_or_many(Quantity("a damping", "N·s/m"))] = Field(
+    damping: Annotated[OneOrMany | None, one_or_many(Quantity("a damping", "N·s/m"))] = Field(
         default=None, description="the given damping B in N·s/m: a number, one for each port, or a matrix"
     )
     matrices: Annotated[
         dict[str, BlockMatrices] | None,
         BeforeValidator(optional(NamedParts(part_name("a coupling name"), MAX_COUPLINGS))),
     ] = Field(default=None, description="the given matrices A, B, C, D of every coupling")
+
+    @property
+    def W1(self) -> Rational:
+        """The weight W1 as a function of s; 1 where none is written."""
+        return (self.weights or Weights()).W1.rational
+
+    @property
+    def W2(self) -> Rational:
+        """The weight W2 as a function of s; 1 where none is written."""
+        return (self.weights or Weights()).W2.rational
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the coupling is to be found."""
+        return self.coupling in ("spring-damper", "linear")
+
+    def order_of(self, block: str) -> int:
+        """States for each port of a block of a linear coupling."""
+        return self.order[block] if isinstance(self.order, dict) else self.order or 0
 
     @model_validator(mode="after")
     def _given_where_it_belongs(self) -> Self:
@@ -119,13 +133,68 @@ class Design(SessionModel):
             raise refuse(f"matrices besides {given[0]}", "either stiffness and damping, or matrices", at=("matrices",))
         return self
 
-    def problems(self, ports: tuple[str, ...], blocks: Mapping[str, tuple[str, ...]]) -> Iterator[Problem]:
-        """What does not fit a session with these ports and these ports of each coupling."""
+    @model_validator(mode="after")
+    def _every_key_has_its_use(self) -> Self:
+        if problems := [*self._search_problems(), *self._objective_problems()]:
+            raise refusal(*problems)
+        return self
+
+    def _search_problems(self) -> Iterator[Problem]:
+        """Keys that say how a coupling is found, where they say nothing or contradict each other."""
+        here = f"with 'coupling: {self.coupling}'"
+        if self.coupling == "linear" and self.order is None:
+            yield Problem((), "'coupling: linear' without order", "order, the states for each port of a coupling")
+        if self.coupling != "linear":
+            for name in ("order", "poles"):
+                if getattr(self, name) is not None:
+                    yield Problem((name,), f"{name} {here}", f"'coupling: linear', or no {name}")
+        elif self.poles is not None and self.algorithm == "complementarity":
+            yield Problem(("poles",), "poles with 'algorithm: complementarity'", "'algorithm: convex', or no poles")
+        elif self.poles is not None and self.order is not None:
+            orders = self.order.values() if isinstance(self.order, dict) else (self.order,)
+            if wrong := [order for order in orders if order != 2 * len(self.poles)]:
+                found = f"{2 * len(self.poles)} poles, in pairs, for order {wrong[0]}"
+                yield Problem(("poles",), found, f"as many poles as the order, or order: {2 * len(self.poles)}")
+        if self.algorithm == "complementarity":
+            if not self.wanted:
+                yield Problem(("algorithm",), f"complementarity {here}", "'coupling: spring-damper' or 'linear'")
+            elif self.objective != "feasible":
+                found = f"complementarity with 'objective: {self.objective}'"
+                yield Problem(("algorithm",), found, "'objective: feasible', or 'algorithm: convex'")
+        elif self.iterations is not None:
+            found = "iterations with 'algorithm: convex'"
+            yield Problem(("iterations",), found, "'algorithm: complementarity', or no iterations")
+
+    def _objective_problems(self) -> Iterator[Problem]:
+        """An objective that the coupling leaves nothing to do for, and weights that the objective does not use."""
+        allowed: tuple[str, ...] = _OBJECTIVES
+        if self.coupling == "given":
+            allowed = ("feasible", *_TRANSPARENCY)  # the level of a given coupling may be asked for
+        elif self.coupling == "none":
+            allowed = ("feasible",)
+        if self.objective not in allowed:
+            found = f"{self.objective} with 'coupling: {self.coupling}'"
+            yield Problem(("objective",), found, f"{one_of(allowed, None)}, or a coupling to be found")
+        if self.weights is not None and self.objective not in _TRANSPARENCY:
+            found = f"weights with 'objective: {self.objective}'"
+            yield Problem(("weights",), found, "'objective: loop-shaping' or 'closed-loop', or no weights")
+
+    def problems(self, ports: tuple[str, ...], blocks: Blocks, period: float) -> Iterator[Problem]:
+        """What does not fit a session with these ports, these ports of each coupling, and this period (s)."""
+        if self.tau > period:
+            yield Problem(("tau",), f"{show(self.tau)} with a period of {period:g} s", "at most the period")
+        for name in ("W1", "W2"):
+            weight: Weight | None = getattr(self.weights, name, None)
+            if weight is not None and weight.emphasise is not None and weight.emphasise[1] * period > 0.5:
+                found = f"a band up to {weight.emphasise[1]:g} Hz with a period of {period:g} s"
+                expected = f"a high edge of at most {0.5 / period:g} Hz, half the rate of ticks"
+                yield Problem(("weights", name, "emphasise"), found, expected)
+        yield from self._order_problems(blocks)
         block_of = {port: name for name, block in blocks.items() for port in block}
         for field in ("stiffness", "damping"):
             value: OneOrMany | None = getattr(self, field)
             if value is not None:
-                for problem in _given_problems(value, ports, block_of, definite=field == "stiffness"):
+                for problem in given_problems(value, ports, block_of, definite=field == "stiffness"):
                     yield problem._replace(at=(field, *problem.at))
         if self.matrices is None:
             return
@@ -139,33 +208,20 @@ class Design(SessionModel):
             for problem in self.matrices[name].problems(len(block)):
                 yield problem._replace(at=("matrices", name, *problem.at))
 
-
-def _given_problems(
-    value: OneOrMany, ports: tuple[str, ...], block_of: Mapping[str, str], definite: bool
-) -> Iterator[Problem]:
-    m = len(ports)
-    rows = value if isinstance(value, tuple) else (value,) * m
-    if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
-        expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
-        yield Problem((), f"{len(rows)} {'rows' if isinstance(rows[0], tuple) else 'numbers'}", expected)
-        return
-    if isinstance(rows[0], tuple):
-        matrix: Any = rows
-        if problem := unsymmetric(matrix):
-            yield problem
-        array = np.array(matrix)
-        for i, j in zip(*np.nonzero(np.triu((array != 0.0) | (array.T != 0.0), 1)), strict=True):
-            a, b = ports[i], ports[j]
-            if block_of[a] != block_of[b]:
-                where = f"between {a!r} of coupling {block_of[a]!r} and {b!r} of coupling {block_of[b]!r}"
-                expected = "0 between ports of different couplings, or one coupling with both ports"
-                yield Problem((int(i), int(j)), f"{array[i, j] or array[j, i]:g} {where}", expected)
-    least = float(np.linalg.eigvalsh(full_matrix(value, m))[0]) if isinstance(rows[0], tuple) else min(rows)
-    if definite and least <= 0.0:
-        yield Problem((), f"a stiffness with the eigenvalue {least:.3g}", "a positive definite stiffness in N/m")
-
-
-def full_matrix(value: OneOrMany, ports: int) -> Array:
-    """A number, a list or a matrix as a matrix, ``ports`` x ``ports``."""
-    array = np.array(value, dtype=np.float64)
-    return array if array.ndim == 2 else np.diag(np.broadcast_to(array, (ports,)))
+    def _order_problems(self, blocks: Blocks) -> Iterator[Problem]:
+        if self.order is None:
+            return
+        by_name = isinstance(self.order, dict)
+        if isinstance(self.order, dict):
+            for name in self.order:
+                if name not in blocks:
+                    yield Problem(("order", name), f"the unknown coupling {name!r}", one_of(blocks, name))
+            for name in blocks:
+                if name not in self.order:
+                    yield Problem(("order",), f"no order for {name!r}", f"an order for {listed(blocks)}")
+                    return
+        for name, block in blocks.items():
+            states = self.order_of(name) * len(block)
+            if states > MAX_ORDER:
+                found = f"{states} states of the coupling {name!r} with {len(block)} ports"
+                yield Problem(("order", name) if by_name else ("order",), found, f"at most {MAX_ORDER} states")

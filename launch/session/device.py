@@ -4,7 +4,14 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+)
 
 from manyhands.launch.session.fields import (
     AXIS_NAME,
@@ -26,6 +33,7 @@ from manyhands.launch.session.fields import (
     unsymmetric,
 )
 from manyhands.launch.session.hand import DEFAULT_HAND, HAND_AXES, Hand
+from manyhands.launch.session.interval import BETWEEN, LevelInterval, ends, is_interval, ordered
 from manyhands.launch.session.limits import MAX_DOF
 
 _ROUNDING: Final = 1e-12  # of the largest entry: what the eigenvalues of a difference may lose
@@ -33,11 +41,23 @@ _per_axis: Final = PerAxis(OSP_LEVEL)
 
 
 def _osp(value: object, info: ValidationInfo) -> object:
-    """Delta_D as a symmetric positive definite matrix, from a number, a list by axis, or the matrix itself."""
+    """Delta_D as a symmetric positive definite matrix, from a number, a list by axis, or the matrix itself.
+
+    An interval is of numbers or of lists by axis: between two matrices there is no lower end to rely on.
+    """
     dof: int = info.data.get("dof", 1)
+    if isinstance(value, LevelInterval):
+        value = _plain_level(value)
+    if is_interval(value):
+        low, high = ends(value, lambda end: _per_axis(end, info))
+        if len(low) != len(high):  # possible where dof itself is wrong
+            raise refuse("ends of different lengths", "one level, or one for each axis, at both ends", (BETWEEN,))
+        for least, most in zip(low, high, strict=True):
+            ordered(least, most)
+        return _diagonal(low) if low == high else LevelInterval(_diagonal(low), _diagonal(high))
     if not isinstance(value, list | tuple) or not any(isinstance(row, list | tuple) for row in value):
         levels: Any = _per_axis(value, info)
-        return tuple(tuple(level if i == j else 0.0 for j in range(dof)) for i, level in enumerate(levels))
+        return _diagonal(levels)
     rows: Rows = matrix(OSP_ENTRY, value, dof, dof)
     if problem := unsymmetric(rows):
         raise refusal(problem)
@@ -47,10 +67,26 @@ def _osp(value: object, info: ValidationInfo) -> object:
     return rows
 
 
+def _diagonal(levels: tuple[float, ...]) -> Rows:
+    return tuple(tuple(level if i == j else 0.0 for j in range(len(levels))) for i, level in enumerate(levels))
+
+
+def _plain_level(osp: Rows | LevelInterval) -> object:
+    """The level as a session file has it."""
+    if isinstance(osp, LevelInterval):
+        return {BETWEEN: [[row[i] for i, row in enumerate(end)] for end in (osp.low, osp.high)]}
+    return osp
+
+
 def _damping(value: object, info: ValidationInfo) -> object:
-    """The damping by axis; by default what the OSP level needs: itself, or its row sums if it has cross terms."""
+    """The damping by axis; by default what the OSP level needs: itself, or its row sums if it has cross terms.
+
+    The default for an interval of levels is its middle, as for every quantity of which a run needs one value.
+    """
     if value is None:
         osp = info.data.get("osp", ())  # an osp that was refused leaves nothing to derive from
+        if isinstance(osp, LevelInterval):
+            return tuple((osp.low[i][i] + osp.high[i][i]) / 2.0 for i in range(len(osp.low)))
         return tuple(float(np.abs(row).sum()) for row in osp)
     return PerAxis(DAMPING)(value, info)
 
@@ -68,8 +104,8 @@ class Device(SessionModel):
     axes: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_axis_names))] = Field(
         default=None, description="names of the axes, for its ports"
     )
-    osp: Annotated[Rows, BeforeValidator(_osp)] = Field(
-        description="the OSP level Delta_D in N·s/m: a number, one for each axis, or a matrix"
+    osp: Annotated[Rows | LevelInterval, BeforeValidator(_osp), PlainSerializer(_plain_level)] = Field(
+        description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
     )
     driver: Annotated[Literal["simulated"], BeforeValidator(Choice(("simulated",)))] = Field(
         description="what moves it: simulated"
@@ -81,6 +117,16 @@ class Device(SessionModel):
         None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
     hand: Hand = defaulted(None, "the simulated hand that holds it")
+
+    @property
+    def osp_low(self) -> Rows:
+        """The level Delta_D that the device keeps whatever its true one is: the lower end of an interval."""
+        return self.osp.low if isinstance(self.osp, LevelInterval) else self.osp
+
+    @property
+    def osp_high(self) -> Rows:
+        """The upper end of an interval; without one, :attr:`osp_low`."""
+        return self.osp.high if isinstance(self.osp, LevelInterval) else self.osp
 
     def ports(self, name: str) -> tuple[str, ...]:
         """The ports of this device when it is called ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
@@ -103,9 +149,11 @@ class Device(SessionModel):
     @field_validator("damping", mode="after")
     @classmethod
     def _is_osp_as_declared(cls, damping: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        if "osp" not in info.data or len(damping) != len(info.data["osp"]):
+        declared = info.data.get("osp", ())
+        rows = declared.low if isinstance(declared, LevelInterval) else declared
+        if not rows or len(damping) != len(rows):  # what was refused leaves nothing to compare with
             return damping
-        osp = np.array(info.data["osp"])
+        osp = np.array(rows)
         least = float(np.linalg.eigvalsh(np.diag(damping) - osp)[0])
         if least < -_ROUNDING * np.abs(osp).max():
             against = f"{osp[0, 0]:g}" if osp.size == 1 else "the one given"

@@ -91,7 +91,8 @@ class Quantity:
     def expected(self) -> str:
         """What would be right, in words."""
         unit = f" in {self.unit}" if self.unit else ""
-        bound = f" greater than {self.above:g}" if self.above is not None else ""
+        at_most = f" and at most {self.most:g}" if self.most is not None else ""
+        bound = f" greater than {self.above:g}{at_most}" if self.above is not None else ""
         if self.least is not None:
             between = f" from {self.least:g} to {self.most:g}" if self.most is not None else ""
             bound = between or f" of at least {self.least:g}"
@@ -128,19 +129,24 @@ OSP_ENTRY: Final = Quantity("an entry of the OSP level", "N·s/m")
 PERIOD: Final = Quantity("a period", "s", least=SHORTEST_PERIOD, most=LONGEST_PERIOD)
 
 Period: TypeAlias = Annotated[float, BeforeValidator(PERIOD)]
-Mass: TypeAlias = Annotated[float, BeforeValidator(MASS)]
-Damping: TypeAlias = Annotated[float, BeforeValidator(DAMPING)]
-Stiffness: TypeAlias = Annotated[float, BeforeValidator(STIFFNESS)]
 
 
-def whole_number(value: object) -> int:
-    """A number of degrees of freedom."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MAX_DOF:
-        raise refuse(show(value), f"a whole number of degrees of freedom from 1 to {MAX_DOF}")
-    return value
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A whole number of something, within bounds; called with a value, it returns an ``int`` or refuses."""
+
+    what: str
+    least: int
+    most: int
+
+    def __call__(self, value: object) -> int:
+        """The number."""
+        if isinstance(value, bool) or not isinstance(value, int) or not self.least <= value <= self.most:
+            raise refuse(show(value), f"a whole number of {self.what} from {self.least} to {self.most}")
+        return value
 
 
-Dof: TypeAlias = Annotated[int, BeforeValidator(whole_number)]
+Dof: TypeAlias = Annotated[int, BeforeValidator(Whole("degrees of freedom", 1, MAX_DOF))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,17 +179,15 @@ def part_name(what: str) -> Name:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One word of a few; ``absent`` are words of the field that this version does not have."""
+    """One word of a few."""
 
     words: tuple[str, ...]
-    absent: tuple[str, ...] = ()
 
     def __call__(self, value: object) -> object:
         """The word."""
         if isinstance(value, str) and value in self.words:
             return value
-        missing = ", which this version does not have" if value in self.absent else ""
-        raise refuse(f"{show(value)}{missing}", one_of(self.words, value))
+        raise refuse(show(value), one_of(self.words, value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +249,16 @@ def each(check: Callable[[object], Any], values: Sequence[object]) -> tuple[Any,
     if problems:
         raise refusal(*problems)
     return tuple(checked)
+
+
+def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> dict[str, Any]:
+    """Check every value, and refuse all that are wrong at once, each at its name."""
+    names = tuple(values)
+    try:
+        return dict(zip(names, each(check, tuple(values.values())), strict=True))
+    except PydanticCustomError as error:
+        named = [problem._replace(at=(names[int(problem.at[0])], *problem.at[1:])) for problem in problems_of(error)]
+        raise refusal(*named) from None
 
 
 @dataclass(frozen=True, slots=True)

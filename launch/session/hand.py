@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from manyhands.design.operators import PassivityFinding, RationalMatrix
-from manyhands.launch.session.error import listed, one_of, show
+from manyhands.launch.session.error import listed, show
 from manyhands.launch.session.fields import (
     DAMPING,
     HAND_MASS,
@@ -34,7 +34,8 @@ from manyhands.launch.session.fields import (
     matrix,
     refuse,
 )
-from manyhands.launch.session.limits import MAX_COEFFICIENT, MAX_DEGREE, MAX_TRACE_ROWS, PROBE_COUNT, PROBE_SECONDS
+from manyhands.launch.session.limits import MAX_TRACE_ROWS, PROBE_COUNT, PROBE_SECONDS
+from manyhands.launch.session.rational import Entry, Rational
 from manyhands.launch.session.trace import TraceData, read_trace, trace_from_numbers
 from manyhands.nodes.device.formula import ALLOWED, Formula, FormulaError
 
@@ -48,39 +49,9 @@ DEFAULT_HAND: Final[Mapping[str, object]] = {
 """The hand of a device that names none: on every axis by itself the operator of Example 1,
 0.02 (s^2 + 60 s + 1000)/(s^2 + 10.3 s + 100) in N·s/m, and a push of 2 N between 0.1 s and 0.2 s."""
 
-_GAIN: Final = Quantity("an entry: a number", "N·s/m")
-_COEFFICIENTS: Final = Items(
-    "coefficients, the highest power of s first",
-    MAX_DEGREE + 1,
-    Quantity("a coefficient: a number", smallest=1.0 / MAX_COEFFICIENT, magnitude=MAX_COEFFICIENT),
-)
+_entry: Final = Entry("N·s/m")
 _SAMPLES: Final = Items("samples", MAX_TRACE_ROWS, Quantity("a number"))
 _PASSIVE: Final = "a passive operator: no eigenvalue of (H(jw) + H(jw)*)/2 below 0 at any frequency w"
-
-
-class Rational(SessionModel):
-    """A rational function of s in N·s/m: numerator and denominator, the highest power of s first."""
-
-    num: tuple[float, ...]
-    den: tuple[float, ...]
-
-
-def _entry(value: object) -> Rational:
-    """One entry of H(s): a number, or ``{num: [...], den: [...]}``."""
-    if isinstance(value, Rational):
-        return value
-    if not isinstance(value, Mapping):
-        if isinstance(value, list | tuple):
-            raise refuse(show(value), "one entry there: a number in N·s/m or {num: [...], den: [...]}")
-        return Rational(num=(_GAIN(value),), den=(1.0,))
-    for key in value:
-        if key not in ("num", "den"):
-            raise refuse(f"the unknown key {show(key)}", one_of(("num", "den"), key), at=(key,))
-    for key in ("num", "den"):
-        if key not in value:
-            raise refuse(f"no key {key!r}", "both num and den, or a plain number in N·s/m")
-    num, den = each(_COEFFICIENTS, (value["num"], value["den"]))
-    return Rational(num=num, den=den)
 
 
 def _operator(value: object, info: ValidationInfo) -> object:

@@ -6,9 +6,9 @@ A session file may come from someone else; whatever it says, reading it takes bo
 from typing import Final
 
 # the text
-MAX_FILE_BYTES: Final = 1 << 20
+MAX_FILE_BYTES: Final = 1 << 23
 MAX_DEPTH: Final = 32
-MAX_NODES: Final = 200_000
+MAX_NODES: Final = 300_000
 """Keys, items and values after every alias is written out."""
 MAX_OVERRIDES: Final = 100
 MAX_OVERRIDE_CHARACTERS: Final = 1 << 16
@@ -22,6 +22,14 @@ MAX_MASSES: Final = 4096
 MAX_LINKS: Final = 16_384
 MAX_ORDER: Final = 256
 """States of one coupling block."""
+MAX_PORT_ORDER: Final = 16
+"""States of a linear coupling for each of its ports."""
+MAX_POLES: Final = MAX_PORT_ORDER // 2
+MAX_ENVIRONMENT_ORDER: Final = 512
+"""States of an environment given by matrices, or degrees of all entries together of one given by rational ones."""
+MAX_DELAY: Final = 16
+"""Whole ticks by which an environment may be late."""
+MAX_ITERATIONS: Final = 10_000
 
 MAX_PROBLEMS: Final = 200
 """Dangling or doubled names that are told apart in one file; each is compared with every valid name."""

@@ -10,23 +10,26 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from manyhands.launch.session.design import Array, Design, full_matrix
+from manyhands.launch.session.design import Design
 from manyhands.launch.session.device import Device
+from manyhands.launch.session.environment import Environment, environment_of_its_type
 from manyhands.launch.session.fields import NamedParts, Period, Problem, SessionModel, SessionName, part_name, refusal
+from manyhands.launch.session.given import full_matrix
 from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_PROBLEMS
+from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.problems import first_error, nulls_in, problems_in
 from manyhands.launch.session.source import apply_overrides, read_tree
-from manyhands.launch.session.structure import (
-    CouplingBlock,
-    NetworkEnvironment,
-    ports_of_block,
-    structure_problems,
+from manyhands.launch.session.structure import CouplingBlock, ports_of_block, structure_problems
+
+_BEGUN_BY_OVERRIDES: Final = frozenset(
+    {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2")}
 )
+"""Optional parts that hold parts themselves: an override of a key deep in them may begin them."""
 
 
 class Session(SessionModel):
@@ -40,16 +43,20 @@ class Session(SessionModel):
     couplings: Annotated[
         dict[str, CouplingBlock], BeforeValidator(NamedParts(part_name("a coupling name"), MAX_COUPLINGS))
     ] = Field(description="the blocks of the virtual coupling V by name")
-    environment: NetworkEnvironment = Field(description="the virtual environment")
+    environment: Annotated[Environment, BeforeValidator(environment_of_its_type)] = Field(
+        description="the virtual environment"
+    )
     design: Design = Field(description="what the coupling is, or how it is found")
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
         device_ports = {name: device.ports(name) for name, device in self.devices.items()}
-        found = structure_problems(device_ports, self.couplings, self.environment)
-        problems = list(islice(found, MAX_PROBLEMS))
+        problems = list(islice(structure_problems(device_ports, self.couplings), MAX_PROBLEMS))
+        for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
+            problems.append(problem._replace(at=("environment", *problem.at)))
         if not problems:
-            for problem in islice(self.design.problems(self.ports, self.blocks_by_name), MAX_PROBLEMS):
+            found = self.design.problems(self.ports, self.blocks_by_name, self.period)
+            for problem in islice(found, MAX_PROBLEMS):
                 problems.append(problem._replace(at=("design", *problem.at)))
         if problems:
             raise refusal(*problems)
@@ -76,8 +83,13 @@ class Session(SessionModel):
         return self.devices[device].ports(device)
 
     def osp_level(self, device: str) -> Array:
-        """Delta_D of a device, m_i x m_i, in N·s/m."""
-        return np.array(self.devices[device].osp, dtype=np.float64)
+        """Delta_D of a device, m_i x m_i, in N·s/m: the lower end, where the session gives an interval."""
+        return np.array(self.devices[device].osp_low, dtype=np.float64)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """States of a linear coupling for each port, by block in the order of the couplings; 0 without one."""
+        return tuple(self.design.order_of(name) for name in self.couplings)
 
     @property
     def given_stiffness(self) -> Array | None:
@@ -106,7 +118,7 @@ def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
     Raises:
         SessionError: whatever is wrong with either, told by the first problem in the order of the file.
     """
-    tree = apply_overrides(read_tree(path), overrides)
+    tree = apply_overrides(read_tree(path), overrides, _BEGUN_BY_OVERRIDES)
     problems: list[Problem] = []
     session: Session | None = None
     try:

@@ -8,7 +8,7 @@ every key and list item, which is what lets every later error name a line.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -219,11 +219,14 @@ def _line(node: yaml.Node | yaml.Event) -> int:
     return 1 if mark is None else int(mark.line) + 1
 
 
-def apply_overrides(tree: SessionTree, overrides: Sequence[str]) -> SessionTree:
+def apply_overrides(
+    tree: SessionTree, overrides: Sequence[str], begun: Collection[KeyPath] = frozenset()
+) -> SessionTree:
     """The tree with values replaced as ``KEY.PATH=VALUE`` says, in order; the given tree is not changed.
 
     The value is a YAML scalar or flow collection; list items go by position, from 0. An existing mapping may
-    get a new key (validation then judges it), but nothing on the way to it is invented.
+    get a new key (validation then judges it), but nothing on the way to it is invented, except the mappings that
+    ``begun`` names.
 
     Raises:
         SessionError: an override that cannot be understood or leads nowhere.
@@ -231,11 +234,11 @@ def apply_overrides(tree: SessionTree, overrides: Sequence[str]) -> SessionTree:
     if len(overrides) > MAX_OVERRIDES:
         raise SessionError("--set", None, "", f"{len(overrides)} overrides", f"at most {MAX_OVERRIDES}")
     for override in overrides:
-        tree = _apply(tree, override)
+        tree = _apply(tree, override, begun)
     return tree
 
 
-def _apply(tree: SessionTree, override: str) -> SessionTree:
+def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> SessionTree:
     source = f"--set {override if len(override) <= 80 else override[:77] + '...'}"
     dotted, equals, text = override.partition("=")
     steps = dotted.strip().split(".")
@@ -251,7 +254,11 @@ def _apply(tree: SessionTree, override: str) -> SessionTree:
     data = dict(tree.data)
     parent: Any = data  # a dict or a list, as _existing makes sure of
     path: KeyPath = ()
+    places: dict[KeyPath, Place] = {}
     for step in steps[:-1]:
+        if (*path, step) in begun and isinstance(parent, dict) and step not in parent:
+            parent[step] = {}
+            places[(*path, step)] = Place(source, None)
         key = _existing(parent, step, path, source)
         child = parent[key]
         if not isinstance(child, dict | list):
@@ -263,7 +270,7 @@ def _apply(tree: SessionTree, override: str) -> SessionTree:
     builder = _Builder(source, has_lines=False)
     parent[last] = None if node is None else builder.build(node, path)
     kept = {at: place for at, place in tree.places.items() if at[: len(path)] != path}
-    return SessionTree(tree.source, data, {**kept, path: Place(source, None), **builder.places})
+    return SessionTree(tree.source, data, {**kept, **places, path: Place(source, None), **builder.places})
 
 
 def _existing(parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str) -> str | int:

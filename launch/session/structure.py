@@ -1,4 +1,4 @@
-"""How the parts of a session hang together: coupling blocks, the environment's network, and every name in them.
+"""How devices and coupling blocks hang together, and every name in them.
 
 A name that leads nowhere is only visible over the whole session; :func:`structure_problems` finds all of them at
 once, so that an author sees how many places are left to mend.
@@ -9,23 +9,11 @@ from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from manyhands.launch.session.environment import GROUND
 from manyhands.launch.session.error import one_of, show
-from manyhands.launch.session.fields import (
-    Choice,
-    Damping,
-    Items,
-    Mass,
-    NamedParts,
-    Problem,
-    SessionModel,
-    Stiffness,
-    optional,
-    part_name,
-    refuse,
-)
-from manyhands.launch.session.limits import MAX_DEVICES, MAX_LINKS, MAX_MASSES, MAX_PORTS
+from manyhands.launch.session.fields import Items, Problem, SessionModel, optional, refuse
+from manyhands.launch.session.limits import MAX_DEVICES, MAX_PORTS
 
-GROUND: Final = "ground"
 RESERVED: Final = ("environment", "supervisor", GROUND)
 """Names that no device or coupling may take: the other nodes of a session, and the fixed end of links."""
 
@@ -37,14 +25,6 @@ def _word(value: object) -> str:
     if not isinstance(value, str):
         raise refuse(show(value), "a name there")
     return value
-
-
-def _two_ends(value: object) -> tuple[str, str]:
-    if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(end, str) for end in value):
-        raise refuse(show(value), f"two ends [a, b], each a port, a mass or {GROUND}")
-    if value[0] == value[1]:
-        raise refuse(f"a link from {show(value[0])} to itself", "two different ends")
-    return value[0], value[1]
 
 
 _DEVICES: Final = Items("device names", MAX_DEVICES, _word)
@@ -69,53 +49,16 @@ class CouplingBlock(SessionModel):
         return self
 
 
-class Link(SessionModel):
-    """A spring and a damper in parallel between two ends: ports, masses or the ground."""
-
-    between: Annotated[tuple[str, str], BeforeValidator(_two_ends)] = Field(
-        description=f"the two ends [a, b], each a port, a mass or {GROUND}"
-    )
-    stiffness: Stiffness = Field(default=0.0, description="the stiffness in N/m")
-    damping: Damping = Field(default=0.0, description="the damping in N·s/m")
-
-    @model_validator(mode="after")
-    def _does_something(self) -> Self:
-        if self.stiffness == 0.0 and self.damping == 0.0:
-            raise refuse(
-                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
-            )
-        return self
-
-
-class NetworkEnvironment(SessionModel):
-    """Masses joined with ports and ground by springs and dampers."""
-
-    type: Annotated[Literal["network"], BeforeValidator(Choice(("network",)))] = Field(
-        description="the kind of environment: network"
-    )
-    masses: Annotated[dict[str, Mass], BeforeValidator(NamedParts(part_name("a mass name"), MAX_MASSES, least=0))] = (
-        Field(default={}, description="the masses in kg by name")
-    )
-    links: Annotated[tuple[Link, ...], BeforeValidator(Items("links", MAX_LINKS))] = Field(
-        description="the springs and dampers"
-    )
-
-
-def structure_problems(
-    devices: PortsOf, couplings: Mapping[str, CouplingBlock], environment: NetworkEnvironment
-) -> Iterator[Problem]:
-    """Everything that is wrong with the names of a session; ``devices`` gives the ports of each device."""
+def structure_problems(devices: PortsOf, couplings: Mapping[str, CouplingBlock]) -> Iterator[Problem]:
+    """Everything that is wrong with the names of devices and couplings; ``devices`` gives the ports of each."""
     ports = tuple(port for own in devices.values() for port in own)
     if len(ports) > MAX_PORTS:
         yield Problem(("devices",), f"{len(ports)} ports", f"at most {MAX_PORTS}")
-    yield from _name_problems(devices, couplings, environment)
+    yield from _name_problems(devices, couplings)
     yield from _coupling_problems(devices, ports, couplings)
-    yield from _environment_problems(ports, environment)
 
 
-def _name_problems(
-    devices: PortsOf, couplings: Mapping[str, CouplingBlock], environment: NetworkEnvironment
-) -> Iterator[Problem]:
+def _name_problems(devices: PortsOf, couplings: Mapping[str, CouplingBlock]) -> Iterator[Problem]:
     for kind, names in (("devices", devices), ("couplings", couplings)):
         for name in names:
             if name in RESERVED:
@@ -123,12 +66,6 @@ def _name_problems(
     for name in couplings:
         if name in devices:
             yield Problem(("couplings", name), f"the name {name!r} of a device", "a name that no device has")
-    ports = {port for own in devices.values() for port in own}
-    for name in environment.masses:
-        if name in ports or name == GROUND:
-            owner = "the ground" if name == GROUND else "a port"
-            expected = f"a name that no port has, other than {GROUND}"
-            yield Problem(("environment", "masses", name), f"the name {name!r} of {owner}", expected)
 
 
 def _coupling_problems(
@@ -157,25 +94,6 @@ def _coupling_problems(
     for port in ports:
         if port not in owner and not dangling:  # a port without a coupling is often a misspelt entry's consequence
             yield Problem(("couplings",), f"no coupling for the port {port!r}", "every port in exactly one coupling")
-
-
-def _environment_problems(ports: tuple[str, ...], environment: NetworkEnvironment) -> Iterator[Problem]:
-    valid = (*ports, *environment.masses, GROUND)
-    known = frozenset(valid)
-    dangling = False
-    attached = {end for link in environment.links for end in link.between}
-    for index, link in enumerate(environment.links):
-        for position, end in enumerate(link.between):
-            if end not in known:
-                dangling = True
-                place = ("environment", "links", index, "between", position)
-                yield Problem(place, f"the unknown end {show(end)}", one_of(valid, end))
-    for port in ports:
-        if port not in attached and not dangling:
-            yield Problem(("environment", "links"), f"no link to the port {port!r}", "at least one link to every port")
-    for mass in environment.masses:
-        if mass not in attached and not dangling:
-            yield Problem(("environment", "masses", mass), "a mass without a link", "at least one link to every mass")
 
 
 def ports_of_block(block: CouplingBlock, devices: PortsOf) -> tuple[str, ...]:

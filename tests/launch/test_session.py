@@ -41,8 +41,13 @@ def test_the_shipped_sessions() -> None:
     assert names == {
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",
+        "example1-delayed": "example-1-delayed",
         "example1-operator": "example-1-operator",
+        "example1-uncertain": "example-1-uncertain",
         "example1-uncoupled": "example-1-uncoupled",
+        "example2": "example-2",
+        "example2-closed-loop": "example-2-closed-loop",
+        "example2-linear": "example-2-linear",
     }
 
 

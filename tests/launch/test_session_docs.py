@@ -13,9 +13,14 @@ from manyhands.launch.session import (
     Hand,
     Link,
     NetworkEnvironment,
+    Pole,
     Rational,
     Session,
+    StateSpaceEnvironment,
     TraceData,
+    TransferFunctionEnvironment,
+    Weight,
+    Weights,
     limits,
     load_session,
 )
@@ -29,9 +34,12 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Device": (Device,),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
-    "Environment": (NetworkEnvironment,),
+    "Network": (NetworkEnvironment,),
     "Link": (Link,),
-    "Design": (Design,),
+    "State space": (StateSpaceEnvironment,),
+    "Transfer function": (TransferFunctionEnvironment,),
+    "Design": (Design, Pole),
+    "Weights": (Weights, Weight),
     "Matrices": (BlockMatrices,),
 }
 
@@ -57,6 +65,44 @@ def test_the_example_is_a_session(tmp_path: Path) -> None:
     assert load_session(path).blocks == (("left",), ("right.x", "right.y"))
 
 
+BASE = """
+session: one-port
+period: 0.001
+devices: {dx: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2, hand: {}}}
+couplings: {cx: {devices: [dx]}}
+environment:
+  type: network
+  masses: {hub: 3.0}
+  links: [{between: [dx, hub], stiffness: 1}, {between: [hub, ground], stiffness: 1}]
+design: {coupling: spring-damper}
+"""
+OVERRIDES = {
+    "Session": "{key}={value}",
+    "Device": "devices.{key}={value}",
+    "Hand": "devices.dx.hand.{key}={value}",
+    "Coupling": "couplings.{key}={value}",
+    "Interval": "environment.links.0.{key}={value}",
+    "Network": "environment.{key}={value}",
+    "Link": "environment.links.0={{{key}: {value}}}",
+    "State space": "{key}={value}",
+    "Transfer function": "{key}={value}",
+    "Design": "{key}={value}",
+    "Weights": "design={{coupling: spring-damper, objective: loop-shaping, {key}: {value}}}",
+    "Matrices": "design={{coupling: given, matrices: {{{key}: {value}}}}}",
+}
+EXAMPLES = [
+    (section, text) for section in SECTIONS for text in re.findall("^Example: `(.+)`$", SECTIONS[section], re.M)
+]
+
+
+@pytest.mark.parametrize(("section", "text"), EXAMPLES)
+def test_every_example_may_stand_in_a_session(section: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "base.yaml").write_text(BASE, encoding="utf-8")
+    key, _, value = text.removeprefix("{").partition(": ")
+    value = value.removesuffix("}") if text.startswith("{") else value
+    load_session(tmp_path / "base.yaml", [OVERRIDES[section].format(key=key, value=value)])
+
+
 def test_the_limits_are_the_ones_in_force() -> None:
     told = PAGE.replace(",", "")
     for limit in (
@@ -71,7 +117,14 @@ def test_the_limits_are_the_ones_in_force() -> None:
         f"1 to {limits.MAX_LINKS} |",
         f"states (at most {limits.MAX_ORDER})",
         f"degree at most {limits.MAX_DEGREE})",
+        f"whole 1 to {limits.MAX_PORT_ORDER};",
+        f"1 to {limits.MAX_POLES} pairs",
+        f"at most {limits.MAX_ORDER} states",
+        f"n states (at most {limits.MAX_ENVIRONMENT_ORDER})",
+        f"all entries together at most {limits.MAX_ENVIRONMENT_ORDER}",
+        f"whole 1 to {limits.MAX_ITERATIONS};",
     ):
         assert limit in told
-    assert (limits.MAX_FILE_BYTES, limits.MAX_MAGNITUDE, limits.MIN_POSITIVE) == (1 << 20, 1e12, 1e-12)
+    assert told.count(f"| whole 0 to {limits.MAX_DELAY}") == 3  # every kind of environment
+    assert (limits.MAX_FILE_BYTES, limits.MAX_MAGNITUDE, limits.MIN_POSITIVE) == (8 << 20, 1e12, 1e-12)
     assert (limits.MAX_TRACE_ROWS, limits.MAX_COEFFICIENT) == (10**6, 1e24)

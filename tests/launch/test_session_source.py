@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from manyhands.launch.session import source
 from manyhands.launch.session.limits import MAX_FILE_BYTES, MAX_OVERRIDES
 from manyhands.launch.session.source import (
     Place,
@@ -98,9 +99,10 @@ def test_what_the_parser_cannot_take_is_a_session_error(text: str) -> None:
         parse_tree(f"key: {text}", "f.yaml")
 
 
-def test_many_values_are_refused_before_they_are_all_composed() -> None:
-    with pytest.raises(SessionError, match="more than 200000 values"):
-        parse_tree(f"a: [{'1,' * 200_001}]", "f.yaml")
+def test_many_values_are_refused_before_they_are_all_composed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "MAX_NODES", 1000)  # the limit itself takes ten seconds to reach
+    with pytest.raises(SessionError, match="more than 1000 values"):
+        parse_tree(f"a: [{'1,' * 1001} *", "f.yaml")  # were all composed, the stray * would be what is wrong
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
@@ -112,7 +114,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_tree(tmp_path / "zero\0byte")
     large = tmp_path / "large.yaml"
     large.write_text("#" * (MAX_FILE_BYTES + 1))
-    with pytest.raises(SessionError, match="found more than 1048576 bytes"):
+    with pytest.raises(SessionError, match="found more than 8388608 bytes"):
         read_tree(large)
 
 
@@ -142,6 +144,20 @@ def test_overrides_apply_in_order_and_may_enter_each_other(tree: SessionTree) ->
     assert changed.data["devices"] == {"dx": {"mass": 1, "hand": {"mass": 3}}}
     assert changed.locate(("devices", "dx", "hand", "mass"))[1].source == "--set devices.dx.hand.mass=3"
     assert changed.locate(("devices", "dx", "mass"))[1].source.startswith("--set devices.dx={mass")
+
+
+def test_an_override_may_begin_the_parts_that_are_named(tree: SessionTree) -> None:
+    before = repr(tree)
+    begun = {("devices", "dx", "hand"), ("devices", "dx", "hand", "deep")}
+    text = "devices.dx.hand.deep.mass=3"
+    changed = apply_overrides(tree, [text, "devices.dx.hand.mass=1"], begun)
+    assert changed.data["devices"] == {"dx": {"mass": 0.2, "hand": {"deep": {"mass": 3}, "mass": 1}}}
+    assert changed.locate(("devices", "dx", "hand", "deep", "mass"))[1] == Place(f"--set {text}", None)
+    assert repr(tree) == before
+    with pytest.raises(SessionError, match="devices: found no 'dy'; expected dx"):
+        apply_overrides(tree, ["devices.dy.hand.mass=3"], begun)
+    with pytest.raises(SessionError, match=r"devices\.dx: found no 'hand'; expected a position"):
+        apply_overrides(tree, ["devices.dx=[1]", "devices.dx.hand.mass=3"], begun)
 
 
 def test_an_override_forgets_the_places_of_what_it_replaced(tree: SessionTree) -> None:

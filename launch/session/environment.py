@@ -1,0 +1,243 @@
+"""The virtual environment of a session: a network of masses, springs and dampers, matrices, or rational functions.
+
+Whatever its kind, it maps displacements of the session's ports (m) to forces (N), one of each for every port, and
+its own key ``type`` says which keys are there besides.
+"""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Annotated, Final, Literal, Self, TypeAlias
+
+from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
+
+from manyhands.launch.session.error import one_of, show
+from manyhands.launch.session.fields import (
+    Choice,
+    Items,
+    NamedParts,
+    Problem,
+    SessionModel,
+    Whole,
+    defaulted,
+    part_name,
+    refusal,
+    refuse,
+)
+from manyhands.launch.session.interval import Interval, UncertainDamping, UncertainMass, UncertainStiffness
+from manyhands.launch.session.limits import MAX_DELAY, MAX_ENVIRONMENT_ORDER, MAX_LINKS, MAX_MASSES, MAX_PORTS
+from manyhands.launch.session.matrices import Array, MatrixRows, full_arrays, size_problems
+from manyhands.launch.session.problems import problems_in
+from manyhands.launch.session.rational import Entry, Rational
+
+GROUND: Final = "ground"
+
+Delay: TypeAlias = Annotated[int, BeforeValidator(Whole("ticks", 0, MAX_DELAY))]
+
+
+def _two_ends(value: object) -> tuple[str, str]:
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(end, str) for end in value):
+        raise refuse(show(value), f"two ends [a, b], each a port, a mass or {GROUND}")
+    if value[0] == value[1]:
+        raise refuse(f"a link from {show(value[0])} to itself", "two different ends")
+    return value[0], value[1]
+
+
+class Link(SessionModel):
+    """A spring and a damper in parallel between two ends: ports, masses or the ground."""
+
+    between: Annotated[tuple[str, str], BeforeValidator(_two_ends)] = Field(
+        description=f"the two ends [a, b], each a port, a mass or {GROUND}"
+    )
+    stiffness: UncertainStiffness = Field(default=0.0, description="the stiffness in N/m, or an interval")
+    damping: UncertainDamping = Field(default=0.0, description="the damping in N·s/m, or an interval")
+
+    @model_validator(mode="after")
+    def _does_something(self) -> Self:
+        if self.stiffness == 0.0 and self.damping == 0.0:
+            raise refuse(
+                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
+            )
+        return self
+
+
+class NetworkEnvironment(SessionModel):
+    """Masses joined with ports and ground by springs and dampers, discretised by backward Euler."""
+
+    type: Annotated[Literal["network"], BeforeValidator(Choice(("network",)))] = Field(
+        description="the kind of environment: network"
+    )
+    masses: Annotated[
+        dict[str, UncertainMass], BeforeValidator(NamedParts(part_name("a mass name"), MAX_MASSES, least=0))
+    ] = Field(default={}, description="the masses in kg, or intervals, by name")
+    links: Annotated[tuple[Link, ...], BeforeValidator(Items("links", MAX_LINKS))] = Field(
+        description="the springs and dampers"
+    )
+    delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether any mass, stiffness or damping is an interval."""
+        parameters = [*self.masses.values(), *(v for link in self.links for v in (link.stiffness, link.damping))]
+        return any(isinstance(value, Interval) for value in parameters)
+
+    @model_validator(mode="after")
+    def _late_or_uncertain(self) -> Self:
+        if self.delay and self.uncertain:
+            # the argument that covers a whole box is the network's energy, and a late force has no such energy
+            expected = "delay: 0 where a mass, stiffness or damping is an interval"
+            raise refuse(f"a delay of {self.delay} with intervals", expected, at=("delay",))
+        return self
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """What does not fit a session with these ports."""
+        taken = frozenset(ports)
+        for name in self.masses:
+            if name in taken or name == GROUND:
+                owner = "the ground" if name == GROUND else "a port"
+                expected = f"a name that no port has, other than {GROUND}"
+                yield Problem(("masses", name), f"the name {name!r} of {owner}", expected)
+        valid = (*ports, *self.masses, GROUND)
+        known = frozenset(valid)
+        dangling = False
+        attached = {end for link in self.links for end in link.between}
+        for index, link in enumerate(self.links):
+            for position, end in enumerate(link.between):
+                if end not in known:
+                    dangling = True
+                    place = ("links", index, "between", position)
+                    yield Problem(place, f"the unknown end {show(end)}", one_of(valid, end))
+        for port in ports:
+            if port not in attached and not dangling:
+                yield Problem(("links",), f"no link to the port {port!r}", "at least one link to every port")
+        for mass in self.masses:
+            if mass not in attached and not dangling:
+                yield Problem(("masses", mass), "a mass without a link", "at least one link to every mass")
+
+
+_CONTINUOUS_METHODS: Final = ("backward-euler", "tustin", "zoh")
+
+
+def _method(value: object, info: ValidationInfo) -> object:
+    """How a continuous system becomes discrete; a system that is discrete already has no method."""
+    if info.data.get("time") == "discrete":
+        if value is not None:
+            raise refuse(f"{show(value)} with 'time: discrete'", "'time: continuous', or no method")
+        return None
+    return "backward-euler" if value is None else Choice(_CONTINUOUS_METHODS)(value)
+
+
+class StateSpaceEnvironment(SessionModel):
+    """An environment given by its matrices, x' = A x + B u, force = C x + D u, or x+ = ... in discrete time.
+
+    With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m, N and s.
+    """
+
+    type: Annotated[Literal["state-space"], BeforeValidator(Choice(("state-space",)))] = Field(
+        description="the kind of environment: state-space"
+    )
+    A: MatrixRows = Field(description="the n x n matrix A, as rows")
+    B: MatrixRows = Field(description="the n x m matrix B, as rows")
+    C: MatrixRows = Field(description="the m x n matrix C, as rows")
+    D: MatrixRows = Field(description="the m x m matrix D, as rows")
+    time: Annotated[Literal["continuous", "discrete"], BeforeValidator(Choice(("continuous", "discrete")))] = Field(
+        default="continuous", description="the time of the matrices: continuous or discrete"
+    )
+    method: Annotated[Literal["backward-euler", "tustin", "zoh"] | None, BeforeValidator(_method)] = defaulted(
+        None, "how it is discretised: backward-euler, tustin or zoh"
+    )
+    delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C and D, each in its full shape also without states."""
+        return full_arrays(self.A, self.B, self.C, self.D)
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """Which matrices do not fit a session with these ports."""
+        return size_problems(self.A, self.B, self.C, self.D, len(ports), MAX_ENVIRONMENT_ORDER)
+
+
+_entry: Final = Entry("N/m")
+
+
+def _defined(value: object) -> Rational:
+    entry = _entry(value)
+    if entry.degrees[1] < 0:
+        raise refuse("a denominator that is 0", "a coefficient other than 0", at=("den",))
+    return entry
+
+
+_ENTRIES: Final = Items("rows of entries", MAX_PORTS, Items("entries of a row", MAX_PORTS, _defined))
+
+
+class TransferFunctionEnvironment(SessionModel):
+    """An environment given by m x m rational functions of s, from displacement (m) to force (N)."""
+
+    type: Annotated[Literal["transfer-function"], BeforeValidator(Choice(("transfer-function",)))] = Field(
+        description="the kind of environment: transfer-function"
+    )
+    entries: Annotated[tuple[tuple[Rational, ...], ...], BeforeValidator(_ENTRIES)] = Field(
+        description="the m x m entries in N/m, as rows: each a number or {num: [...], den: [...]}"
+    )
+    method: Annotated[Literal["backward-euler", "tustin"], BeforeValidator(Choice(("backward-euler", "tustin")))] = (
+        Field(default="backward-euler", description="how it is discretised: backward-euler or tustin")
+    )
+    delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        total = sum(max(0, *entry.degrees) for row in self.entries for entry in row)
+        if total > MAX_ENVIRONMENT_ORDER:
+            expected = f"degrees of all entries together of at most {MAX_ENVIRONMENT_ORDER}, or type: state-space"
+            raise refuse(f"degrees of {total} together", expected, at=("entries",))
+        return self
+
+    @model_validator(mode="after")
+    def _tustin_keeps_it_stable(self) -> Self:
+        for i, row in enumerate(self.entries):
+            for j, entry in enumerate(row):
+                if self.method == "tustin" and not entry.proper:
+                    # s of infinite size is z = -1, so an improper entry would get a pole on the unit circle
+                    degrees = " over ".join(str(degree) for degree in entry.degrees)
+                    found = f"tustin with the improper entry in row {i + 1}, column {j + 1} (degree {degrees})"
+                    raise refuse(found, "backward-euler, or proper entries only", at=("method",))
+        return self
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """Whether the entries do not fit a session with these ports."""
+        m = len(ports)
+        if len(self.entries) != m:
+            yield Problem(("entries",), show(self.entries), f"{m} rows of {m} entries, one for each port")
+            return
+        for i, row in enumerate(self.entries):
+            if len(row) != m:
+                yield Problem(("entries", i), f"a row of {len(row)}", f"{m} entries, one for each port")
+
+
+Environment: TypeAlias = NetworkEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment
+
+_KINDS: Final[Mapping[str, type[Environment]]] = {
+    "network": NetworkEnvironment,
+    "state-space": StateSpaceEnvironment,
+    "transfer-function": TransferFunctionEnvironment,
+}
+
+
+def environment_of_its_type(value: object, info: ValidationInfo) -> Environment:
+    """The environment, read as the kind that its ``type`` names, so that errors speak of that kind's keys alone."""
+    if isinstance(value, Environment):
+        return value
+    kinds = ", ".join(_KINDS)
+    if not isinstance(value, Mapping):
+        raise refuse(show(value), f"a mapping with the key type, one of {kinds}, and the keys of that type")
+    if "type" not in value:
+        if misspelt := get_close_matches("type", [key for key in value if isinstance(key, str)], n=1):
+            raise refuse(f"the unknown key {show(misspelt[0])}", "type", at=(misspelt[0],))
+        raise refuse("no key 'type'", f"type, the kind of environment: one of {kinds}")
+    name = value["type"]
+    if not isinstance(name, str) or name not in _KINDS:
+        raise refuse(show(name), one_of(_KINDS, name), at=("type",))
+    kind = _KINDS[name]
+    try:
+        return kind.model_validate(value, context=info.context)
+    except ValidationError as error:
+        raise refusal(*problems_in(error, kind)) from None

@@ -1,0 +1,160 @@
+"""What a session may ask of the design: orders, poles, objectives, weights, tau."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.launch.session import Rational, Session, SessionError, load_session
+from manyhands.launch.session.rational import is_hurwitz
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+def example(name: str, *overrides: str) -> Session:
+    return load_session(SESSIONS / f"{name}.yaml", overrides)
+
+
+def gain(weight: Rational, frequency: float) -> float:
+    """|W(jw)| at a frequency in Hz."""
+    s = 2j * math.pi * frequency
+    return float(abs(np.polyval(weight.num, s) / np.polyval(weight.den, s)))
+
+
+def test_what_is_left_out() -> None:
+    design = example("example1").design
+    assert (design.algorithm, design.objective, design.tau) == ("convex", "feasible", 0.0)
+    assert (design.order, design.poles, design.weights, design.iterations) == (None,) * 4
+    assert design.W1 == design.W2 == Rational(num=(1.0,), den=(1.0,))
+    assert example("example1").orders == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "coupling", "objective", "orders", "tau"),
+    [
+        ("example2", "spring-damper", "loop-shaping", (0, 0, 0), 0.0),
+        ("example2-linear", "linear", "loop-shaping", (4, 4, 4), 0.0),
+        ("example2-closed-loop", "spring-damper", "closed-loop", (0, 0, 0), 0.0),
+        ("example1-delayed", "spring-damper", "feasible", (0, 0, 0), 0.0003),
+    ],
+)
+def test_the_further_examples_change_the_design_alone(
+    name: str, coupling: str, objective: str, orders: tuple[int, ...], tau: float
+) -> None:
+    session, base = example(name), example("example1")
+    assert (session.devices, session.couplings, session.environment, session.period) == (
+        base.devices,
+        base.couplings,
+        base.environment,
+        base.period,
+    )
+    design = session.design
+    assert (design.coupling, design.objective, session.orders, design.tau) == (coupling, objective, orders, tau)
+    if objective != "feasible":
+        assert Rational(num=(1.0,), den=(1 / 125, 1.0)) == design.W1
+        assert Rational(num=(1.0,), den=(1.0,)) == design.W2
+
+
+def test_orders_by_coupling() -> None:
+    session = example("example2-linear", "design.order={cz: 1, cx: 2, cy: 16}")
+    assert session.orders == (2, 16, 1)  # in the order of the couplings
+    assert example("example2-linear", "design.order={cz: 1, cx: 2, cy: 3}", "design.order.cx=7").orders == (7, 3, 1)
+
+
+def test_fixed_poles() -> None:
+    poles = "design.poles=[{frequency: 52.0, damping: 0.053}, {frequency: 300}]"
+    session = example("example2-linear", poles)
+    assert session.design.poles is not None
+    assert [(pole.frequency, pole.damping) for pole in session.design.poles] == [(52.0, 0.053), (300.0, 1.0)]
+    by_coupling = example("example2-linear", poles, "design.order={cx: 4, cy: 4, cz: 4}")
+    assert by_coupling.design.poles == session.design.poles
+    with pytest.raises(SessionError, match="4 poles, in pairs, for order 2"):
+        example("example2-linear", poles, "design.order={cx: 4, cy: 2, cz: 4}")
+
+
+def test_the_band_from_zero_is_a_low_pass() -> None:
+    weight = example("example2", "design.weights.W1={emphasise: [0, 20]}").design.W1
+    assert weight.num == (1.0,)
+    np.testing.assert_allclose(weight.den, (1.0 / (40.0 * math.pi), 1.0), rtol=1e-15)
+    np.testing.assert_allclose([gain(weight, f) for f in (0.0, 20.0)], [1.0, math.sqrt(0.5)], rtol=1e-12)
+
+
+def test_the_band_between_two_edges_is_a_band_pass_of_unit_peak() -> None:
+    weight = example("example2", "design.weights.W2={emphasise: [5, 20]}").design.W2
+    edges = [gain(weight, f) for f in (5.0, 20.0)]
+    np.testing.assert_allclose(edges, [math.sqrt(0.5)] * 2, rtol=1e-12)
+    assert gain(weight, 10.0) == pytest.approx(1.0, rel=1e-12)
+    assert max(gain(weight, f) for f in np.logspace(-2.0, 3.0, 1001)) <= 1.0 + 1e-12  # rounding of the evaluation
+    assert gain(weight, 0.0) == 0.0
+
+
+def test_an_override_begins_the_weights() -> None:
+    overrides = ["design.objective=loop-shaping", "design.weights.W1.emphasise=[0,20]"]
+    session = example("example1", *overrides)
+    assert session.design.W1 == example("example2", "design.weights.W1={emphasise: [0, 20]}").design.W1
+    also = example("example1", *overrides, "design.weights.W2.num=[1]", "design.weights.W2.den=[1, 1]")
+    assert Rational(num=(1.0,), den=(1.0, 1.0)) == also.design.W2
+    with pytest.raises(SessionError) as caught:
+        example("example1", "design.weights.W1.emphasise=[0,20]")
+    assert str(caught.value).startswith("--set design.weights.W1.emphasise=[0,20]: design.weights: found weights with")
+    with pytest.raises(SessionError, match="design: found no 'wieghts'; expected one of coupling, objective"):
+        example("example1", "design.wieghts.W1.emphasise=[0,20]")
+
+
+def test_an_override_does_not_mix_the_two_forms_of_a_weight() -> None:
+    with pytest.raises(SessionError, match=r"design\.weights\.W1\.emphasise: found emphasise besides num"):
+        example("example2", "design.weights.W1.emphasise=[0,20]")
+
+
+@pytest.mark.parametrize("den", [[1, 2, 1], [1, 3, 3, 1], [-1, -2], [0, 1, 1], [5]])
+def test_stable_weights(den: list[float]) -> None:
+    example("example2", f"design.weights.W1={{num: [1], den: {den}}}")
+
+
+@pytest.mark.parametrize("den", [[1, 0], [1, 0, 4], [1, 1, 4, 4], [1, -2, 1], [1, 2, -1], [1, 1e-20, 1, 0]])
+def test_weights_that_are_unstable_or_on_the_edge_of_it(den: list[float]) -> None:
+    with pytest.raises(SessionError, match=r"design\.weights\.W1\.den: found an unstable weight"):
+        example("example2", f"design.weights.W1={{num: [1], den: {den}}}")
+
+
+@settings(deadline=None, max_examples=200)
+@given(roots=st.lists(st.tuples(st.integers(-9, 4), st.integers(0, 9)), min_size=1, max_size=5), gain=st.integers(1, 9))
+def test_a_polynomial_is_hurwitz_by_its_roots(roots: list[tuple[int, int]], gain: int) -> None:
+    """Built exactly from its factors, s - a and (s - a)^2 + b^2, of which the real parts a are known."""
+    polynomial = [-gain]
+    for a, b in roots:
+        factor = [1, -a] if b == 0 else [1, -2 * a, a * a + b * b]
+        product = [0] * (len(polynomial) + len(factor) - 1)
+        for i, p in enumerate(polynomial):
+            for j, q in enumerate(factor):
+                product[i + j] += p * q
+        polynomial = product
+    assert is_hurwitz([0, *polynomial]) == all(a < 0 for a, _ in roots)
+
+
+def test_the_edge_of_a_band_may_be_half_the_rate_of_ticks() -> None:
+    example("example2", "design.weights.W1={emphasise: [0, 500]}")
+    with pytest.raises(SessionError, match="at most 250 Hz"):
+        example("example2", "design.weights.W1={emphasise: [0, 500]}", "period=0.002")
+
+
+def test_tau_may_be_a_whole_period() -> None:
+    assert example("example1", "design.tau=0.001").design.tau == 0.001
+    with pytest.raises(SessionError, match="at most the period"):
+        example("example1", "design.tau=0.001", "period=0.0005")
+
+
+def test_the_level_of_a_given_coupling_may_be_asked_for() -> None:
+    given = ["design.coupling=given", "design.stiffness=704.9", "design.damping=0.0372"]
+    design = example("example2", *given).design
+    assert (design.coupling, design.objective, design.wanted) == ("given", "loop-shaping", False)
+
+
+def test_the_papers_algorithm_with_a_cap() -> None:
+    design = example("example1", "design.algorithm=complementarity", "design.iterations=20").design
+    assert (design.algorithm, design.iterations, design.wanted) == ("complementarity", 20, True)
+    linear = example("example1", "design={coupling: linear, order: 2, algorithm: complementarity}")
+    assert (linear.design.wanted, linear.orders) == (True, (2, 2, 2))
