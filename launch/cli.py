@@ -6,10 +6,8 @@ output, everything else to standard error, so that ``--json`` can be piped.
 
 from __future__ import annotations
 
-import importlib.resources
-import json
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -19,23 +17,15 @@ import typer
 from rich.console import Console
 
 import manyhands
-from manyhands.design.certificate import load, save
-from manyhands.design.errors import CertificateError, DesignError, Infeasible
-from manyhands.design.verification import Finding, differences, verify
-from manyhands.launch.display import say, status
+from manyhands.design.errors import CertificateError, DesignError
+from manyhands.launch.display import say
 from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
 from manyhands.launch.files import TargetError, require_target
-from manyhands.launch.loop import coupling_request, haptic_loop
-from manyhands.launch.preparation import NotCertified, Prepared, certify, prepare
+from manyhands.launch.preparation import NotCertified, Prepared, prepare
 from manyhands.launch.recording import SUFFIXES, RecordingError, require_suffix
-from manyhands.launch.session import Session, SessionError, load_session
-from manyhands.launch.summary import (
-    certificate_object,
-    infeasible_object,
-    print_certificate,
-    print_findings,
-    print_report,
-)
+from manyhands.launch.session import Session, SessionError
+from manyhands.launch.shipped import load_named
+from manyhands.launch.summary import print_report
 from manyhands.launch.topology import LinkTooWide, require_runnable, topology
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
@@ -100,34 +90,22 @@ def _unwind(signum: int, _frame: FrameType | None) -> None:
 def design(
     session: SessionPath,
     output: Annotated[Path | None, typer.Option("-o", metavar="CERT", help="Write the certificate here.")] = None,
+    pictures: Annotated[Path | None, typer.Option("--plot", metavar="DIR", help="Draw the design there.")] = None,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
-    """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible."""
+    """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible.
+
+    Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
+    """
     with _errors():
-        loaded = _load(session, overrides)
+        from manyhands.launch.designing import run_design
+
+        loaded = load_named(session, overrides)
         if output is not None:
             require_target(output)
-        try:
-            with _iterations() as progress:
-                certificate = certify(loaded, progress)
-        except DesignError as error:
-            reason = error.condition if isinstance(error, Infeasible) else str(error)
-            relax = error.relax if isinstance(error, Infeasible) else ()
-            if as_json:
-                _print_json(infeasible_object(haptic_loop(loaded), reason, relax))
-            say(err, f"{loaded.name}: not certified: {reason}")
-            for way in relax:
-                say(err, f"  could help: {way}")
-            raise typer.Exit(EXIT_NOT_CERTIFIED) from error
-        if output is not None:
-            save(certificate, output)
-        if as_json:
-            _print_json(certificate_object(certificate))
-        else:
-            print_certificate(out, certificate)
-            if output is not None:
-                say(err, f"written to {output}; prove it again with: manyhands verify {output}")
+        _require_folder(pictures)
+        _end(run_design(loaded, out, err, output, pictures, as_json))
 
 
 @app.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
@@ -138,26 +116,31 @@ def verify_command(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Prove a certificate again, from its physical data and without any solver. Exit code 3: not proved."""
+    """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved."""
     with _errors():
-        loaded, data = load(certificate)
-        findings = verify(loaded, data)
-        if session is not None:
-            wanted = _load(session, [])
-            found = differences(loaded, haptic_loop(wanted), coupling_request(wanted))
-            findings += tuple(Finding(f"it is the session's: {text}", 1.0, 0.0, False) for text in found)
-        failing = [finding for finding in findings if not finding.holds]
-        if as_json:
-            _print_json(certificate_object(loaded, proved=not failing) | {"failing": [f.condition for f in failing]})
-        else:
-            print_findings(out, findings)
-        for finding in failing:
-            told = f"found {finding.value:.6g}, bound {finding.bound:.3g}"
-            say(err, f"{certificate}: not proved: {finding.condition}: {told}")
-        if failing:
-            raise typer.Exit(EXIT_NOT_CERTIFIED)
-        if not as_json:
-            say(out, f"{loaded.loop.session}: proved; certificate {loaded.id}")
+        from manyhands.launch.designing import run_verify
+
+        _end(run_verify(certificate, None if session is None else load_named(session, []), out, err, as_json))
+
+
+@app.command(epilog="Example: manyhands budget example1.yaml --plot budget.png")
+def budget(
+    session: SessionPath,
+    picture: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg or .pdf).")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Show which stiffness each device could certify against the delay inside the tick and the period."""
+    with _errors():
+        from manyhands.launch.budget import require_picture
+        from manyhands.launch.designing import run_budget
+
+        loaded = load_named(session, overrides)
+        if picture is not None:
+            require_picture(picture)
+        _end(run_budget(loaded, out, err, picture, as_json))
 
 
 @app.command(epilog="Example: manyhands simulate example1.yaml --duration 5 -o run.npz")
@@ -180,7 +163,7 @@ def simulate(
 
         from manyhands.launch.simulation import Simulation
 
-        loaded = _load(session, overrides)
+        loaded = load_named(session, overrides)
         ticks = _kept_ticks(loaded, duration)
         if output is not None:
             require_suffix(output)
@@ -226,7 +209,7 @@ def launch(
 
         _require_one_of("--clock", clock, CLOCKS)
         _require_one_of("--transport", transport, SCHEMES)
-        loaded = _load(session, overrides)
+        loaded = load_named(session, overrides)
         ticks = 0 if duration is None else _ticks(loaded, duration)
         if record is not None:
             require_suffix(record)
@@ -238,8 +221,7 @@ def launch(
             prepared, err, clock=clock, transport=transport, ticks=ticks, record=record, report=report
         )
         print_report(out, outcome.report)
-        if outcome.code:
-            raise typer.Exit(outcome.code)
+        _end(outcome.code)
 
 
 @app.command(epilog="Example: manyhands demo -o out/demo")
@@ -253,37 +235,20 @@ def demo(
         from manyhands.launch.demo import run_demo
 
         _require_one_of("--clock", clock, CLOCKS)
-        if output.exists() and not output.is_dir():
-            _refuse(f"{output}: found a file; expected the name of a folder")
-        shipped = {name: _load(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        _require_folder(output)
+        shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
         code = run_demo(shipped, out, err, output, _kept_ticks(shipped["example1"], duration), clock)
-        if code:
-            raise typer.Exit(code)
+        _end(code)
 
 
 DEMO_SESSIONS = ("example1", "example1-centralised", "example1-uncoupled")
 
 
-def _load(path: Path, overrides: list[str]) -> Session:
-    """The session at ``path``, or the shipped one of that name."""
-    if not path.exists() and len(path.parts) == 1:
-        shipped = importlib.resources.files("manyhands.launch") / "sessions" / f"{path.name.removesuffix('.yaml')}.yaml"
-        with importlib.resources.as_file(shipped) as file:
-            if file.exists():
-                return load_session(file, overrides)
-    return load_session(path, overrides)
-
-
 def _prepare(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
-    with _iterations() as progress:
+    from manyhands.launch.designing import telling
+
+    with telling(err, "designing the coupling") as progress:
         return prepare(session, certificate, uncertified, progress)
-
-
-@contextmanager
-def _iterations() -> Iterator[Callable[[int, float], None]]:
-    """A status line with the design's iterations, on a terminal."""
-    with status(err, "designing the coupling") as update:
-        yield lambda n, residual: update(f"designing the coupling: iteration {n}, |WZ - I| = {residual:.1e}")
 
 
 def _ticks(session: Session, duration: float) -> int:
@@ -309,8 +274,14 @@ def _require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
         _refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
 
 
-def _print_json(data: object) -> None:
-    typer.echo(json.dumps(data, indent=2, allow_nan=False))
+def _require_folder(path: Path | None) -> None:
+    if path is not None and path.exists() and not path.is_dir():
+        _refuse(f"{path}: found a file; expected the name of a folder")
+
+
+def _end(code: int) -> None:
+    if code:
+        raise typer.Exit(code)
 
 
 def _refuse(text: str) -> None:
@@ -330,7 +301,7 @@ def _errors() -> Iterator[None]:
     except (SessionError, CertificateError, RecordingError, TargetError, LinkTooWide) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_BAD_INPUT) from error
-    except NotCertified as error:
+    except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
     except OSError as error:

@@ -2,6 +2,10 @@
 
 Ctrl-C must give exit code 130 from the first moment on, also while the heavy imports run. Until the
 command line installs its own handling there is nothing to clean up, so leaving at once is safe.
+
+Linear algebra gets one thread, unless the environment says otherwise: the matrices here are of some hundred rows at
+most, on which threads wait for each other more than they compute when anything else runs, and a certificate's last
+digits should not depend on the number of cores.
 """
 
 import os
@@ -18,6 +22,8 @@ def _leave(_signum: int, _frame: FrameType | None) -> None:
 def main() -> None:
     """Run the command line; never returns normally (typer raises ``SystemExit``)."""
     signal.signal(signal.SIGINT, _leave)
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # read when numpy is first imported
     from manyhands.launch.cli import app  # after the handler: this import takes a noticeable time
 
     app()

@@ -1,0 +1,265 @@
+"""`manyhands budget`: what a session's devices could certify, against the delay inside the tick and the period.
+
+The numbers are :mod:`manyhands.design.budget`'s; here is which ones a person is shown, and how. Nothing is designed:
+a budget says before any design what faster transport or a shorter period would buy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from manyhands.design.budget import Stiffness, environment_share, stiffest
+from manyhands.design.environment import StateSpaceEnvironment
+from manyhands.design.problem import HapticLoop
+from manyhands.design.statespace import Matrix
+from manyhands.launch.files import TargetError, replacing, require_target
+
+TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # of a period: the delays shown, besides the session's own
+PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: shown besides the session's own
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+_PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # of the session's
+_PLOTTED_DELAYS = 101  # points of a curve
+_MOST_ROWS = 12  # different levels shown in a table, weakest first; --json has all
+_MOST_PANELS = 4  # of them in a picture
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBudget:
+    """What one device could certify.
+
+    Attributes:
+        name: the device.
+        level: Delta_Di with the coupling's structure, m_i x m_i, N*s/m.
+        against_delay: at the session's period, delays ascending, the session's own among them.
+        against_period: periods ascending; for each the delays 0, the session's own (where the period holds it)
+            and the whole period.
+    """
+
+    name: str
+    level: Matrix
+    against_delay: tuple[Stiffness, ...]
+    against_period: tuple[Stiffness, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """What a session could certify.
+
+    Attributes:
+        loop: the session's loop.
+        periods: those looked at, s, ascending.
+        share_at: the share of the devices' levels that the environment takes at a period (s); 0 for a passive
+            one, infinite for one that nothing can be certified with.
+        devices: one for each device.
+    """
+
+    loop: HapticLoop
+    periods: tuple[float, ...]
+    share_at: Callable[[float], float]
+    devices: tuple[DeviceBudget, ...]
+
+
+def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -> Budget:
+    """The budget of every device of a loop.
+
+    Args:
+        loop: the loop; its coupling does not matter.
+        share_at: the share that the environment takes at a period (s), where the caller knows it already.
+    """
+    T, tau = loop.period, loop.tau
+    share = cache(share_at or (lambda period: environment_share(loop.environment, loop.Delta_D, period)))
+    periods = _periods(loop, PERIODS)
+    delays = sorted({*(part * T for part in TICK_PARTS), tau})
+    grid = [(period, delay) for period in periods for delay in sorted({0.0, min(tau, period), period})]
+    devices = []
+    for device in loop.devices:
+        level = loop.Delta_D[np.ix_(device.ports, device.ports)]
+        devices.append(
+            DeviceBudget(
+                device.name,
+                level,
+                tuple(_limits(level, T, delay, share(T)) for delay in delays),
+                tuple(_limits(level, period, delay, share(period)) for period, delay in grid),
+            )
+        )
+    return Budget(loop, periods, share, tuple(devices))
+
+
+def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
+    """The periods to look at: an environment that was given in discrete time has only its own."""
+    environment = loop.environment
+    if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
+        return (loop.period,)
+    return tuple(sorted({*wanted, loop.period}))
+
+
+def _limits(level: Matrix, T: float, tau: float, share: float) -> Stiffness:
+    return stiffest(level, T, tau, min(share, 1.0))  # a share of 1 leaves nothing, nor does more
+
+
+def budget_object(found: Budget) -> dict[str, Any]:
+    """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where nothing is left."""
+    loop = found.loop
+    return {
+        "session": loop.session,
+        "period": loop.period,
+        "tau": loop.tau,
+        "environment": [
+            {"T": period, "share": share if math.isfinite(share) else None}
+            for period, share in ((period, found.share_at(period)) for period in found.periods)
+        ],
+        "devices": {
+            device.name: {
+                "osp": device.level.tolist(),
+                "against_tau": [_plain(row) for row in device.against_delay],
+                "against_period": [_plain(row) for row in device.against_period],
+            }
+            for device in found.devices
+        },
+    }
+
+
+def _plain(row: Stiffness) -> dict[str, float | None]:
+    return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
+
+
+def print_budget(console: Console, found: Budget) -> None:
+    """Two tables: stiffness against delay, and against period; devices of one level share their rows."""
+    loop = found.loop
+    groups = _groups(found.devices)
+    shown = groups[:_MOST_ROWS]
+    title = f"{loop.session}: stiffest coupling, T = {_ms(loop.period)} ms"
+    table = Table(title=title, title_justify="left")
+    table.add_column("devices")
+    for column in ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ"):
+        table.add_column(escape(column), justify="right")
+    for names, device in shown:
+        for i, row in enumerate(device.against_delay):
+            mark = " (session)" if row.tau == loop.tau else ""
+            table.add_row(
+                names if i == 0 else "", _ms(row.tau) + mark, f"{row.tau / row.T:.3g}", _newtons(row.certified),
+                _newtons(row.colgate), "" if row.kappa is None else f"{row.kappa:.3f}",
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    table = Table(title="the same against the period", title_justify="left")
+    table.add_column("devices")
+    own = [f"τ = {_ms(loop.tau)} ms"] if loop.tau > 0.0 else []
+    for column in ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T"):
+        table.add_column(escape(column), justify="right")
+    for names, device in shown:
+        for i, period in enumerate(found.periods):
+            rows = {row.tau: row for row in device.against_period if period == row.T}
+            at_own = [_newtons(rows[loop.tau].certified) if loop.tau in rows else "longer than T"] if own else []
+            table.add_row(
+                names if i == 0 else "", _ms(period), _newtons(rows[0.0].certified), *at_own,
+                _newtons(rows[period].certified), _newtons(rows[0.0].colgate), _newtons(rows[period].colgate),
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    if len(groups) > len(shown):
+        left = len(groups) - len(shown)
+        console.print(f"the {left} stronger levels are not shown; --json has every device", markup=False)
+    console.print(_environment_text(found), markup=False, soft_wrap=True)
+
+
+def _environment_text(found: Budget) -> str:
+    share = found.share_at(found.loop.period)
+    if share == 0.0:
+        return "The environment is passive: the limits do not depend on it."
+    if share >= 1.0:
+        return "The environment takes all that the devices dissipate, or more: nothing can be certified with it."
+    return f"The environment takes {share:.1%} of what the devices dissipate; the certified limits leave it that."
+
+
+def plot_budget(found: Budget, path: Path) -> None:
+    """A picture: stiffness against the delay for several periods, certified and Colgate's, a panel for each level.
+
+    Raises:
+        TargetError: not a name of a picture, or no folder to put it in.
+    """
+    require_picture(path)
+    # the plotter takes most of a second to import; the tables do not need it
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    loop = found.loop
+    panels = _groups(found.devices)[:_MOST_PANELS]
+    periods = _periods(loop, [part * loop.period for part in _PLOTTED_PERIODS])
+    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(panels)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+    colours = colormaps["viridis"](np.linspace(0.0, 0.8, len(periods)))  # dark to light, distinct in grey too
+    for axes, (names, device) in zip(rows, panels, strict=True):
+        for T, colour in zip(periods, colours, strict=True):
+            delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
+            curve = [_limits(device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
+            certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
+            axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
+            axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")
+        own = next(row for row in device.against_delay if row.tau == loop.tau)
+        if own.certified > 0.0:
+            axes.plot(1e3 * own.tau, own.certified, "o", color="black", markersize=6, clip_on=False, zorder=5)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.set_title(names, loc="left", fontsize="medium")
+        axes.set_ylabel("stiffness [N/m]")
+        axes.grid(alpha=0.3, which="both")
+        axes.set_xlim(0.0, 1e3 * periods[-1])
+    rows[-1].set_xlabel("delay τ inside the tick [ms]")
+    keys = [Line2D([], [], color=c, label=f"T = {_ms(T)} ms") for T, c in zip(periods, colours, strict=True)]
+    keys += [
+        Line2D([], [], color="0.3", linewidth=1.8, label="certified below"),
+        Line2D([], [], color="0.3", linewidth=1.2, linestyle="--", label="Colgate's limit"),
+        Line2D([], [], color="black", marker="o", linestyle="", label="this session"),
+    ]
+    figure.legend(handles=keys, loc="outside lower center", ncols=4, fontsize="small", frameon=False)
+    figure.suptitle(f"{loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=130)
+
+
+def require_picture(path: Path) -> None:
+    """Refuse a name that no picture can be written to; before the work, not after it.
+
+    Raises:
+        TargetError: no such folder, or another suffix than one of :data:`PLOT_SUFFIXES`.
+    """
+    require_target(path)
+    if path.suffix not in PLOT_SUFFIXES:
+        raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(PLOT_SUFFIXES)}")
+
+
+def _groups(devices: Sequence[DeviceBudget]) -> list[tuple[str, DeviceBudget]]:
+    """Devices with one limit under one heading, weakest first."""
+    by_limit: dict[float, list[DeviceBudget]] = {}
+    for device in devices:
+        by_limit.setdefault(device.against_delay[0].colgate, []).append(device)
+    return [(_names([d.name for d in same]), same[0]) for _, same in sorted(by_limit.items())]
+
+
+def _names(names: Sequence[str]) -> str:
+    most = 4
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _newtons(stiffness: float) -> str:
+    return f"{stiffness:.0f}" if stiffness >= 100.0 else f"{stiffness:.3g}" if stiffness > 0.0 else "none"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.4g}"

@@ -1,0 +1,325 @@
+"""`manyhands design --plot DIR`: a finished design as four pictures.
+
+What the certificate claims in matrix inequalities is seen here over frequency: transparency as singular values under
+a level, passivity as least eigenvalues above zero, the structure of V as a map, and how the synthesis got there.
+The pictures prove nothing and need no solver: they are made from the systems themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from manyhands.design.partition import Partition
+from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.launch.files import replacing
+from manyhands.launch.responses import (
+    Complex,
+    Filter,
+    closed_loop,
+    coupling_response,
+    frequencies,
+    response,
+    shaped_response,
+)
+
+MOST_STATES, MOST_PORTS = 400, 100  # of E; above, the pictures over frequency would take minutes and gigabytes
+
+# Okabe and Ito's colours, told apart by every kind of colour vision
+BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+
+_DPI = 130
+_ROUNDING = 1e-12  # of V_hat: what V - K, a difference of near ones, may have lost
+_NAMED_PORTS, _NAMED_BLOCKS, _WRITTEN_PORTS = 40, 24, 8  # above which a map is not labelled
+
+
+def plot_design(
+    folder: Path,
+    *,
+    E: StateSpace,
+    blocks: tuple[StateSpace, ...],
+    partition: Partition,
+    K: Matrix,
+    Delta_V: Matrix,
+    Phi_E: Matrix,
+    Delta_G: Matrix,
+    T: float,
+    ports: Sequence[str],
+    W1: Filter | None = None,
+    W2: Filter | None = None,
+    objective: str | None = None,
+    gamma: float | None = None,
+    history: Sequence[float] = (),
+    history_label: str = "‖WZ − I‖",
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Path, ...]:
+    """Draw a design into ``folder``, which is made if absent.
+
+    Args:
+        folder: where singular-values.png, passivity.png, structure.png and convergence.png go. The first two are left
+            out above :data:`MOST_STATES` states or :data:`MOST_PORTS` ports, the last without a history.
+        E: the environment, discrete, from displacement (m) to force (N).
+        blocks: the blocks of V, discrete, from force (N) to displacement (m), in the partition's order.
+        partition: the structure of V.
+        K: of the loop transformation, m x m, m/N.
+        Delta_V: m x m, N*s/m.
+        Phi_E: m x m, N*s/m.
+        Delta_G: share Delta_D, the level of G_hat, m x m, N*s/m.
+        T: period, s.
+        ports: names of the m ports.
+        W1: weight on the left; None for 1.
+        W2: weight on the right; None for 1.
+        objective: "loop-shaping" for W1 E V W2, "closed-loop" for W1 (F(E,V) - E) W2; anything else shows E V.
+        gamma: the level of the objective.
+        history: one number for each iteration of the synthesis.
+        history_label: what it is.
+        progress: told what is being drawn.
+
+    Returns:
+        The paths of the pictures.
+    """
+    tell = progress or (lambda _text: None)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    if E.order > MOST_STATES or len(ports) > MOST_PORTS:
+        tell("pictures: none over frequency, the environment is too large")
+    else:
+        tell("pictures: frequency responses")
+        omega = frequencies([E, *blocks], T)
+        angles = omega * T
+        points = np.exp(1j * angles)
+        E_z, V_z = response(E, angles), coupling_response(blocks, partition, angles)
+        F_z = closed_loop(E_z, V_z)
+        label, shaped = shaped_response(E_z, V_z, F_z, points, W1, W2, objective)
+        tell("pictures: singular values")
+        paths.append(plot_singular_values(folder, omega, {"E": E_z, "F(E,V)": F_z}, label, shaped, gamma))
+        tell("pictures: passivity")
+        E_hat = (T * points / (points - 1.0))[:, None, None] * E_z
+        V_hat = ((points - 1.0) / (T * points))[:, None, None] * (V_z - K)
+        paths.append(plot_passivity(folder, omega, E_hat, Phi_E, V_hat, Delta_V, Delta_G))
+    tell("pictures: structure")
+    static = coupling_response(blocks, partition, np.zeros(1))[0].real
+    paths.append(plot_structure(folder, static, partition, ports))
+    if len(history):
+        tell("pictures: convergence")
+        paths.append(plot_convergence(folder, history, history_label))
+    return tuple(paths)
+
+
+def plot_singular_values(
+    folder: Path,
+    omega: NDArray[np.float64],
+    impedances: dict[str, Complex],
+    label: str,
+    shaped: Complex,
+    gamma: float | None,
+) -> Path:
+    """singular-values.png: what the hands feel, E and F(E,V), above; what the objective keeps small, below.
+
+    Args:
+        folder: where it goes.
+        omega: frequencies, rad/s.
+        impedances: name and response (points x m x m, N/m).
+        label: name of ``shaped``.
+        shaped: points x m x m.
+        gamma: the level drawn over it, if there is one.
+    """
+    figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
+    above, below = figure.subplots(2, 1, sharex=True)
+    for (name, values), colour, line in zip(impedances.items(), (BLUE, VERMILLION), ("-", "--"), strict=True):
+        _singular_band(above, omega, values, name, colour, line)
+    above.set_ylabel("singular values [N/m]")
+    above.set_title("stiffness: of the environment, and as the hands feel it", loc="left", fontsize="medium")
+    largest = _singular_band(below, omega, shaped, label, GREEN, "-")
+    peak = int(np.argmax(largest))
+    below.plot(omega[peak], largest[peak], "o", color=GREEN, markersize=5)
+    if gamma is not None:
+        below.axhline(gamma, color="black", linewidth=1.2, linestyle=":", label=f"level γ = {gamma:.4g}")
+    text = f"{label}: largest {largest[peak]:.4g}, at {omega[peak]:.3g} rad/s"
+    below.set_title(text, loc="left", fontsize="medium")
+    below.set_ylabel("singular values")
+    below.set_xlabel("frequency [rad/s]")
+    for axes in (above, below):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        _finish(axes)
+    return _save(figure, folder / "singular-values.png")
+
+
+def plot_passivity(
+    folder: Path,
+    omega: NDArray[np.float64],
+    E_hat: Complex,
+    Phi_E: Matrix,
+    V_hat: Complex,
+    Delta_V: Matrix,
+    Delta_G: Matrix,
+) -> Path:
+    """passivity.png: each party's promise over frequency, as a least eigenvalue that must not be negative.
+
+    Above He E_hat + Phi_E, and how far the devices' level Delta_G reaches below zero; below
+    He V_hat - V_hat* Delta_V V_hat.
+
+    Args:
+        folder: where it goes.
+        omega: frequencies, rad/s.
+        E_hat: points x m x m, N*s/m.
+        Phi_E: m x m, N*s/m.
+        V_hat: points x m x m, m/(N*s).
+        Delta_V: m x m, N*s/m.
+        Delta_G: m x m, N*s/m.
+    """
+    figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
+    above, below = figure.subplots(2, 1, sharex=True)
+    bound = float(np.linalg.eigvalsh(Delta_G)[0])
+    above.plot(omega, _least(E_hat), color=BLUE, linewidth=1.8, label="Ê alone")
+    above.plot(
+        omega, _least(E_hat + Phi_E), color=VERMILLION, linewidth=1.5, linestyle="--", label="Ê + Φ_E, promised ≥ 0"
+    )
+    above.axhline(0.0, color="black", linewidth=1.0)
+    above.axhline(-bound, color="0.35", linewidth=1.2, linestyle=":", label=f"−(devices' level), {-bound:.3g}")
+    above.set_yscale("symlog", linthresh=max(bound, 1e-300))  # linear where it is decided, whatever comes above
+    above.set_ylabel("least eigenvalue of He [N·s/m]")
+    above.set_title(
+        "environment: passive where Ê is above 0, hopeless below the dotted line", loc="left", fontsize="medium"
+    )
+    supplied = np.conj(np.swapaxes(V_hat, 1, 2)) @ Delta_V @ V_hat
+    rounding = _ROUNDING * np.linalg.norm(V_hat, axis=(1, 2))
+    _signed(below, omega, _least(V_hat), rounding, "He V̂", BLUE, "-")
+    _signed(below, omega, _least(V_hat - supplied), rounding, "He V̂ − V̂* Δ_V V̂, promised ≥ 0", VERMILLION, "--")
+    below.set_ylabel("least eigenvalue [m/(N·s)]")
+    below.set_xlabel("frequency [rad/s]")
+    below.set_title("coupling: output strictly passive at level Δ_V", loc="left", fontsize="medium")
+    for axes in (above, below):
+        axes.set_xscale("log")
+        _finish(axes)
+    return _save(figure, folder / "passivity.png")
+
+
+def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Sequence[str]) -> Path:
+    """structure.png: |V(1)| entry by entry, the ports of a block side by side, blocks outlined.
+
+    Args:
+        folder: where it goes.
+        static: V(1), m x m, m/N.
+        partition: the structure.
+        ports: names of the m ports.
+    """
+    order = [port for block in partition.blocks for port in block]
+    shown = np.abs(static[np.ix_(order, order)])
+    m = len(order)
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    masked = np.ma.masked_equal(shown, 0.0)  # what is exactly zero stays white
+    least, most = (float(masked.min()), float(masked.max())) if masked.count() else (1.0, 1.0)
+    colours = colormaps["cividis"].reversed()
+    image = axes.imshow(masked, cmap=colours, norm=LogNorm(least / 1.001, most * 1.001), interpolation="nearest")
+    figure.colorbar(image, ax=axes, label="|V(1)| [m/N]", shrink=0.8)
+    outlines, at = [], 0
+    for name, block in zip(partition.names, partition.blocks, strict=True):
+        size = len(block)
+        outlines.append(Rectangle((at - 0.5, at - 0.5), size, size))
+        if 1 < len(partition.blocks) <= _NAMED_BLOCKS:
+            side = "left" if at + size / 2 < m / 2 else "right"
+            x = at + size - 0.35 if side == "left" else at - 0.65
+            axes.text(x, at + size / 2 - 0.5, name, ha=side, va="center", color=VERMILLION, fontsize="small")
+        at += size
+    axes.add_collection(PatchCollection(outlines, facecolor="none", edgecolor=VERMILLION, linewidth=1.8))
+    if m <= _NAMED_PORTS:
+        names = [ports[port] for port in order]
+        axes.set_xticks(range(m), names, rotation=90 if max(map(len, names)) > 3 and m > 6 else 0)
+        axes.set_yticks(range(m), names)
+    if m <= _WRITTEN_PORTS:
+        middle = np.sqrt(least * most)
+        for i, j in zip(*np.nonzero(shown), strict=True):
+            ink = "white" if shown[i, j] > middle or least == most else "black"
+            axes.text(j, i, f"{shown[i, j]:.3g}", ha="center", va="center", color=ink, fontsize="small")
+    axes.set_xlabel("force at port")
+    axes.set_ylabel("displacement at port")
+    count = len(partition.blocks)
+    text = f"structure of V: {count} block{'s' if count > 1 else ''}, {m} port{'s' if m > 1 else ''}; white is zero"
+    axes.set_title(text, loc="left", fontsize="medium")
+    return _save(figure, folder / "structure.png")
+
+
+def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path:
+    """convergence.png: one number for each iteration.
+
+    Args:
+        folder: where it goes.
+        history: the numbers; a logarithmic axis where all are positive.
+        label: what they are.
+    """
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    axes.plot(range(1, len(history) + 1), history, "o-", color=BLUE, markersize=4, linewidth=1.4, label=label)
+    if min(history) > 0.0:
+        axes.set_yscale("log")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("iteration")
+    axes.set_ylabel(label)
+    axes.set_title(f"convergence: {history[-1]:.4g} after {len(history)}", loc="left", fontsize="medium")
+    axes.grid(alpha=0.3, which="both")
+    return _save(figure, folder / "convergence.png")
+
+
+def _singular_band(
+    axes: Axes, omega: NDArray[np.float64], values: Complex, name: str, colour: str, line: str
+) -> NDArray[np.float64]:
+    """The largest singular value as a line, down to the least one as a band; returns the largest."""
+    singular = np.linalg.svd(values, compute_uv=False)
+    axes.plot(omega, singular[:, 0], color=colour, linewidth=1.8, linestyle=line, label=name)
+    if singular.shape[1] > 1:
+        axes.fill_between(omega, singular[:, -1], singular[:, 0], color=colour, alpha=0.15, linewidth=0.0)
+    return np.asarray(singular[:, 0])
+
+
+def _least(values: Complex) -> NDArray[np.float64]:
+    """The least eigenvalue of the Hermitian part at each point."""
+    return np.asarray(np.linalg.eigvalsh((values + np.conj(np.swapaxes(values, 1, 2))) / 2.0)[:, 0])
+
+
+def _signed(
+    axes: Axes,
+    omega: NDArray[np.float64],
+    values: NDArray[np.float64],
+    rounding: NDArray[np.float64],
+    name: str,
+    colour: str,
+    line: str,
+) -> None:
+    """Positive values as a line on a logarithmic axis; negative ones as crosses at their magnitude, and named.
+
+    What is smaller than ``rounding`` has no sign and is not drawn.
+    """
+    axes.set_yscale("log")
+    axes.plot(
+        omega, np.where(values > rounding, values, np.nan), color=colour, linewidth=1.6, linestyle=line, label=name
+    )
+    negative = values < -rounding
+    if np.any(negative):
+        label = f"{name}: negative"
+        axes.plot(omega[negative], -values[negative], "x", color=colour, markersize=5, label=label)
+
+
+def _finish(axes: Axes) -> None:
+    axes.grid(alpha=0.3)
+    axes.margins(x=0.0)
+    axes.legend(loc="best", fontsize="small", framealpha=0.9, edgecolor="none")
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    """Write a picture whole or not at all."""
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=_DPI)
+    return path

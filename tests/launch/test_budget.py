@@ -1,0 +1,160 @@
+"""The budget of a session: which figures are shown, to people and to programs, and the picture."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from manyhands.design.environment import DelayedNetwork, Environment, StateSpaceEnvironment
+from manyhands.design.network import GROUND, Link, Network
+from manyhands.design.partition import Partition
+from manyhands.design.problem import DeviceLevel, HapticLoop
+from manyhands.design.statespace import StateSpace
+from manyhands.launch.budget import PERIODS, budget, budget_object, plot_budget, print_budget
+from manyhands.launch.files import TargetError
+
+
+def loop(levels: list[float], tau: float = 0.0, environment: Environment | None = None, T: float = 1e-3) -> HapticLoop:
+    """One-axis devices d0, d1, ... on springs to the ground, a block each."""
+    m = len(levels)
+    ports = tuple(f"d{i}" for i in range(m))
+    springs = Network(ports, (), tuple(Link((port, GROUND), 1000.0, 0.1) for port in ports))
+    return HapticLoop(
+        "example",
+        T,
+        ports,
+        tuple(
+            DeviceLevel(port, (i,), np.array([[level]]))
+            for i, (port, level) in enumerate(zip(ports, levels, strict=True))
+        ),
+        Partition(tuple(f"c{i}" for i in range(m)), tuple((i,) for i in range(m))),
+        environment or springs,
+        tau,
+    )
+
+
+def printed(of: HapticLoop) -> str:
+    console = Console(width=140, highlight=False)
+    with console.capture() as capture:
+        print_budget(console, budget(of))
+    return capture.get()
+
+
+def test_the_figures_of_example_1() -> None:
+    found = budget(loop([1.37, 1.37, 1.37], tau=0.25e-3))
+    device = found.devices[0]
+    certified = {row.tau: row.certified for row in device.against_delay}
+    assert certified[0.0] == pytest.approx(2740.0)
+    assert certified[0.25e-3] == pytest.approx(1565.7, abs=0.05)
+    assert certified[1e-3] == pytest.approx(685.0)
+    assert list(certified) == sorted(certified)
+    against_period = {(row.T, row.tau): row for row in device.against_period}
+    assert against_period[4e-3, 4e-3].certified == pytest.approx(685.0 / 4.0)
+    assert against_period[4e-3, 0.25e-3].certified == pytest.approx(1.37 / (2e-3 + 0.375e-3))
+    assert against_period[0.5e-3, 0.0].colgate == pytest.approx(2 * 1.37 / 0.5e-3)
+
+
+def test_the_sessions_own_delay_and_period_are_among_them() -> None:
+    found = budget(loop([1.37], tau=0.31e-3, T=0.9e-3))
+    assert 0.31e-3 in {row.tau for row in found.devices[0].against_delay}
+    assert found.periods == tuple(sorted({*PERIODS, 0.9e-3}))
+    for row in found.devices[0].against_period:
+        assert 0.0 <= row.tau <= row.T  # 0.31 ms does not fit into 0.25 ms
+
+
+def test_the_object_is_plain_json() -> None:
+    said = json.loads(json.dumps(budget_object(budget(loop([1.37, 2.0], tau=3e-4))), allow_nan=False))
+    assert set(said) == {"session", "period", "tau", "environment", "devices"}
+    assert set(said["devices"]) == {"d0", "d1"}
+    rows = said["devices"]["d1"]["against_tau"]
+    assert {"T", "tau", "certified", "colgate", "kappa"} == set(rows[0])
+    assert rows[0]["certified"] == pytest.approx(4000.0)
+    assert said["environment"] == [{"T": T, "share": 0.0} for T in PERIODS]
+
+
+def test_the_tables_say_what_is_what() -> None:
+    text = printed(loop([1.37, 1.37, 2.5], tau=0.3e-3))
+    assert "τ [ms]" in text
+    assert "T [ms]" in text
+    assert "d0, d1" in text
+    (row,) = [line for line in text.splitlines() if "(session)" in line and "1442" in line]
+    assert "0.3" in row
+    assert "1713" in row
+    assert "longer than T" in text
+    assert "The environment is passive" in text
+    assert printed(loop([1.37])).count("τ = 0") == 2  # its own and Colgate's: no third for the session's
+
+
+def test_many_devices_of_many_levels_stay_readable() -> None:
+    text = printed(loop([1.0 + 0.01 * (i % 40) for i in range(200)]))
+    assert "the 28 stronger levels are not shown; --json has every device" in text
+    assert len(text.splitlines()) < 200
+
+
+def springs_late(stiffness: float) -> DelayedNetwork:
+    return DelayedNetwork(Network(("d0",), (), (Link(("d0", GROUND), stiffness, 0.0),)), 1)
+
+
+def test_a_world_that_is_late_takes_its_share() -> None:
+    """A spring k one tick late: E_hat = T k/(z - 1), He E_hat = -T k/2 at every frequency."""
+    of = loop([1.37], tau=0.3e-3, environment=springs_late(100.0))
+    found = budget(of)
+    assert found.share_at(1e-3) == pytest.approx(0.5 * 1e-3 * 100.0 / 1.37, rel=1e-9)
+    assert found.share_at(4e-3) == pytest.approx(4.0 * found.share_at(1e-3), rel=1e-9)
+    late, prompt = found.devices[0].against_delay, budget(loop([1.37], tau=0.3e-3)).devices[0].against_delay
+    assert late[0].certified == prompt[0].certified
+    assert all(0.0 < a.certified < b.certified for a, b in zip(late[1:4], prompt[1:4], strict=True))
+    assert "takes 3.6% of what the devices dissipate" in printed(of)
+
+
+def test_a_world_that_takes_too_much() -> None:
+    of = loop([1.37], environment=springs_late(3500.0))
+    assert all(row.certified == 0.0 for row in budget(of).devices[0].against_delay)
+    assert "nothing can be certified" in printed(of)
+    assert "none" in printed(of)
+
+
+def test_a_world_that_is_passive_at_no_level(tmp_path: Path) -> None:
+    of = loop([1.0, 1.0], environment=StateSpaceEnvironment(("d0", "d1"), StateSpace.static([[2.0, 1.0], [0.0, 2.0]])))
+    found = budget(of)
+    assert budget_object(found)["environment"] == [{"T": 1e-3, "share": None}]
+    json.dumps(budget_object(found), allow_nan=False)
+    plot_budget(found, tmp_path / "nothing.png")
+
+
+def test_a_world_in_discrete_time_has_one_period() -> None:
+    E = StateSpaceEnvironment(("d0",), StateSpace.static([[500.0]]))
+    assert budget(loop([1.0], environment=E)).periods == (1e-3,)
+    continuous = StateSpaceEnvironment(("d0",), StateSpace.static([[500.0]]), "backward-euler")
+    assert budget(loop([1.0], environment=continuous)).periods == PERIODS
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_picture(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"budget{suffix}"
+    plot_budget(budget(loop([1.37, 2.5] if suffix == ".png" else [1.37], tau=0.3e-3)), path)
+    start = path.read_bytes()[:24]
+    assert start.startswith({".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix])
+    if suffix == ".png":
+        width, height = struct.unpack(">II", start[16:24])
+        assert width > 800
+        assert height > 800
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("budget.xls", "expected one of .png"),
+        ("budget", "found the suffix ''"),
+        ("no/b.png", "expected one that exists"),
+    ],
+)
+def test_a_picture_that_cannot_be_written(name: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(TargetError, match=words):
+        plot_budget(budget(loop([1.37])), tmp_path / name)
