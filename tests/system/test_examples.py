@@ -1,0 +1,58 @@
+"""The examples run as they stand, draw what they say, and show the physics that they are about."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+PNG = b"\x89PNG\r\n\x1a\n"
+FIGURES = {"figure_5.py": False, "figure_6.py": True, "figure_7.py": True, "figure_8.py": True}  # whether hands settle
+AT_REST = 1e-5  # m/s; found 1.6e-6 to 2.9e-6, after peaks of 0.1 to 0.2 while the hands push
+SHAKING = 1e-3  # m/s; found 7, and growing
+
+
+def run(script: str, folder: Path, *arguments: str) -> str:
+    command = [sys.executable, "-P", str(EXAMPLES / script), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+@pytest.mark.parametrize("script", FIGURES)
+def test_a_figure_of_the_paper_is_drawn_and_its_hands_do_what_it_says(script: str, tmp_path: Path) -> None:
+    said = run(script, tmp_path)
+    (picture,) = tmp_path.iterdir()
+    assert picture.name == Path(script).with_suffix(".png").name
+    content = picture.read_bytes()
+    assert content.startswith(PNG)
+    assert len(content) > 10_000
+    stated = re.fullmatch(r"figure_\d\.png: greatest speed in the last 0\.2 s: (\S+) m/s\n", said)
+    assert stated, said
+    fastest = float(stated[1])
+    assert fastest < AT_REST if FIGURES[script] else fastest > SHAKING
+
+
+def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
+    """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
+    said = run("order_curve.py", tmp_path, "--orders", "0", "1")
+    shown = re.findall(r"^\| \d+ \|.*$", (ROOT / "docs" / "design.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    rows = re.findall(r"^\| \d+ \|.*$", said, flags=re.MULTILINE)
+    assert [levels(row) for row in rows] == [levels(row) for row in shown[:2]]
+    assert list(tmp_path.iterdir()) == []
+
+
+def levels(row: str) -> tuple[str, ...]:
+    """Order and levels of a row, without the seconds."""
+    cells = [cell.strip() for cell in row.strip("| ").split("|")]
+    return tuple(cells[i] for i in (0, 1, 3))
+
+
+def test_no_example_is_left_out() -> None:
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, "order_curve.py"}
