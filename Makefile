@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign clean
+.PHONY: demo test lint types imports pytest campaign pictures benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,6 +30,21 @@ campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
 		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
 	done
+
+# what docs/images/ shows of the design; the linear couplings' search takes about half a minute
+pictures: $(VENV)/.installed
+	$(BIN)/manyhands budget example1.yaml --plot docs/images/budget.png
+	$(BIN)/manyhands design example2-linear.yaml --plot out/design
+	cp out/design/singular-values.png docs/images/design-singular-values.png
+
+# design time against ports, beside a plain transcription of the paper; an hour at the default limit
+LIMIT ?= 600
+benchmark: $(VENV)/.installed
+	$(BIN)/python benchmarks/design.py --limit $(LIMIT)
+
+# transparency against the order of linear couplings, the table of docs/design.md: about ten minutes
+curve: $(VENV)/.installed
+	$(BIN)/python examples/order_curve.py
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
