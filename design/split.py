@@ -104,30 +104,24 @@ def delayed_split(split: Split, ticks: int, T: float) -> Split:
 
     The states are those of Rest, then the velocities w_{k-1}, ..., w_{k-d}.
     """
-    rest, m, n, d = split.rest, split.rest.inputs, split.rest.order, ticks
-    if d == 0:
+    if ticks == 0:
         return split
-    order = n + m * d
-    A, B = np.zeros((order, order)), np.zeros((order, m))
-    A[:n, :n] = rest.A
-    A[:n, n + m * (d - 1) :] = rest.B
-    B[n : n + m] = np.eye(m)
-    A[n + m :, n : n + m * (d - 1)] = np.eye(m * (d - 1))
-    C = np.hstack([rest.C, *[-T * split.stiffness] * d])
-    C[:, n + m * (d - 1) :] += rest.D
-    return Split(split.stiffness, StateSpace(A, B, C, np.zeros((m, m))))
+    late = delayed_system(split.rest, ticks)
+    C = np.array(late.C)
+    C[:, split.rest.order :] -= T * np.tile(split.stiffness, ticks)
+    return Split(split.stiffness, StateSpace(late.A, late.B, C, late.D))
 
 
 def delayed_system(E: StateSpace, ticks: int) -> StateSpace:
-    """E z^-d, with the states of E, then the inputs of the last d ticks, the latest first."""
+    """E z^-d, for d = ``ticks``, with the states of E, then the inputs of the last d ticks, the latest first."""
     n, m, d = E.order, E.inputs, ticks
     if d == 0:
         return E
-    order = n + m * d
-    A, B = np.zeros((order, order)), np.zeros((order, m))
+    last = n + m * (d - 1)  # where the input of d ticks ago stands
+    A, B = np.zeros((n + m * d, n + m * d)), np.zeros((n + m * d, m))
     A[:n, :n] = E.A
-    A[:n, n + m * (d - 1) :] = E.B
+    A[:n, last:] = E.B
     B[n : n + m] = np.eye(m)
-    A[n + m :, n : n + m * (d - 1)] = np.eye(m * (d - 1))
+    A[n + m :, n:last] = np.eye(m * (d - 1))
     C = np.hstack([E.C, np.zeros((E.outputs, m * (d - 1))), E.D])
     return StateSpace(A, B, C, np.zeros((E.outputs, m)))
