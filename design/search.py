@@ -225,6 +225,12 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     """Linear couplings by the convex program over poles: given ones, or a search around it."""
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
+    if needed >= device.share:
+        raise Infeasible(
+            f"no coupling satisfies Theorem 3, for the environment needs {needed:.4g} of the devices' level, and "
+            f"{device.share:.4g} is there",
+            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+        )
     wish, T, partition = wanted.wish, loop.period, loop.partition
     E = _seen_environment(loop)
     least = tuple(

@@ -17,6 +17,7 @@ from manyhands.design.problem import (
     DeviceLevel,
     HapticLoop,
     LinearGiven,
+    LinearWanted,
     NoCoupling,
     SpringDamperGiven,
     SpringDamperWanted,
@@ -333,3 +334,15 @@ def test_several_ports_late_by_a_matrix() -> None:
 def test_a_wish_that_nothing_searches_is_the_callers_mistake(problems) -> None:
     with pytest.raises(TypeError, match="a class of couplings"):
         search.search(problems.example_1(), NoCoupling())
+
+
+@pytest.mark.parametrize("objective", ["feasible", "stiffest", "loop-shaping", "closed-loop"])
+@pytest.mark.parametrize("linear", [True, False])
+def test_an_environment_that_needs_more_than_the_devices_have(problems, objective: str, linear: bool) -> None:
+    """Example 1 a tick late needs 1.999 N s/m at every port, and the devices have 1.37."""
+    loop = dataclasses.replace(problems.example_1(), environment=DelayedNetwork(problems.network, 1))
+    wish = Wish(objective, None if objective in ("feasible", "stiffest") else aim(problems, objective))
+    wanted = LinearWanted((2, 2, 2), wish) if linear else SpringDamperWanted(wish)
+    with pytest.raises(Infeasible) as error:
+        design(loop, wanted)
+    assert any("osp" in way for way in error.value.relax)
