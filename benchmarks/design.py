@@ -33,6 +33,10 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
 SIZES = (3, 6, 12, 24, 48, 100, 300, 1000)
+NOTE = (
+    "From 126 ports on, where a storage matrix would be of an order above 250, the passive network is proved by its "
+    "mechanical energy, which needs no matrix: hence the dip."
+)
 COMPARED = 24  # ports up to which every method is run, whatever limits it reached before
 MOST_LATE = 100  # ports: storage matrices are dense
 T, OSP = 1e-3, 1.37  # s, N*s/m
@@ -240,7 +244,7 @@ def table(runs: list[Run], limit: float, gibibytes: float, told: dict[str, str])
     lines = [
         "# Design: time and memory against the number of ports",
         "",
-        "Produced by `python benchmarks/design.py`, which says what is measured. "
+        f"Produced by `python benchmarks/design.py --limit {limit:g}`, which says what is measured. "
         "Median of the repeats, with least and greatest. "
         f"Limits a run: {limit:g} s, {gibibytes:g} GiB. Machine: {', '.join(f'{k} {v}' for k, v in told.items())}.",
         "",
@@ -254,7 +258,7 @@ def table(runs: list[Run], limit: float, gibibytes: float, told: dict[str, str])
             cells.append("" if run is None else cell(run))
         lines.append(f"| {ports} | " + " | ".join(cells) + " |")
     lines += ["", "An empty cell was not run: the method had reached a limit at a smaller size, or is dense.", ""]
-    lines += ["![time and memory against ports](images/design-benchmark.png)", ""]
+    lines += [NOTE, "", "![time and memory against ports](images/design-benchmark.png)", ""]
     lines += speedups(by, sizes)
     notes = [run for run in runs if run.method not in OURS and run.outcome != "converged, its coupling can be proved"]
     if notes:
