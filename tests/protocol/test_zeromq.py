@@ -76,8 +76,8 @@ def descriptors_and_threads() -> tuple[set[str], int]:
 def settled(wanted: tuple[set[str], int]) -> tuple[set[str], int]:
     """Descriptors and threads once no thread is on its way out.
 
-    A thread can be joined a moment before the kernel takes it off /proc: joining waits for a word in memory to be cleared,
-    which an exiting thread does before its last steps.
+    A thread can be joined a moment before the kernel takes it off /proc: joining waits for a word in memory to be
+    cleared, which an exiting thread does before its last steps.
     """
     deadline = time.monotonic() + LEAVING
     while (found := descriptors_and_threads()) != wanted and time.monotonic() < deadline:
