@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 
 from manyhands.design.errors import SolverFailure
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.statespace import Matrix, StateSpace, frequency_response, symmetric_part
 
 ComplexArray = NDArray[np.complex128]
 
@@ -27,18 +27,6 @@ _SLACKS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # parts of gamma tried for strictness,
 _LYAPUNOV = "bilinear"  # the direct method squares the order and the condition number
 _MOST_POLICIES = 60
 _MOST_ROUNDS = 20
-_POINTS_AT_ONCE = 4096
-
-
-def frequency_response(system: StateSpace, angles: Matrix) -> ComplexArray:
-    """S(e^{j theta}) for ``angles`` theta in rad, stacked: angles x outputs x inputs."""
-    out = np.empty((len(angles), system.outputs, system.inputs), dtype=np.complex128)
-    identity, B = np.eye(system.order), system.B.astype(np.complex128)
-    for start in range(0, len(angles), _POINTS_AT_ONCE):
-        part = slice(start, start + _POINTS_AT_ONCE)
-        z = np.exp(1j * angles[part])[:, None, None]
-        out[part] = system.C @ np.linalg.solve(z * identity - system.A, np.broadcast_to(B, (len(z), *B.shape)))
-    return out + system.D
 
 
 def frequency_grid(poles: ComplexArray, per_decade: int = 40) -> Matrix:

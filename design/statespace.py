@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Matrix = NDArray[np.float64]
 
+_POINTS_AT_ONCE = 4096  # frequencies, so that memory stays bounded
+
 
 def matrix(data: ArrayLike, rows: int | None = None, columns: int | None = None) -> Matrix:
     """Return ``data`` as a read-only float64 matrix of its own.
@@ -102,6 +104,17 @@ class StateSpace:
             outputs[k] = self.C @ state + self.D @ u
             state = self.A @ state + self.B @ u
         return outputs
+
+
+def frequency_response(system: StateSpace, angles: Matrix) -> NDArray[np.complex128]:
+    """S(e^{j theta}) for ``angles`` theta in rad, stacked: angles x outputs x inputs."""
+    out = np.empty((len(angles), system.outputs, system.inputs), dtype=np.complex128)
+    identity, B = np.eye(system.order), system.B.astype(np.complex128)
+    for start in range(0, len(angles), _POINTS_AT_ONCE):
+        part = slice(start, start + _POINTS_AT_ONCE)
+        z = np.exp(1j * angles[part])[:, None, None]
+        out[part] = system.C @ np.linalg.solve(z * identity - system.A, np.broadcast_to(B, (len(z), *B.shape)))
+    return out + system.D
 
 
 def block_diagonal(parts: Sequence[Matrix]) -> Matrix:

@@ -12,8 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.hinfinity import frequency_response
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.statespace import Matrix, StateSpace, frequency_response
 from manyhands.design.weights import Filter
 
 ComplexArray = NDArray[np.complex128]

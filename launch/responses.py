@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.hinfinity import frequency_response
 from manyhands.design.partition import Partition
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.statespace import Matrix, StateSpace, frequency_response
 
 Complex = NDArray[np.complex128]
 Filter = Callable[[complex], complex]

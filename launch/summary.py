@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -12,8 +12,10 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate
 from manyhands.design.coupling import SpringDamper
 from manyhands.design.problem import HapticLoop
-from manyhands.design.proof import Finding
 from manyhands.design.statespace import Matrix
+
+if TYPE_CHECKING:
+    from manyhands.design.proof import Finding  # exact arithmetic is loaded where something is proved
 
 CERTIFIED, INFEASIBLE = "certified", "infeasible"
 CONDITION_10 = "(10)"

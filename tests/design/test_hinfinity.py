@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from manyhands.design import hinfinity
 from manyhands.design.errors import SolverFailure
-from manyhands.design.hinfinity import bounded_real_storage, frequency_response, hinf_norm
-from manyhands.design.statespace import StateSpace
+from manyhands.design.hinfinity import bounded_real_storage, hinf_norm
+from manyhands.design.statespace import StateSpace, frequency_response
 
 
 def random_system(seed: int, order: int, outputs: int, inputs: int, radius: float) -> StateSpace:

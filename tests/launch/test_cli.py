@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -245,3 +247,14 @@ def test_a_demo_that_does_not_come_to_rest_says_so(tmp_path: Path) -> None:
     result = manyhands_command("demo", "-o", tmp_path / "demo", "--duration", "0.5", "--clock", "simulated")
     assert result.exit_code == 1
     assert "not every device came to rest" in result.stdout
+
+
+def test_the_command_line_starts_without_what_only_some_commands_need() -> None:
+    """Help, completion and a mistyped option should not wait for solvers, exact arithmetic or plots to be imported."""
+    code = (
+        "import sys, manyhands.launch.cli\n"
+        "heavy = {'scipy', 'cvxpy', 'clarabel', 'flint', 'matplotlib'}\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules} & heavy))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert out.stdout.strip() == "[]"
