@@ -11,6 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from manyhands.design.partition import Partition
 from manyhands.design.statespace import Matrix, symmetric_part
 
 NO_DELAY_GAIN: Final = 0.5
@@ -72,6 +73,15 @@ def loop_inequality(Delta_G: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> Matrix:
 def margin_of(Delta_G: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> float:
     """The least eigenvalue of (10)."""
     return float(np.linalg.eigvalsh(symmetric_part(loop_inequality(Delta_G, Delta_V, Phi_E)))[0])
+
+
+def margin(partition: Partition, levels: Levels) -> float:
+    """The least eigenvalue of (10) at these levels, block by block where Phi_E has the structure of V."""
+    share = levels.device.share
+    if not partition.admits(levels.Phi_E):
+        return margin_of(share * partition.embed(levels.Delta_D), partition.embed(levels.Delta_V), levels.Phi_E)
+    parts = zip(levels.Delta_D, levels.Delta_V, partition.restrict(levels.Phi_E), strict=True)
+    return min(margin_of(share * D, V, Phi) for D, V, Phi in parts)
 
 
 def least_coupling_level(Delta_G: Matrix, Phi_E: Matrix) -> Matrix:

@@ -22,11 +22,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import expm
 
 from manyhands.design.errors import Infeasible
-from manyhands.design.operators import Rational
-from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
+from manyhands.design.operators import Rational, companion_forms
+from manyhands.design.statespace import Matrix, StateSpace
 
 Method = Literal["backward-euler", "tustin", "zoh"]
 METHODS: tuple[Method, ...] = ("backward-euler", "tustin", "zoh")
@@ -45,9 +44,9 @@ def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
     A, B, C, D = system.A, system.B, system.C, system.D
     n = system.order
     if method == "zoh":
-        p = system.inputs
-        exponential: Matrix = np.asarray(expm(np.block([[A, B], [np.zeros((p, n + p))]]) * T), dtype=np.float64)
-        return StateSpace(exponential[:n, :n], exponential[:n, n:], C, D)
+        from manyhands.design.device import zero_order_hold  # scipy is slow to import, and only this method needs it
+
+        return zero_order_hold(system, T)
     step = T if method == "backward-euler" else T / 2.0
     if n and not np.linalg.cond(np.eye(n) - step * A) < _SINGULAR:
         raise Infeasible(f"{method}: I - {step:g} A is singular", ("change the period, or the method",))
@@ -80,40 +79,25 @@ def substitute(entry: Rational, method: Literal["backward-euler", "tustin"], T: 
 
 
 def realise(entries: tuple[tuple[Rational, ...], ...]) -> StateSpace:
-    """A discrete state space of a matrix of proper rational functions of z: one companion form an entry, row by row.
+    """A discrete state space of a matrix of rational functions of z, in the companion forms of its entries.
 
-    Entry (i, j), num/den of equal length with den monic of degree n, has n states, xi+ = A xi + b u_j, in the
-    controllable form: ones above the diagonal of A, -den reversed (constant term first) in its last row, b the last
-    unit vector. Not minimal in general.
+    Every entry keeps its states, also one that is a plain gain: who rebuilds the system exactly has then no zero to
+    decide.
+
+    Args:
+        entries: rows of (numerator, denominator) of equal length, as :func:`substitute` gives them.
 
     Raises:
         Infeasible: an entry is improper in z: its output would lead its input.
     """
-    m, p = len(entries), len(entries[0])
-    parts: list[Matrix] = []
-    B, C, D = np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))
     for i, row in enumerate(entries):
-        for j, (num, den) in enumerate(row):
+        for j, (_, den) in enumerate(row):
             if den[0] == 0.0:
                 raise Infeasible(
                     f"the environment's entry ({i + 1}, {j + 1}) is not causal after discretisation",
                     ("use backward Euler", "lower the numerator's degree"),
                 )
-            order = len(den) - 1
-            monic, above = np.array(den) / den[0], np.array(num) / den[0]
-            D[i, j] = above[0]
-            gain = (above[1:] - above[0] * monic[1:])[::-1]
-            if order == 0:
-                continue
-            A = np.zeros((order, order))
-            A[:-1, 1:] = np.eye(order - 1)
-            A[-1] = -monic[1:][::-1]
-            parts.append(A)
-            B_entry, C_entry = np.zeros((order, p)), np.zeros((m, order))
-            B_entry[-1, j] = 1.0
-            C_entry[i] = gain
-            B, C = np.vstack([B, B_entry]), np.hstack([C, C_entry])
-    return StateSpace(block_diagonal(parts), B, C, D)
+    return companion_forms(entries, idle=True)
 
 
 def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:

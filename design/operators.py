@@ -15,9 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
-from manyhands.design.level_sets import least_hermitian_eigenvalue
 from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
 
 Rational = tuple[tuple[float, ...], tuple[float, ...]]
@@ -101,24 +99,7 @@ class RationalMatrix:
 
     def realisation(self) -> StateSpace:
         """A continuous state space of H(s): one companion form for each entry, not minimal in general."""
-        m = self.size
-        A_parts: list[Matrix] = []
-        B = np.zeros((0, m))
-        C = np.zeros((m, 0))
-        D = np.zeros((m, m))
-        for i, row in enumerate(self.entries):
-            for j, (num, den) in enumerate(row):
-                A_entry, C_entry, D[i, j] = _companion(num, den)
-                order = A_entry.shape[0]
-                if not np.any(C_entry):
-                    continue  # a plain gain needs no states
-                A_parts.append(A_entry)
-                B_entry = np.zeros((order, m))
-                B_entry[-1, j] = 1.0
-                C_entry_wide = np.zeros((m, order))
-                C_entry_wide[i] = C_entry
-                B, C = np.vstack([B, B_entry]), np.hstack([C, C_entry_wide])
-        return StateSpace(block_diagonal(A_parts), B, C, D)
+        return companion_forms(self.entries, idle=False)
 
     def passivity(self) -> PassivityFinding:
         """Check passivity; see the module's equation."""
@@ -161,13 +142,19 @@ class RationalMatrix:
 
     def components(self) -> tuple[RationalMatrix, ...]:
         """The diagonal blocks that no entry joins: axes, or groups of axes, that the operator keeps apart."""
-        joined = np.array([[bool(num) for num, _ in row] for row in self.entries])
-        _, labels = connected_components(joined | joined.T)
-        groups = [np.flatnonzero(labels == label) for label in range(int(labels.max()) + 1)]
+        joined = np.array([[bool(num) for num, _ in row] for row in self.entries]) | np.eye(self.size, dtype=np.bool_)
+        reached = joined | joined.T
+        while np.any((further := reached @ reached) != reached):
+            reached = further
+        groups = [np.flatnonzero(reached[first]) for first in np.unique(np.argmax(reached, axis=1))]
         return tuple(RationalMatrix(tuple(tuple(self.entries[i][j] for j in group) for i in group)) for group in groups)
 
     def exactly_least(self) -> float | None:
         """Where the least eigenvalue of the Hermitian part is, rad/s; None for what floating point cannot take."""
+        from manyhands.design.level_sets import (
+            least_hermitian_eigenvalue,  # scipy is slow to import, and not all need it
+        )
+
         try:
             with np.errstate(all="ignore"):  # what overflows is refused as not finite
                 system = self.realisation()
@@ -224,6 +211,34 @@ def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
         if c != 0.0:
             return tuple(float(x) for x in coefficients[i:])
     return ()
+
+
+def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:
+    """A state space of a matrix of proper rational functions, of s or of z: one companion form an entry, row by row.
+
+    Entry (i, j) with den of degree n has n states, xi' = A xi + b u_j, in the controllable form: ones above the
+    diagonal of A, -den (made monic) reversed, constant term first, in its last row, b the last unit vector. Not minimal
+    in general.
+
+    Args:
+        entries: m rows of p (numerator, denominator), descending powers, proper, no leading zero in the denominator.
+        idle: whether an entry whose output is a plain gain keeps its states all the same.
+    """
+    m, p = len(entries), len(entries[0])
+    A_parts: list[Matrix] = []
+    B, C, D = np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))
+    for i, row in enumerate(entries):
+        for j, (num, den) in enumerate(row):
+            A_entry, C_entry, D[i, j] = _companion(num, den)
+            order = A_entry.shape[0]
+            if order == 0 or not (idle or np.any(C_entry)):
+                continue
+            A_parts.append(A_entry)
+            B_entry, C_wide = np.zeros((order, p)), np.zeros((m, order))
+            B_entry[-1, j] = 1.0
+            C_wide[i] = C_entry
+            B, C = np.vstack([B, B_entry]), np.hstack([C, C_wide])
+    return StateSpace(block_diagonal(A_parts), B, C, D)
 
 
 def _companion(num: tuple[float, ...], den: tuple[float, ...]) -> tuple[Matrix, Matrix, float]:

@@ -16,6 +16,7 @@ from manyhands.design.contract import NO_DELAY_GAIN
 from manyhands.design.coupling import SpringDamper
 from manyhands.design.environment import Environment
 from manyhands.design.partition import Partition
+from manyhands.design.split import Split
 from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.weighted_loop import Transparency
 
@@ -190,6 +191,11 @@ class HapticLoop:
                     if owners[a] == owners[b]:
                         out[place[p][0]][place[p][1], place[q][1]] = level[a, b]
         return tuple(matrix(M) for M in out)
+
+    @cached_property
+    def split(self) -> Split:
+        """E_hat without its integrators, computed once; raises Infeasible where E_hat is passive at no level."""
+        return self.environment.split(self.period)
 
     @cached_property
     def Delta_D(self) -> Matrix:

@@ -164,7 +164,7 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
         return 0.0  # its energy: no more is known, or cheap to know
-    split = environment.split(loop.period)
+    split = loop.split
     if network is not None and split.rest.order < environment.order:
         return 0.0
     found = lack_of_passivity(split, loop.period, loop.Delta_D, progress)
@@ -259,7 +259,7 @@ def _seen_environment(loop: HapticLoop) -> StateSpace:
             f"no chain of links joins the masses {', '.join(sorted(idle))} to a port",
             ("leave them out: nothing ever moves them",),
         )
-    return loop.environment.split(loop.period).environment(loop.period)
+    return loop.split.environment(loop.period)
 
 
 def default_poles(order: int) -> tuple[Pole, ...]:

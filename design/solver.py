@@ -13,7 +13,6 @@ import cvxpy as cp
 import numpy as np
 
 from manyhands.design.errors import SolverFailure
-from manyhands.design.passivity import StorageFace
 from manyhands.design.statespace import Matrix, StateSpace
 
 SOLVER = "CLARABEL"
@@ -65,15 +64,6 @@ def positive(P: Any, least: float) -> list[cp.Constraint]:
     """P >= ``least`` I for a storage matrix; nothing to ask of a system without states."""
     n = P.shape[0]
     return [symmetric(P) >> least * np.eye(n)] if n else []
-
-
-def storage_on(face: StorageFace) -> Any:
-    """A storage matrix P_0 + sum_i p_i N_i as an affine cvxpy expression, n x n."""
-    d, n = face.directions.shape[0], face.P_0.shape[0]
-    if d == 0:
-        return cp.Constant(face.P_0)
-    p = cp.Variable(d)
-    return face.P_0 + cp.reshape(face.directions.reshape(d, n * n).T @ p, (n, n), order="C")
 
 
 def affine(constant: Matrix, directions: Matrix, p: Any) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manyhands.design.certificate import Certificate, TransparencyClaim, content, seal
-from manyhands.design.contract import margin_of
+from manyhands.design.contract import margin
 from manyhands.design.coupling import CouplingBlock, realisations
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.hinfinity import bounded_real_storage, hinf_norm
@@ -71,7 +71,7 @@ def certificate_of(loop: HapticLoop, found: Found, progress: Progress | None = N
     levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method)
-    certificate = seal(replace(draft, margins=_margins(draft)))
+    certificate = seal(replace(draft, margins={"(10)": margin(loop.partition, levels)}))
     if progress is not None:
         progress("proving the certificate")
     try:
@@ -128,19 +128,7 @@ def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
 def _transparency(loop: HapticLoop, coupling: tuple[CouplingBlock, ...], aim: Transparency) -> TransparencyClaim:
     """The weighted norm that the coupling reaches, and a storage function that proves it."""
     V = loop.partition.join(realisations(coupling, loop.period))
-    system = weighted(loop.environment.split(loop.period).environment(loop.period), V, aim)
+    system = weighted(loop.split.environment(loop.period), V, aim)
     norm, _ = hinf_norm(system, loop.period)
     gamma = norm * (1.0 + _CLAIMED)
     return TransparencyClaim(aim, gamma, bounded_real_storage(system, gamma))
-
-
-def _margins(certificate: Certificate) -> dict[str, float]:
-    """The margins that the certificate states: the least eigenvalue of (10)."""
-    loop, levels = certificate.loop, certificate.levels
-    partition, share = loop.partition, levels.device.share
-    if partition.admits(levels.Phi_E):
-        parts = zip(levels.Delta_D, levels.Delta_V, partition.restrict(levels.Phi_E), strict=True)
-        margin = min(margin_of(share * D, V, Phi) for D, V, Phi in parts)
-    else:
-        margin = margin_of(share * loop.Delta_D, partition.embed(levels.Delta_V), levels.Phi_E)
-    return {"(10)": margin}

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.contract import ENERGY, DeviceShare, Levels, margin_of
+from manyhands.design.contract import ENERGY, DeviceShare, Levels, margin
 from manyhands.design.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.delay import device_share, least_gain
 from manyhands.design.environment import NetworkBox
@@ -71,7 +71,7 @@ def certify_given(
     """
     blocks = realisations(coupling, loop.period)
     best: Levels | None = None
-    margin = 0.0
+    greatest = 0.0
     first: Infeasible | SolverFailure | None = None
     for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
         try:
@@ -79,9 +79,9 @@ def certify_given(
         except (Infeasible, SolverFailure) as error:
             first = first or error
             continue
-        reached = _margin(loop, found)
-        if best is None or reached > margin:
-            best, margin = found, reached
+        reached = margin(loop.partition, found)
+        if best is None or reached > greatest:
+            best, greatest = found, reached
     if best is None:
         raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
     return best
@@ -142,7 +142,7 @@ def _block_levels(
             own.append(block_level(name, part, K, Delta_D, loop.period))
     if len(own) == len(blocks):
         return tuple(own)
-    joint = joint_levels(loop, blocks, loop.environment.split(loop.period), device)
+    joint = joint_levels(loop, blocks, loop.split, device)
     return tuple(BlockLevel(Delta, P) for Delta, P in zip(joint.Delta_V, joint.P_V, strict=True))
 
 
@@ -172,7 +172,7 @@ def _environment(
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
-    split = environment.split(T)
+    split = loop.split
     if network is not None and split.rest.order < environment.order:  # masses that drift: no storage matrix is definite
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
     try:
@@ -184,14 +184,3 @@ def _environment(
         if network is None:
             raise
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
-
-
-def _margin(loop: HapticLoop, levels: Levels) -> float:
-    """The least eigenvalue of (10), block by block where Phi_E has the structure."""
-    partition, share = loop.partition, levels.device.share
-    if not partition.admits(levels.Phi_E):
-        return margin_of(share * loop.Delta_D, partition.embed(levels.Delta_V), levels.Phi_E)
-    return min(
-        margin_of(share * D, V, Phi)
-        for D, V, Phi in zip(levels.Delta_D, levels.Delta_V, partition.restrict(levels.Phi_E), strict=True)
-    )

@@ -215,7 +215,7 @@ def design_spring_damper(
 def _environment(loop: HapticLoop) -> tuple[cp.Variable, list[cp.Constraint]]:
     """Phi_E in scaled ports, and (14) for it, on what is left of E_hat without its integrators."""
     m, S, T = len(loop.ports), loop.scaling, loop.period
-    split = loop.environment.split(T)
+    split = loop.split
     rest = scale_ports(split.rest, S, S)
     rest = change_states(rest, balancing(rest))
     P, Phi = _symmetric(rest.order) if rest.order else cp.Constant(np.zeros((0, 0))), _symmetric(m)
