@@ -19,15 +19,19 @@ from manyhands.launch.session.given import BlockMatrices
 from manyhands.launch.session.hand import DEFAULT_HAND, Hand
 from manyhands.launch.session.interval import Interval, LevelInterval
 from manyhands.launch.session.model import Session, load_session
+from manyhands.launch.session.observers import Observer
+from manyhands.launch.session.port_limits import PortLimits
 from manyhands.launch.session.rational import Rational
-from manyhands.launch.session.structure import RESERVED, CouplingBlock
+from manyhands.launch.session.structure import ENVIRONMENT, RESERVED, SUPERVISOR, CouplingBlock
 from manyhands.launch.session.trace import TraceData
 from manyhands.launch.session.weights import Weight, Weights
 
 __all__ = [
     "DEFAULT_HAND",
+    "ENVIRONMENT",
     "GROUND",
     "RESERVED",
+    "SUPERVISOR",
     "BlockMatrices",
     "CouplingBlock",
     "Design",
@@ -38,7 +42,9 @@ __all__ = [
     "LevelInterval",
     "Link",
     "NetworkEnvironment",
+    "Observer",
     "Pole",
+    "PortLimits",
     "Rational",
     "Session",
     "SessionError",

@@ -1,4 +1,4 @@
-"""A device of a session: its axes, its declared OSP level, and the simulated mechanism and hand behind it."""
+"""A device of a session: its axes, its OSP level, its limits, and the simulated mechanism and hand behind it."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
@@ -16,6 +16,7 @@ from pydantic import (
 from manyhands.launch.session.fields import (
     AXIS_NAME,
     DAMPING,
+    DEVICE_AXES,
     MASS,
     OSP_ENTRY,
     OSP_LEVEL,
@@ -32,9 +33,10 @@ from manyhands.launch.session.fields import (
     refuse,
     unsymmetric,
 )
-from manyhands.launch.session.hand import DEFAULT_HAND, HAND_AXES, Hand
+from manyhands.launch.session.hand import DEFAULT_HAND, Hand
 from manyhands.launch.session.interval import BETWEEN, LevelInterval, ends, is_interval, ordered
 from manyhands.launch.session.limits import MAX_DOF
+from manyhands.launch.session.port_limits import PortLimits
 
 _ROUNDING: Final = 1e-12  # of the largest entry: what the eigenvalues of a difference may lose
 _per_axis: Final = PerAxis(OSP_LEVEL)
@@ -116,6 +118,7 @@ class Device(SessionModel):
     damping: Annotated[tuple[float, ...], BeforeValidator(_damping)] = defaulted(
         None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
+    limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
     hand: Hand = defaulted(None, "the simulated hand that holds it")
 
     @property
@@ -164,11 +167,11 @@ class Device(SessionModel):
             )
         return damping
 
-    @field_validator("hand", mode="wrap")
+    @field_validator("limits", "hand", mode="wrap")
     @classmethod
-    def _held_on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
-        """Tell the hand how many axes it holds; without a valid ``dof`` there is nothing to check it against."""
+    def _on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
+        """Tell limits and hand how many axes there are; without a valid ``dof`` nothing can be checked against it."""
         if "dof" not in info.data:
             return value
         written = DEFAULT_HAND if value is None else value
-        return handler({**written, HAND_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
+        return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)

@@ -27,6 +27,9 @@ from manyhands.launch.session.source import KeyPath
 PROBLEMS: Final = "session_problems"
 """Type of the pydantic errors that carry a tuple of :class:`Problem` as ``ctx["problems"]``."""
 
+DEVICE_AXES: Final = "(axes of the device)"
+"""Key under which a device tells its parts how many axes it has; no session file can sensibly use it."""
+
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 """A matrix, row by row."""
 
@@ -200,11 +203,9 @@ class NamedParts:
 
     def __call__(self, value: object) -> object:
         """The mapping, its keys checked."""
-        plural = self.name.what.removeprefix("a ")
         if not isinstance(value, Mapping) or not self.least <= len(value) <= self.most:
-            raise refuse(
-                show(value), f"a mapping with {self.least} to {self.most} entries, each a {plural} and its value"
-            )
+            entries = f"{self.least} to {self.most} entries, each {self.name.what} and its value"
+            raise refuse(show(value), f"a mapping with {entries}")
         problems = [
             Problem((key,), f"the name {show(key)}", f"{self.name.what}: {self.name.words}")
             for key in value

@@ -22,6 +22,7 @@ from manyhands.design.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.error import listed, show
 from manyhands.launch.session.fields import (
     DAMPING,
+    DEVICE_AXES,
     HAND_MASS,
     STIFFNESS,
     Dof,
@@ -38,9 +39,6 @@ from manyhands.launch.session.limits import MAX_TRACE_ROWS, PROBE_COUNT, PROBE_S
 from manyhands.launch.session.rational import Entry, Rational
 from manyhands.launch.session.trace import TraceData, read_trace, trace_from_numbers
 from manyhands.nodes.device.formula import ALLOWED, Formula, FormulaError
-
-HAND_AXES: Final = "(axes of the device)"
-"""Key under which a device tells its hand how many axes it has; no session file can sensibly use it."""
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
     "operator": {"num": [0.02, 1.2, 20.0], "den": [1.0, 10.3, 100.0]},
@@ -125,7 +123,7 @@ _AXES: Final = "one for all axes, or a list with one for each"
 class Hand(SessionModel):
     """A simulated hand; every tuple has one entry for each axis of the device."""
 
-    dof: Dof = Field(alias=HAND_AXES, exclude=True, repr=False)
+    dof: Dof = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     operator: Annotated[tuple[tuple[Rational, ...], ...], BeforeValidator(_operator)] = defaulted(
         0.0, "the passive operator H(s) in N·s/m, from velocity to force"
     )

@@ -18,6 +18,9 @@ MAX_DEVICES: Final = 1024
 MAX_DOF: Final = 32
 MAX_PORTS: Final = 2048
 MAX_COUPLINGS: Final = 1024
+MAX_OBSERVERS: Final = 32
+MAX_READS: Final = 4096
+"""Channels that one observer reads."""
 MAX_MASSES: Final = 4096
 MAX_LINKS: Final = 16_384
 MAX_ORDER: Final = 256
@@ -42,6 +45,14 @@ MAX_DEGREE: Final = 16
 MAX_COEFFICIENT: Final = 1e24
 SHORTEST_PERIOD: Final = 1e-5
 LONGEST_PERIOD: Final = 0.1
+
+# what a device may exert and reach where its session states nothing: far above any that a hand holds
+DEFAULT_FORCE: Final = 1000.0
+"""N; N·m on a rotational axis."""
+DEFAULT_DISPLACEMENT: Final = 10.0
+"""m; rad on a rotational axis."""
+DEFAULT_SPEED: Final = 100.0
+"""m/s; rad/s on a rotational axis."""
 
 # recorded traces
 MAX_TRACE_BYTES: Final = 1 << 26

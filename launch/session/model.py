@@ -20,11 +20,13 @@ from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import Environment, environment_of_its_type
 from manyhands.launch.session.fields import NamedParts, Period, Problem, SessionModel, SessionName, part_name, refusal
 from manyhands.launch.session.given import full_matrix
-from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_PROBLEMS
+from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_OBSERVERS, MAX_PROBLEMS
 from manyhands.launch.session.matrices import Array
+from manyhands.launch.session.observers import Observer, observer_problems
 from manyhands.launch.session.problems import first_error, nulls_in, problems_in
 from manyhands.launch.session.source import apply_overrides, read_tree
-from manyhands.launch.session.structure import CouplingBlock, ports_of_block, structure_problems
+from manyhands.launch.session.structure import ENVIRONMENT, CouplingBlock, ports_of_block, structure_problems
+from manyhands.protocol.messages import Role
 
 _BEGUN_BY_OVERRIDES: Final = frozenset(
     {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2")}
@@ -47,6 +49,9 @@ class Session(SessionModel):
         description="the virtual environment"
     )
     design: Design = Field(description="what the coupling is, or how it is found")
+    observers: Annotated[
+        dict[str, Observer], BeforeValidator(NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0))
+    ] = Field(default={}, description="who may look on, by name, and at what")
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
@@ -54,6 +59,7 @@ class Session(SessionModel):
         problems = list(islice(structure_problems(device_ports, self.couplings), MAX_PROBLEMS))
         for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
             problems.append(problem._replace(at=("environment", *problem.at)))
+        problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
         if not problems:
             found = self.design.problems(self.ports, self.blocks_by_name, self.period)
             for problem in islice(found, MAX_PROBLEMS):
@@ -66,6 +72,15 @@ class Session(SessionModel):
     def ports(self) -> tuple[str, ...]:
         """The m ports, in the order of devices, then of axes: the order of x, p and f_v."""
         return tuple(port for name in self.devices for port in self.ports_of(name))
+
+    @cached_property
+    def roles(self) -> Mapping[str, Role]:
+        """Every node's name and role: devices first, then couplings, then the environment."""
+        return {
+            **dict.fromkeys(self.devices, Role.DEVICE),
+            **dict.fromkeys(self.couplings, Role.COUPLING),
+            ENVIRONMENT: Role.ENVIRONMENT,
+        }
 
     @cached_property
     def blocks_by_name(self) -> Mapping[str, tuple[str, ...]]:

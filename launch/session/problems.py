@@ -8,8 +8,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from manyhands.launch.session.error import SessionError, key_text, listed, one_of, show
-from manyhands.launch.session.fields import PROBLEMS, Problem, SessionModel
-from manyhands.launch.session.hand import HAND_AXES
+from manyhands.launch.session.fields import DEVICE_AXES, PROBLEMS, Problem, SessionModel
 from manyhands.launch.session.source import KeyPath, SessionTree
 
 _COMPARED: Final = 64  # unknown keys of one part that are compared with a missing one
@@ -80,7 +79,7 @@ def _translated(detail: ErrorDetails, model: type[SessionModel]) -> Iterator[Pro
 def keys_of(model: type[SessionModel]) -> dict[str, str]:
     """The keys that a part may have, with what each is."""
     named = {field.alias or name: field.description or "" for name, field in model.model_fields.items()}
-    return {name: meaning for name, meaning in named.items() if name != HAND_AXES}
+    return {name: meaning for name, meaning in named.items() if name != DEVICE_AXES}
 
 
 def _model_at(model: type[SessionModel], path: KeyPath) -> type[SessionModel] | None:

@@ -14,8 +14,14 @@ from manyhands.launch.session.error import one_of, show
 from manyhands.launch.session.fields import Items, Problem, SessionModel, optional, refuse
 from manyhands.launch.session.limits import MAX_DEVICES, MAX_PORTS
 
-RESERVED: Final = ("environment", "supervisor", GROUND)
-"""Names that no device or coupling may take: the other nodes of a session, and the fixed end of links."""
+ENVIRONMENT: Final = "environment"
+"""The name of the one node that is the environment."""
+
+SUPERVISOR: Final = "supervisor"
+"""The name of the process that starts, watches and ends a session."""
+
+RESERVED: Final = (ENVIRONMENT, SUPERVISOR, GROUND)
+"""Names that no device, coupling or observer may take: other processes of a session, and the fixed end of links."""
 
 PortsOf: TypeAlias = Mapping[str, tuple[str, ...]]
 """The ports of each device, or of each coupling, in order."""

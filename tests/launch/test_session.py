@@ -6,8 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.preparation import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
+from manyhands.launch.session.observers import observable
+from manyhands.launch.simulation import Simulation
 from manyhands.nodes.device.intent import intent_from
+from manyhands.protocol.messages import Role
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -81,6 +85,59 @@ def test_the_variants_of_example_1_change_nothing_else() -> None:
         assert variant.devices == base.devices
         assert variant.environment == base.environment
         assert variant.period == base.period
+
+
+def test_limits_are_by_axis_and_generous_by_default() -> None:
+    by_default = plain().devices["b"].limits
+    assert (by_default.force, by_default.displacement, by_default.speed) == ((1000.0,) * 2, (10.0,) * 2, (100.0,) * 2)
+    limits = {"force": 8, "displacement": [0.2, 0.1]}
+    devices: dict[str, object] = {**PLAIN["devices"], "b": {**PLAIN["devices"]["b"], "limits": limits}}  # type: ignore[dict-item,index]
+    own = plain(devices=devices).devices["b"].limits
+    assert (own.force, own.displacement, own.speed) == ((8.0, 8.0), (0.2, 0.1), (100.0, 100.0))
+
+
+@pytest.mark.parametrize("name", ["example1", "example1-uncoupled"])
+def test_the_default_limits_are_far_from_what_the_examples_reach(name: str) -> None:
+    """The one without coupling is not stable: a limit that stopped it would hide what it is there to show."""
+    session = example(name)
+    run = Simulation(prepare(session, uncertified=True)).run(10_000)
+    limits = session.devices["dx"].limits
+    assert np.abs(run.f_v).max() < 0.5 * limits.force[0]
+    assert np.abs(run.x).max() < 0.01 * limits.displacement[0]
+    assert np.abs(np.diff(run.x, axis=0)).max() / session.period < 0.1 * limits.speed[0]
+
+
+def test_observers_and_what_they_read() -> None:
+    assert plain().observers == {}
+    reads = ("telemetry", "b/sample", "b/force", "left/tool", "right/reaction", "environment/telemetry")
+    session = plain(observers={"watch": {"reads": ["telemetry"]}, "scope": {"reads": list(reads)}})
+    assert {name: observer.reads for name, observer in session.observers.items()} == {
+        "watch": ("telemetry",),
+        "scope": reads,
+    }
+    assert Session.model_validate(session.as_plain()) == session
+
+
+def test_what_can_be_observed_of_each_role() -> None:
+    """Each signal under the end nearer to the hand, and everybody's telemetry; never what sets up a session."""
+    assert {role: observable(role) for role in Role} == {
+        Role.DEVICE: ("sample", "force", "telemetry"),
+        Role.COUPLING: ("tool", "reaction", "telemetry"),
+        Role.ENVIRONMENT: ("telemetry",),
+        Role.SUPERVISOR: (),
+        Role.OBSERVER: (),
+    }
+
+
+def test_roles_are_those_of_the_nodes_in_order() -> None:
+    assert list(plain().roles.items()) == [
+        ("a", Role.DEVICE),
+        ("b", Role.DEVICE),
+        ("c", Role.DEVICE),
+        ("left", Role.COUPLING),
+        ("right", Role.COUPLING),
+        ("environment", Role.ENVIRONMENT),
+    ]
 
 
 def test_one_operator_on_three_axes_is_only_just_passive() -> None:

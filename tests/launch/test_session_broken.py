@@ -29,7 +29,7 @@ TABLE = {
     "alias-of-itself": (2, "devices.dx", "alias of itself", "something else"),
     "too-deep": (2, "", "nesting deeper than 32", "flatter"),
     # keys
-    "unknown-key": (4, "devices.dx.mas", "unknown key 'mas'", "damping, hand (did you mean 'mass'?)"),
+    "unknown-key": (4, "devices.dx.mas", "unknown key 'mas'", "limits, hand (did you mean 'mass'?)"),
     "unknown-top-key": (2, "perod", "unknown key 'perod'", "did you mean 'period'?"),
     "missing-key": (4, "devices.dx", "no key 'mass'", "the moving mass in kg"),
     "missing-design": (1, "", "no key 'design'", "design, "),
@@ -72,6 +72,13 @@ TABLE = {
     "osp-interval-matrix": (4, "devices.dx.osp.between.1.0", "a list of 1", "an OSP level in N·s/m"),
     "osp-interval-axes": (4, "devices.dx.osp.between.0", "a list of 2", "a list of 1, one for each axis"),
     "osp-interval-above-damping": (4, "devices.dx.damping", "the damping 1.1 for an OSP level of 1.2", "smaller osp"),
+    "limits-zero": (4, "devices.dx.limits.force", "0", "a limit of the force in N greater than 0"),
+    "limits-negative": (4, "devices.dx.limits.displacement", "-0.2", "in m greater than 0"),
+    "limits-infinite": (4, "devices.dx.limits.speed", ".inf", "in m/s greater than 0, and finite"),
+    "limits-unit": (4, "devices.dx.limits.speed", "'2 m/s'", "a number in m/s, without the unit"),
+    "limits-key": (4, "devices.dx.limits.forse", "unknown key 'forse'", "speed (did you mean 'force'?)"),
+    "limits-number": (4, "devices.dx.limits", "8", "a mapping with the keys force, displacement, speed"),
+    "limits-per-axis": (4, "devices.dx.limits.force", "a list of 2", "a list of 1, one for each axis"),
     # hands
     "hand-not-passive": (11, "devices.d.hand.operator", "operator not passive at 20.9 rad/s", "a passive operator"),
     "hand-unstable": (4, "devices.dx.hand.operator", "a pole at 1", "a passive operator"),
@@ -195,6 +202,25 @@ TABLE = {
     "matrices-missing-block": (16, "design.matrices", "no matrices for 'cy'", "cx, cy"),
     "matrices-unknown-block": (16, "design.matrices.cz", "unknown coupling 'cz'", "one of cx, cy"),
     "matrices-shape": (20, "design.matrices.cy.B", "a matrix of 1 x 2", "1 x 1, with 1 states and 1 ports"),
+    # observers
+    "observers-list": (17, "observers", "a list of 1", "0 to 32 entries, each an observer name"),
+    "observer-name": (17, "observers.Watch", "'Watch'", "a lowercase letter"),
+    "observer-reserved-name": (17, "observers.ground", "reserved", "other than environment, supervisor, ground"),
+    "observer-named-as-device": (17, "observers.dy", "'dy' of a device", "no device or coupling has"),
+    "observer-named-as-coupling": (17, "observers.cy", "'cy' of a coupling", "no device or coupling has"),
+    "observer-without-reads": (17, "observers.watch", "no key 'reads'", "what it may read"),
+    "observer-writes": (17, "observers.watch.writes", "unknown key 'writes'", "reads"),
+    "observer-reads-nothing": (17, "observers.watch.reads", "an empty list", "a list of 1 to 4096 channels"),
+    "observer-reads-word": (17, "observers.watch.reads", "'telemetry'", "a list of 1 to 4096 channels"),
+    "observer-reads-number": (17, "observers.watch.reads.0", "7", "telemetry, or NODE/CHANNEL"),
+    "observer-reads-everything": (17, "observers.watch.reads.0", "'all'", "NODE/CHANNEL such as dx/telemetry"),
+    "observer-reads-twice": (22, "observers.watch.reads.2", "the channel 'dx/sample' twice", "each channel once"),
+    "observer-unknown-node": (17, "observers.watch.reads.1", "node 'dxx' in 'dxx/sample'", "(did you mean 'dx'?)"),
+    "observer-unknown-channel": (17, "observers.watch.reads.0", "'samples' of 'dx'", "(did you mean 'dx/sample'?)"),
+    "observer-reads-tool": (17, "observers.watch.reads.0", "'tool' of 'dx'", "dx/sample, dx/force, dx/telemetry"),
+    "observer-reads-force": (17, "observers.watch.reads.0", "'force' of 'cx'", "cx/reaction, cx/telemetry"),
+    "observer-reads-environment": (17, "observers.watch.reads.0", "of 'environment'", "environment/telemetry"),
+    "observer-reads-control": (17, "observers.watch.reads.0", "'control' of 'dx'", "dx/sample, dx/force, dx/telemetry"),
 }  # fmt: skip
 
 

@@ -13,7 +13,9 @@ from manyhands.launch.session import (
     Hand,
     Link,
     NetworkEnvironment,
+    Observer,
     Pole,
+    PortLimits,
     Rational,
     Session,
     StateSpaceEnvironment,
@@ -32,6 +34,7 @@ SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTIL
 MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Session": (Session,),
     "Device": (Device,),
+    "Limits": (PortLimits,),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
     "Network": (NetworkEnvironment,),
@@ -41,6 +44,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Design": (Design, Pole),
     "Weights": (Weights, Weight),
     "Matrices": (BlockMatrices,),
+    "Observer": (Observer,),
 }
 
 
@@ -79,6 +83,7 @@ design: {coupling: spring-damper}
 OVERRIDES = {
     "Session": "{key}={value}",
     "Device": "devices.{key}={value}",
+    "Limits": "devices.dx.{key}={value}",
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
     "Interval": "environment.links.0.{key}={value}",
@@ -89,6 +94,7 @@ OVERRIDES = {
     "Design": "{key}={value}",
     "Weights": "design={{coupling: spring-damper, objective: loop-shaping, {key}: {value}}}",
     "Matrices": "design={{coupling: given, matrices: {{{key}: {value}}}}}",
+    "Observer": "observers={{{key}: {value}}}",
 }
 EXAMPLES = [
     (section, text) for section in SECTIONS for text in re.findall("^Example: `(.+)`$", SECTIONS[section], re.M)
@@ -123,6 +129,11 @@ def test_the_limits_are_the_ones_in_force() -> None:
         f"n states (at most {limits.MAX_ENVIRONMENT_ORDER})",
         f"all entries together at most {limits.MAX_ENVIRONMENT_ORDER}",
         f"whole 1 to {limits.MAX_ITERATIONS};",
+        f"at most {limits.MAX_OBSERVERS} |",
+        f"1 to {limits.MAX_READS} distinct",
+        f"| N | {limits.DEFAULT_FORCE:g} | greater than 0 |",
+        f"| m | {limits.DEFAULT_DISPLACEMENT:g} | greater than 0 |",
+        f"| m/s | {limits.DEFAULT_SPEED:g} | greater than 0 |",
     ):
         assert limit in told
     assert told.count(f"| whole 0 to {limits.MAX_DELAY}") == 3  # every kind of environment

@@ -56,6 +56,9 @@ def devices(draw: st.DrawFn) -> dict[str, Any]:
     if draw(st.booleans()):
         device["damping"] = 1e4  # at least every lower end
     if draw(st.booleans()):
+        limits = st.sampled_from(["force", "displacement", "speed"])
+        device["limits"] = {name: per_axis(draw, positive, dof) for name in sorted(draw(st.sets(limits)))}
+    if draw(st.booleans()):
         device["hand"] = {
             "operator": draw(st.sampled_from([0.5, {"num": [1.0, 2.0], "den": [1.0, 1.0]}])),
             **{key: per_axis(draw, positive, dof) for key in ("mass", "damping", "stiffness")},
@@ -146,6 +149,16 @@ def environments(draw: st.DrawFn, ports: list[str]) -> dict[str, Any]:
 
 
 @st.composite
+def observers(draw: st.DrawFn, parts: list[str], couplings: list[str]) -> dict[str, Any]:
+    channels = ["telemetry", "environment/telemetry"]
+    channels += [f"{name}/{channel}" for name in parts for channel in ("sample", "force", "telemetry")]
+    channels += [f"{name}/{channel}" for name in couplings for channel in ("tool", "reaction", "telemetry")]
+    reads = st.lists(st.sampled_from(channels), min_size=1, max_size=4, unique=True)
+    names = letters.map("o_{}".format)
+    return draw(st.dictionaries(names, st.fixed_dictionaries({"reads": reads}), max_size=2))
+
+
+@st.composite
 def sessions(draw: st.DrawFn) -> dict[str, Any]:
     parts = {
         f"d_{name}": device
@@ -164,6 +177,7 @@ def sessions(draw: st.DrawFn) -> dict[str, Any]:
         "couplings": couplings,
         "environment": draw(environments(ports)),
         "design": draw(designs(list(couplings), len(ports), period)),
+        "observers": draw(observers(list(parts), list(couplings))),
     }
 
 
@@ -240,6 +254,7 @@ PLAINS: list[dict[str, Any]] = [
     {**PLAIN, "environment": STATES},
     {**PLAIN, "environment": {**ENTRIES, "method": "tustin"}},
     {**PLAIN, "design": LINEAR},
+    {**PLAIN, "observers": {"watch": {"reads": ["telemetry"]}, "scope": {"reads": ["dx/force", "cx/tool"]}}},
 ]
 junk = st.recursive(
     st.none()
