@@ -1,0 +1,82 @@
+"""What `manyhands keys` does, from a loaded session to what is printed; apart from :mod:`keys`, which runs need too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.launch.designing import print_json
+from manyhands.launch.display import say
+from manyhands.launch.exits import EXIT_OK
+from manyhands.launch.key_folder import PRIVATE, PUBLIC, SUFFIX, private_path
+from manyhands.launch.keys import KeyState, Made, make_keys, roster
+from manyhands.launch.session import Session
+
+
+def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console, err: Console, as_json: bool) -> int:
+    """Make a session's keys, and tell what was made and what to do with it.
+
+    Args:
+        session: the session.
+        folder: where its keys are, or are to be.
+        renew: names whose keys are to be replaced.
+        out: for the table.
+        err: for what to do next.
+        as_json: print one JSON object instead of the table.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        KeyFileError: as :func:`make_keys`.
+        OSError: something cannot be written.
+    """
+    made = make_keys(session, folder, renew)
+    states = {name: state for state in KeyState for name in getattr(made, state.value)}
+    if as_json:
+        print_json(_object(session, folder, made, states))
+    else:
+        table = Table(title=f"{session.name}: keys", title_justify="left")
+        for column in ("name", "role", "key"):
+            table.add_column(column)
+        for name, role in roster(session).items():
+            table.add_row(name, role.value, states[name].value)
+        out.print(table)
+    _say_next(session, folder, made, err)
+    return EXIT_OK
+
+
+def _object(session: Session, folder: Path, made: Made, states: dict[str, KeyState]) -> dict[str, object]:
+    """The object that ``--json`` prints; it names files, and no key."""
+    private = folder / PRIVATE
+    return {
+        "session": session.name,
+        "public": str(folder / PUBLIC),
+        "keys": {
+            name: {
+                "role": role.value,
+                "key": states[name].value,
+                "private": None if states[name] is KeyState.ELSEWHERE else str(private_path(private, name)),
+            }
+            for name, role in roster(session).items()
+        },
+        "stale": list(made.stale),
+    }
+
+
+def _say_next(session: Session, folder: Path, made: Made, err: Console) -> None:
+    private = folder / PRIVATE
+    say(err, f"to every machine of the session: {folder / PUBLIC}")
+    say(
+        err,
+        f"to the machine that runs NAME, and to no other: {private}/NAME{SUFFIX} (mode 0600; over a secure channel)",
+    )
+    if made.new or made.renewed:
+        say(err, f"the public keys have changed: machines that have an older {PUBLIC} need this one")
+    for name in made.elsewhere:
+        say(err, f"{name}: its private key is not here: on its own machine, or lost; then make it anew: --renew {name}")
+    if made.stale:
+        say(err, f"not in {session.name} any more, and left where they are: {', '.join(made.stale)}")
