@@ -4,7 +4,7 @@ Pure functions. A refusal is one sentence that says who refused whom, what was f
 what to do; it is sent to the other side as it is, so that both ends tell the same story.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
@@ -50,14 +50,23 @@ def check_link_hello(hello: LinkHello | ForeignHello, own: LinkHello, expects: E
     return _check_feedthrough(hello, own, expects)
 
 
-def check_node_hello(hello: Received, certificate: str, session: str, expected: Mapping[str, Role]) -> Refusal | None:
+def check_node_hello(
+    hello: Received,
+    certificate: str,
+    session: str,
+    expected: Mapping[str, Role],
+    sender: str,
+    binds: Collection[str] = (),
+) -> Refusal | None:
     """The supervisor's answer to the first message of a node: None if it may join, otherwise why not.
 
     Args:
         hello: what the node's first frame turned out to be.
         certificate: id of the certificate the session runs under.
         session: name of the session.
-        expected: the session's nodes and their roles.
+        expected: the session's nodes (and observers) and their roles.
+        sender: who sent it, as the transport knows it: by key, where there are keys.
+        binds: the peers for which the sender binds a link, and must have an endpoint.
     """
     own = Role.SUPERVISOR.value
     match hello:
@@ -76,7 +85,17 @@ def check_node_hello(hello: Received, certificate: str, session: str, expected: 
     if hello.name not in expected:
         text = f"found this name; expected one of {_list(tuple(expected))}; start it from the same session file"
         return refuse(own, hello.name, RefusalCode.NAME, text)
-    return _check_role(own, hello.name, hello.role, expected[hello.name])
+    if hello.name != sender:
+        text = f"found the name {hello.name} from {sender}; expected its own; start it from its own bundle"
+        return refuse(own, sender, RefusalCode.NAME, text)
+    refusal = _check_role(own, hello.name, hello.role, expected[hello.name])
+    if refusal is None and set(hello.endpoints) != set(binds):
+        text = (
+            f"found endpoints for {_list(sorted(hello.endpoints))}; expected them for {_list(sorted(binds))}; "
+            "start it from the bundle of this session"
+        )
+        return refuse(own, hello.name, RefusalCode.ENDPOINTS, text)
+    return refusal
 
 
 def _check_session(me: str, peer: str, hello: LinkHello | NodeHello, certificate: str, session: str) -> Refusal | None:

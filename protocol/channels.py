@@ -11,11 +11,14 @@ from typing import Final
 
 from manyhands.protocol.messages import (
     Connect,
+    Echo,
     Fault,
     Force,
     LinkHello,
     Message,
     NodeHello,
+    Observation,
+    Probe,
     Reaction,
     Ready,
     Refusal,
@@ -62,7 +65,7 @@ class Channel:
 
 
 _NODES: Final = (Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT)
-_EVERYONE: Final = (*_NODES, Role.SUPERVISOR)
+_EVERYONE: Final = (*_NODES, Role.SUPERVISOR, Role.OBSERVER)
 
 _TABLE: Final = (
     Channel("sample", (Sample,), (Role.DEVICE,), (Role.COUPLING,), "x", "m", Rate.EVERY_TICK),
@@ -72,7 +75,7 @@ _TABLE: Final = (
     Channel("handshake", (LinkHello, Welcome, Refusal), _NODES, _NODES, "", "", Rate.ONCE),
     Channel(
         "control",
-        (NodeHello, Welcome, Refusal, Connect, Ready, Start, Stop, Report, Fault),
+        (NodeHello, Welcome, Refusal, Connect, Ready, Start, Stop, Probe, Echo, Report, Fault),
         _EVERYONE,
         _EVERYONE,
         "",
@@ -80,6 +83,7 @@ _TABLE: Final = (
         Rate.ONCE,
     ),
     Channel("telemetry", (Telemetry,), _NODES, (Role.SUPERVISOR,), "", "", Rate.TEN_HZ),
+    Channel("observation", (Observation,), (Role.SUPERVISOR,), (Role.OBSERVER,), "", "", Rate.TEN_HZ),
 )
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({channel.name: channel for channel in _TABLE})

@@ -10,7 +10,6 @@ read by the general path).
 """
 
 import dataclasses
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -30,11 +29,14 @@ from manyhands.protocol.limits import (
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
+    Echo,
     Fault,
     Force,
     LinkHello,
     Message,
     NodeHello,
+    Observation,
+    Probe,
     Reaction,
     Ready,
     Refusal,
@@ -48,6 +50,7 @@ from manyhands.protocol.messages import (
     Tool,
     Welcome,
 )
+from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, UINT64, USUAL
 
 
 class Flaw(StrEnum):
@@ -100,20 +103,16 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Ready: (6, ()),
     Start: (7, (fields.COUNT, fields.COUNT)),
     Stop: (8, (fields.TEXT,)),
+    Probe: (9, (fields.COUNT,)),
+    Echo: (10, (fields.COUNT, fields.COUNT, fields.COUNT)),
     **{kind: (number, (fields.COUNT, fields.COUNT, fields.VALUES)) for number, kind in _SIGNALS.items()},
     Telemetry: (32, (fields.COUNT, fields.FIGURES, fields.TRACES)),
     Report: (33, (fields.COUNT, fields.FIGURES, fields.COUNTS, fields.PERCENTILES)),
     Fault: (34, (fields.TEXT,)),
+    Observation: (35, (fields.NAME, fields.COUNT, fields.FIGURES, fields.TRACES)),
 }
 _KINDS: Final = {number: kind for kind, (number, _) in LAYOUTS.items()}
 _FIELD_NAMES: Final = {kind: tuple(f.name for f in dataclasses.fields(kind)) for kind in LAYOUTS}
-
-# array of 4 | type id | uint64 | tick | uint64 | stamp | bin 16 | length: the constant bytes are
-# MessagePack's own tags
-_SIGNAL_HEAD: Final = struct.Struct(">BBBQBQBH")
-_ARRAY_OF_4: Final = 0x94
-_UINT64: Final = 0xCF
-_BIN16: Final = 0xC5
 
 
 def encode(message: Message) -> bytes:
@@ -130,7 +129,7 @@ def encode(message: Message) -> bytes:
             data = fields.pack_values(message.values)
         except Unfit:
             return _encode_any(message)  # which refuses it too, and can say where
-        return _SIGNAL_HEAD.pack(_ARRAY_OF_4, number, _UINT64, tick, _UINT64, stamp, _BIN16, len(data)) + data
+        return USUAL.pack(ARRAY_OF_4, number, UINT64, tick, UINT64, stamp, BIN16, len(data)) + data
     return _encode_any(message)
 
 
@@ -143,19 +142,19 @@ def decode(frame: bytes, limit: int) -> Received:
     """
     if len(frame) > limit:
         return Malformed(f"found {len(frame)} bytes; expected at most {limit}", Flaw.SIZE)
-    if len(frame) >= _SIGNAL_HEAD.size and frame[0] == _ARRAY_OF_4:
-        _, number, tick_tag, tick, stamp_tag, stamp, values_tag, length = _SIGNAL_HEAD.unpack_from(frame)
+    if len(frame) >= USUAL.size and frame[0] == ARRAY_OF_4:
+        _, number, tick_tag, tick, stamp_tag, stamp, values_tag, length = USUAL.unpack_from(frame)
         if (
             number in _SIGNALS
-            and tick_tag == stamp_tag == _UINT64
-            and values_tag == _BIN16
-            and length == len(frame) - _SIGNAL_HEAD.size
+            and tick_tag == stamp_tag == UINT64
+            and values_tag == BIN16
+            and length == len(frame) - USUAL.size
         ):
             try:
                 return _SIGNALS[number](
                     fields.COUNT.read(tick),
                     fields.COUNT.read(stamp),
-                    fields.read_values(frame[_SIGNAL_HEAD.size :]),
+                    fields.read_values(frame[USUAL.size :]),
                 )
             except Unfit:
                 return _decode_any(frame)  # which refuses it too, and can say where

@@ -14,7 +14,7 @@ MAX_CONTROL_BYTES: Final = 1024 * 1024
 """Longest frame of any kind, bytes.
 
 A hello with the feedthrough of :data:`MAX_PORTS` ports needs about 0.6 MiB,
-which is why sockets admit this size and the gates admit :data:`MAX_FRAME_BYTES`."""
+which is why sockets admit this size; a gate admits no more than the signals of its link need."""
 
 MAX_PORTS: Final = 256
 """Most ports that one link carries (those of one device in one coupling block, or of one block)."""
@@ -54,5 +54,29 @@ ZeroMQ learns of what was read only now and then: half as many are sure to find 
 HUB_QUEUE_FRAMES: Final = 1000
 """The same between a node and the supervisor, where the reader is a slower one."""
 
+MAX_STRAY_FRAMES: Final = 512
+"""Frames that a loop reads from one link without admitting one, while it waits for the signal of one tick.
+
+Twice what a link's queue holds, so that no honest peer comes near it; reading as many takes a millisecond or two. A
+peer that sends more is no part of the session any more, and the node ends rather than read on."""
+
 LINGER_MS: Final = 500
 """How long closing a transport may wait for frames that are on their way, such as a refusal, ms."""
+
+HANDSHAKE_MS: Final = 5000
+"""How long a connection may take to prove its key before it is closed, ms."""
+
+DOOR_BURST: Final = 64
+"""Connections opened at a door within a tenth of a second, beyond those it is meant for, before it is shut."""
+
+DOOR_SHUT_MS: Final = 1000
+"""How long a door stays shut, ms: the kernel then drops whoever knocks, and connections that exist go on."""
+
+HUB_FRAMES_PER_S: Final = 200
+"""Frames a second that a hub reads beyond what its members need; the rest wait in their senders' queues."""
+
+HEARTBEAT_MS: Final = 1000
+"""How often both ends of a hub's TCP connection make sure that the other is there, ms."""
+
+SILENCE_MS: Final = 3000
+"""After how long without an answer such a connection counts as lost, ms."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
 
-PROTOCOL_VERSION: Final[int] = 1
+PROTOCOL_VERSION: Final[int] = 2
 """The version of SPEC.md that this code speaks."""
 
 Values: TypeAlias = NDArray[np.float64]
@@ -28,6 +28,7 @@ class Role(StrEnum):
     COUPLING = "coupling"
     ENVIRONMENT = "environment"
     SUPERVISOR = "supervisor"
+    OBSERVER = "observer"
 
 
 class RefusalCode(StrEnum):
@@ -40,6 +41,7 @@ class RefusalCode(StrEnum):
     ROLE = "role"
     PORTS = "ports"
     FEEDTHROUGH = "feedthrough"
+    ENDPOINTS = "endpoints"
     MALFORMED = "malformed"
 
 
@@ -119,6 +121,22 @@ class Stop:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """To the supervisor: what does your clock say? ``sent``: the sender's own, monotonic ns."""
+
+    sent: int
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """The supervisor's answer to a probe: its own clock (monotonic ns) when it ``heard`` and when it ``answered``."""
+
+    sent: int
+    heard: int
+    answered: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
     """What the four signal messages share; only those four are sent.
@@ -186,6 +204,23 @@ class Telemetry:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """From the supervisor to an observer: as much of ``node``'s telemetry as that observer may read."""
+
+    node: str
+    tick: int
+    figures: Mapping[str, float]
+    traces: Mapping[str, Values]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Observation):
+            return NotImplemented
+        return self.node == other.node and (
+            Telemetry(self.tick, self.figures, self.traces) == Telemetry(other.tick, other.figures, other.traces)
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Report:
     """A node's last word on a run: ticks done, figures, counts, and per quantity its percentiles."""
@@ -215,8 +250,11 @@ Message: TypeAlias = (
     | Ready
     | Start
     | Stop
+    | Probe
+    | Echo
     | SignalMessage
     | Telemetry
+    | Observation
     | Report
     | Fault
 )

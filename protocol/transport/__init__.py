@@ -6,7 +6,8 @@ wait for a slow reader, so a full queue is an answer (``False``), not a delay. A
 same tests (``tests/protocol/test_transport.py``). A link or a hub is used by one thread.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from enum import StrEnum
 from typing import Protocol
 
 from manyhands.protocol.clock import Duration
@@ -15,6 +16,15 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_NAME
 
 class TransportError(Exception):
     """An endpoint cannot be used as asked: what was found, and what would be right."""
+
+
+class Trouble(StrEnum):
+    """What can go wrong with a connection, in words for a person."""
+
+    NOBODY = "nobody listens there"
+    NOT_ADMITTED = "the other side does not admit this key"
+    NOT_PROVED = "the other side does not hold the key expected of it, or one side is encrypted and the other is not"
+    LOST = "the connection was lost"
 
 
 class Link(Protocol):
@@ -40,6 +50,13 @@ class Link(Protocol):
         """
         ...
 
+    def trouble(self) -> Trouble | None:
+        """What is known to have gone wrong with the connection; None while nothing is.
+
+        Only the connection to a hub over a network is watched so closely: there nobody else tells of a loss.
+        """
+        ...
+
     def close(self) -> None:
         """Close this end; frames on their way still leave. A second time does nothing."""
         ...
@@ -48,8 +65,20 @@ class Link(Protocol):
 class Hub(Protocol):
     """The one end of a star of connections."""
 
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Messages that were not passed on, by reason."""
+        ...
+
+    @property
+    def handled(self) -> int:
+        """Messages read, whether passed on or dropped."""
+        ...
+
     def recv(self) -> tuple[str, bytes] | None:
         """The next frame and the identity of its sender, or None if there is none now; never blocks.
+
+        None may also mean that many messages in a row were dropped; :meth:`wait` then returns at once.
 
         Raises:
             TransportError: if the hub is closed.
@@ -65,10 +94,15 @@ class Hub(Protocol):
         """
         ...
 
-    def wait(self, timeout: Duration | None, fds: Sequence[int] = ()) -> set[int]:
+    def forget(self, identity: str) -> None:
+        """Let another connection have the name ``identity``, which otherwise stays with the first that had it."""
+        ...
+
+    def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         """Wait until there is a frame, or one of ``fds`` is readable or hung up, or ``timeout`` has passed.
 
-        Returns those of ``fds`` that are ready. An exception raised by a signal handler gets through.
+        Without ``frames``, frames are left where they are. Returns those of ``fds`` that are ready. An exception
+        raised by a signal handler gets through.
 
         Raises:
             TransportError: if the hub is closed.
@@ -83,27 +117,30 @@ class Hub(Protocol):
 class Transport(Protocol):
     """Makes links and hubs of one kind, and cleans up after all it has made."""
 
-    def bind(self, name: str) -> tuple[Link, str]:
-        """A link that exactly one peer may connect to, and the endpoint to tell it. ``name`` is used once.
+    def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        """A link that ``peer`` alone may connect to, and the endpoint to tell it. ``name`` is used once.
+
+        Where the transport has keys, that is enforced by them. ``address`` (host:port) is for TCP; without it, any
+        free port of the loopback.
 
         Raises:
-            TransportError: if the endpoint cannot be bound.
+            TransportError: if the endpoint cannot be bound, or there is no key of ``peer``.
         """
         ...
 
-    def connect(self, endpoint: str) -> Link:
-        """The other end of a bound link.
+    def connect(self, endpoint: str, peer: str) -> Link:
+        """The other end of a link that ``peer`` has bound.
 
         Raises:
-            TransportError: if ``endpoint`` is none of this transport's.
+            TransportError: if ``endpoint`` is none of this transport's, or there is no key of ``peer``.
         """
         ...
 
-    def bind_hub(self, name: str) -> tuple[Hub, str]:
-        """A hub that many may join, and the endpoint to tell them. ``name`` is used once.
+    def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
+        """A hub that ``members`` may join, and the endpoint to tell them. ``name`` is used once.
 
         Raises:
-            TransportError: if the endpoint cannot be bound.
+            TransportError: if the endpoint cannot be bound, or there is no key of a member.
         """
         ...
 
@@ -113,6 +150,18 @@ class Transport(Protocol):
         Raises:
             TransportError: if ``endpoint`` is none of this transport's, or ``identity`` is no name.
         """
+        ...
+
+    def settle(self) -> None:
+        """All peers are here: from now on receiving is for frames alone, and :meth:`attend` for whoever knocks."""
+        ...
+
+    def attend(self) -> None:
+        """Answer those who ask to be let in and count those who were not: bounded work, for a loop's slack."""
+        ...
+
+    def refused(self) -> Mapping[str, int]:
+        """Connections that were not admitted, by reason; reasons that never occurred are absent."""
         ...
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ import os
 import select
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import HUB_QUEUE_FRAMES, LINK_QUEUE_FRAMES
@@ -16,6 +16,7 @@ from manyhands.protocol.transport import (
     Hub,
     Link,
     TransportError,
+    Trouble,
     milliseconds,
     require_name,
     require_sendable,
@@ -56,11 +57,11 @@ class _Mailbox:
                 os.eventfd_read(self.fd)
             return item
 
-    def wait(self, timeout: Duration | None, fds: Sequence[int] = ()) -> set[int]:
+    def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         if self._closed:
             raise TransportError("cannot wait: it is closed")
         poller = select.poll()
-        for fd in (self.fd, *fds):
+        for fd in (*([self.fd] if frames else []), *fds):
             poller.register(fd, select.POLLIN)
         return {fd for fd, _ in poller.poll(milliseconds(timeout)) if fd != self.fd}
 
@@ -117,6 +118,10 @@ class MemoryLink:
             item = self._inbox.take()
         return None if item is None else item[1]
 
+    def trouble(self) -> Trouble | None:
+        """Nothing goes wrong within a process; see :class:`~manyhands.protocol.transport.Link`."""
+        return None
+
     def close(self) -> None:
         """Close this end."""
         self._inbox.close()
@@ -130,10 +135,14 @@ class MemoryHub:
 
     def __init__(self, boxes: _Boxes) -> None:
         self._boxes = boxes
+        self.dropped: dict[str, int] = {}  # nobody here sends anything but frames
+        self.handled = 0
 
     def recv(self) -> tuple[str, bytes] | None:
         """The next frame and its sender; see :class:`~manyhands.protocol.transport.Hub`."""
-        return self._boxes.own.take()
+        received = self._boxes.own.take()
+        self.handled += received is not None
+        return received
 
     def send(self, identity: str, frame: bytes) -> bool:
         """Queue a frame for a node; see :class:`~manyhands.protocol.transport.Hub`."""
@@ -144,9 +153,13 @@ class MemoryHub:
         peer = self._boxes.peers.get(identity)
         return peer is not None and peer.put("", frame)
 
-    def wait(self, timeout: Duration | None, fds: Sequence[int] = ()) -> set[int]:
+    def forget(self, identity: str) -> None:
+        """Let another have the name; see :class:`~manyhands.protocol.transport.Hub`."""
+        self._boxes.peers.pop(identity, None)
+
+    def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         """Wait for a frame or a descriptor; see :class:`~manyhands.protocol.transport.Hub`."""
-        return self._boxes.own.wait(timeout, fds)
+        return self._boxes.own.wait(timeout, fds, frames)
 
     def close(self) -> None:
         """Close it."""
@@ -163,16 +176,16 @@ class MemoryTransport:
         self._endpoints: dict[str, _Boxes] = {}
         self._closed = False
 
-    def bind(self, name: str) -> tuple[Link, str]:
+    def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link to connect to; see :class:`~manyhands.protocol.transport.Transport`."""
         boxes, endpoint = self._bind(name, LINK_QUEUE_FRAMES)
         return MemoryLink(boxes, None), endpoint
 
-    def connect(self, endpoint: str) -> Link:
+    def connect(self, endpoint: str, peer: str) -> Link:
         """The other end of a bound link; see :class:`~manyhands.protocol.transport.Transport`."""
         return self._enter(endpoint, _PEER, LINK_QUEUE_FRAMES)
 
-    def bind_hub(self, name: str) -> tuple[Hub, str]:
+    def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
         """A hub to join; see :class:`~manyhands.protocol.transport.Transport`."""
         boxes, endpoint = self._bind(name, HUB_QUEUE_FRAMES)
         return MemoryHub(boxes), endpoint
@@ -181,6 +194,16 @@ class MemoryTransport:
         """A link to a hub; see :class:`~manyhands.protocol.transport.Transport`."""
         require_name(identity)
         return self._enter(endpoint, identity, HUB_QUEUE_FRAMES)
+
+    def settle(self) -> None:
+        """There is no door; see :class:`~manyhands.protocol.transport.Transport`."""
+
+    def attend(self) -> None:
+        """There is no door; see :class:`~manyhands.protocol.transport.Transport`."""
+
+    def refused(self) -> Mapping[str, int]:
+        """Nobody is refused within a process; see :class:`~manyhands.protocol.transport.Transport`."""
+        return {}
 
     def close(self) -> None:
         """Close everything made here."""

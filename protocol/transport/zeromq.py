@@ -1,136 +1,38 @@
 """ZeroMQ over Unix-domain sockets (``ipc``) or TCP.
 
-PAIR for a link: it admits one peer and is, with a blocking receive, the fastest of ZeroMQ's patterns; ROUTER
-and DEALER for the hub. Receiving blocks in the kernel with RCVTIMEO rather than in a poller (5 % faster, and
-busy waiting is ruinous on few cores); sending never blocks. TCP keeps ZeroMQ's default of TCP_NODELAY.
+Over TCP everything is encrypted and both sides prove who they are (CURVE), unless the process was given no keys; over
+``ipc`` the directory of the sockets is what keeps others out. TCP keeps ZeroMQ's default of TCP_NODELAY.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Final
 
 import zmq
 
-from manyhands.protocol.clock import Duration
+from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import (
+    HEARTBEAT_MS,
     HUB_QUEUE_FRAMES,
     LINGER_MS,
     LINK_QUEUE_FRAMES,
     MAX_CONTROL_BYTES,
     MAX_SOCKET_PATH,
+    SILENCE_MS,
 )
-from manyhands.protocol.transport import (
-    Hub,
-    Link,
-    TransportError,
-    milliseconds,
-    require_name,
-    require_sendable,
-)
+from manyhands.protocol.transport import Hub, Link, TransportError, require_name
+from manyhands.protocol.transport.doorkeeper import Doorkeeper
+from manyhands.protocol.transport.sockets import ZmqHub, ZmqLink, failed
 
 SCHEMES: Final = ("ipc", "tcp")
 """What a session can be carried by."""
 
+_CURVE_BYTES: Final = 33  # by which encryption makes a message longer: command, nonce, flags and authenticator
 
-class ZmqLink:
-    """A PAIR socket, or the DEALER end of a hub."""
+LOOPBACK: Final = "127.0.0.1"
 
-    def __init__(self, socket: "zmq.Socket[bytes]") -> None:
-        self._socket = socket
-        self._timeout_ms = -1  # ZeroMQ's default of RCVTIMEO
-
-    def send(self, frame: bytes) -> bool:
-        """Queue a frame; see :class:`~manyhands.protocol.transport.Link`."""
-        require_sendable(frame)
-        try:
-            self._socket.send(frame, zmq.NOBLOCK)
-        except zmq.Again:
-            return False
-        except zmq.ZMQError as error:
-            raise _failed("send on a link", error) from error
-        return True
-
-    def recv(self, timeout: Duration | None) -> bytes | None:
-        """The next frame; see :class:`~manyhands.protocol.transport.Link`."""
-        wait_ms = milliseconds(timeout)
-        try:
-            if wait_ms == 0:
-                return self._socket.recv(zmq.NOBLOCK)
-            if wait_ms != self._timeout_ms:  # a loop waits equally long each tick: spare it the call
-                self._socket.setsockopt(zmq.RCVTIMEO, wait_ms)
-                self._timeout_ms = wait_ms
-            return self._socket.recv()
-        except zmq.Again:
-            return None
-        except zmq.ZMQError as error:
-            raise _failed("receive from a link", error) from error
-
-    def close(self) -> None:
-        """Close this end."""
-        self._socket.close(linger=LINGER_MS)
-
-
-class ZmqHub:
-    """A ROUTER socket.
-
-    Attributes:
-        dropped: messages that were not one frame from a proper identity.
-    """
-
-    def __init__(self, socket: "zmq.Socket[bytes]") -> None:
-        self._socket = socket
-        self.dropped = 0
-
-    def recv(self) -> tuple[str, bytes] | None:
-        """The next frame and its sender; see :class:`~manyhands.protocol.transport.Hub`."""
-        while True:
-            try:
-                parts = self._socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                return None
-            except zmq.ZMQError as error:
-                raise _failed("receive from a hub", error) from error
-            try:
-                identity = parts[0].decode("ascii")
-                require_name(identity)
-            except (UnicodeDecodeError, TransportError):
-                self.dropped += 1
-                continue
-            if len(parts) == 2:
-                return identity, parts[1]
-            self.dropped += 1
-
-    def send(self, identity: str, frame: bytes) -> bool:
-        """Queue a frame for a node; see :class:`~manyhands.protocol.transport.Hub`."""
-        require_name(identity)
-        require_sendable(frame)
-        try:
-            self._socket.send_multipart([identity.encode("ascii"), frame], zmq.NOBLOCK)
-        except zmq.Again:
-            return False
-        except zmq.ZMQError as error:
-            if error.errno == zmq.EHOSTUNREACH:
-                return False
-            raise _failed("send from a hub", error) from error
-        return True
-
-    def wait(self, timeout: Duration | None, fds: Sequence[int] = ()) -> set[int]:
-        """Wait for a frame or a descriptor; see :class:`~manyhands.protocol.transport.Hub`."""
-        if self._socket.closed:  # a poller would wait on it in silence
-            raise TransportError("cannot wait on a hub: it is closed")
-        poller = zmq.Poller()
-        poller.register(self._socket, zmq.POLLIN)
-        for fd in fds:
-            poller.register(fd, zmq.POLLIN | zmq.POLLERR)
-        try:
-            ready = poller.poll(milliseconds(timeout))
-        except zmq.ZMQError as error:
-            raise _failed("wait on a hub", error) from error
-        return {which for which, _ in ready if isinstance(which, int)}
-
-    def close(self) -> None:
-        """Close it."""
-        self._socket.close(linger=LINGER_MS)
+HUB: Final = "supervisor"
+"""Whose key a hub proves."""
 
 
 class ZmqTransport:
@@ -139,11 +41,13 @@ class ZmqTransport:
     A context must not be carried over a fork: construct the transport in the process that uses it.
     """
 
-    def __init__(self, scheme: str, address_of: Callable[[str], str]) -> None:
+    def __init__(self, scheme: str, address_of: Callable[[str, str], str], ring: KeyRing | None = None) -> None:
         self._scheme: Final = scheme
         self._address_of = address_of
         self._context = zmq.Context()
+        self._door = None if ring is None else Doorkeeper(self._context, ring)
         self._sockets: list[zmq.Socket[bytes]] = []
+        self._links: list[ZmqLink] = []
         self._names: set[str] = set()
         self._files: list[Path] = []
 
@@ -151,57 +55,83 @@ class ZmqTransport:
     def ipc(cls, directory: Path) -> "ZmqTransport":
         """Unix-domain sockets in ``directory``, which exists and which only the session's user may enter."""
         absolute = directory.absolute()  # peers may run elsewhere
-        return cls("ipc", lambda name: str(absolute / name))
+        return cls("ipc", lambda name, _address: str(absolute / name))
 
     @classmethod
-    def tcp(cls, host: str = "127.0.0.1") -> "ZmqTransport":
-        """TCP on ``host``, with ports that the system chooses."""
-        return cls("tcp", lambda name: f"{host}:*")
+    def tcp(cls, ring: KeyRing | None = None) -> "ZmqTransport":
+        """TCP, on the loopback where no address is asked for; encrypted and proved with ``ring``'s keys, or plain."""
+        return cls("tcp", lambda _name, address: address or f"{LOOPBACK}:*", ring)
 
     @classmethod
-    def of(cls, scheme: str, directory: Path) -> "ZmqTransport":
-        """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, and ``tcp`` stays on loopback.
+    def of(cls, scheme: str, directory: Path, ring: KeyRing | None = None) -> "ZmqTransport":
+        """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, ``ring`` for ``tcp``.
 
         Raises:
             TransportError: if there is no such scheme.
         """
         if scheme not in SCHEMES:
             raise TransportError(f"found the transport {scheme!r:.40}; expected {' or '.join(SCHEMES)}")
-        return cls.ipc(directory) if scheme == "ipc" else cls.tcp()
+        return cls.ipc(directory) if scheme == "ipc" else cls.tcp(ring)
 
-    def bind(self, name: str) -> tuple[Link, str]:
-        """A link to connect to; see :class:`~manyhands.protocol.transport.Transport`."""
+    def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        """A link for ``peer`` to connect to; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.PAIR, LINK_QUEUE_FRAMES)
-        return ZmqLink(socket), self._bind(socket, name)
+        endpoint = self._bind(socket, name, (peer,), address)
+        return self._link(socket), endpoint
 
-    def connect(self, endpoint: str) -> Link:
-        """The other end of a bound link; see :class:`~manyhands.protocol.transport.Transport`."""
+    def connect(self, endpoint: str, peer: str) -> Link:
+        """The other end of a link that ``peer`` has bound; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.PAIR, LINK_QUEUE_FRAMES)
-        self._connect(socket, endpoint)
-        return ZmqLink(socket)
+        self._connect(socket, endpoint, peer)
+        return self._link(socket)
 
-    def bind_hub(self, name: str) -> tuple[Hub, str]:
-        """A hub to join; see :class:`~manyhands.protocol.transport.Transport`."""
+    def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
+        """A hub for ``members`` to join; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.ROUTER, HUB_QUEUE_FRAMES)
         socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # otherwise a frame for an unknown identity vanishes in silence
-        return ZmqHub(socket), self._bind(socket, name)
+        endpoint = self._bind(socket, name, members, address)
+        return ZmqHub(socket, self._door), endpoint
 
-    def join(self, endpoint: str, identity: str) -> Link:
+    def join(self, endpoint: str, identity: str, hub: str = HUB) -> Link:
         """A link to a hub; see :class:`~manyhands.protocol.transport.Transport`."""
         require_name(identity)
         socket = self._socket(zmq.DEALER, HUB_QUEUE_FRAMES)
-        socket.setsockopt(zmq.ROUTING_ID, identity.encode("ascii"))
-        self._connect(socket, endpoint)
-        return ZmqLink(socket)
+        if self._door is None:  # with keys the hub knows the name, and routes cannot be guessed and taken
+            socket.setsockopt(zmq.ROUTING_ID, identity.encode("ascii"))
+        if self._scheme == "tcp":
+            socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+            socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
+        link = self._link(socket, watched=self._scheme == "tcp")
+        self._connect(socket, endpoint, hub)
+        return link
+
+    def settle(self) -> None:
+        """From now on, admit only in :meth:`attend`; see :class:`~manyhands.protocol.transport.Transport`."""
+        if self._door is not None:
+            self._door.settled = True
+
+    def attend(self) -> None:
+        """Attend to those at the door; see :class:`~manyhands.protocol.transport.Transport`."""
+        if self._door is not None:
+            self._door.attend()
+
+    def refused(self) -> Mapping[str, int]:
+        """Connections not admitted; see :class:`~manyhands.protocol.transport.Transport`."""
+        return {} if self._door is None else self._door.refused()
 
     def close(self) -> None:
         """Close everything made here; see :class:`~manyhands.protocol.transport.Transport`."""
+        for link in self._links:
+            link.close()
+        if self._door is not None:
+            self._door.close()
         for socket in self._sockets:
             socket.close(linger=LINGER_MS)
         self._context.term()  # waits for frames on their way and joins ZeroMQ's threads
         for file in self._files:
             file.unlink(missing_ok=True)  # ZeroMQ has removed it, unless it was interrupted
         self._sockets.clear()
+        self._links.clear()
         self._files.clear()
 
     def _socket(self, kind: int, queue_frames: int) -> "zmq.Socket[bytes]":
@@ -210,26 +140,37 @@ class ZmqTransport:
         try:
             socket = self._context.socket(kind)
         except zmq.ZMQError as error:
-            raise _failed("open a socket", error) from error
+            raise failed("open a socket", error) from error
         self._sockets.append(socket)
         socket.setsockopt(zmq.LINGER, LINGER_MS)
         socket.setsockopt(zmq.SNDHWM, queue_frames)
         socket.setsockopt(zmq.RCVHWM, queue_frames)
-        socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
+        overhead = 0 if self._door is None else _CURVE_BYTES  # ZeroMQ measures what comes over the wire
+        socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES + overhead)
         return socket
 
-    def _bind(self, socket: "zmq.Socket[bytes]", name: str) -> str:
+    def _link(self, socket: "zmq.Socket[bytes]", watched: bool = False) -> ZmqLink:
+        link = ZmqLink(socket, self._door, watched)
+        self._links.append(link)
+        return link
+
+    def _bind(self, socket: "zmq.Socket[bytes]", name: str, admits: Collection[str], wanted: str) -> str:
         require_name(name)
         if name in self._names:
             raise TransportError(f"found the name {name} in use; expected a name that is bound once")
         self._names.add(name)
-        address = self._address_of(name)
+        address = self._address_of(name, wanted)
         if self._scheme == "ipc":
             self._claim(Path(address))
+        if self._door is not None:
+            try:
+                self._door.guard(socket, name, admits)
+            except KeyError as error:
+                raise _no_key(error) from error
         try:
             socket.bind(f"{self._scheme}://{address}")
         except zmq.ZMQError as error:
-            raise _failed(f"bind {self._scheme}://{address}", error) from error
+            raise failed(f"bind {self._scheme}://{address}", error) from error
         return socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def _claim(self, path: Path) -> None:
@@ -243,14 +184,19 @@ class ZmqTransport:
             raise TransportError(f"found {path} in use; expected a name bound once, in its own directory")
         self._files.append(path)
 
-    def _connect(self, socket: "zmq.Socket[bytes]", endpoint: str) -> None:
+    def _connect(self, socket: "zmq.Socket[bytes]", endpoint: str, peer: str) -> None:
         if not endpoint.startswith(f"{self._scheme}://"):
             raise TransportError(f"found the endpoint {endpoint!r:.300}; expected {self._scheme}://...")
+        if self._door is not None:
+            try:
+                self._door.introduce(socket, peer)
+            except KeyError as error:
+                raise _no_key(error) from error
         try:
             socket.connect(endpoint)
         except zmq.ZMQError as error:
-            raise _failed(f"connect to {endpoint!r:.300}", error) from error
+            raise failed(f"connect to {endpoint!r:.300}", error) from error
 
 
-def _failed(what: str, error: zmq.ZMQError) -> TransportError:
-    return TransportError(f"cannot {what}: {error.strerror}")
+def _no_key(error: KeyError) -> TransportError:
+    return TransportError(f"found no public key of {error.args[0]}; expected it among this process's keys")

@@ -1,23 +1,41 @@
 """Both ends of each transport, as two processes would hold them; everything is closed when a test ends."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from manyhands.protocol.transport import Transport
+from manyhands.protocol.keys import KeyRing, new_pair
+from manyhands.protocol.transport import Link, Transport
 from manyhands.protocol.transport.memory import MemoryTransport
 from manyhands.protocol.transport.zeromq import ZmqTransport
+
+NODES = ("cx", "dx", "dy")
+PAIRS = {name: new_pair() for name in ("supervisor", *NODES)}
+
+
+def ring(name: str) -> KeyRing:
+    """All keys in the hands of one."""
+    return KeyRing(name, PAIRS[name], {other: pair.public for other, pair in PAIRS.items() if other != name})
 
 
 @dataclass(frozen=True)
 class Ends:
-    """The transport of the process that binds, and of the one that connects."""
+    """The transport of the process that binds, and of the one that connects, which is called dx."""
 
     binder: Transport
     connector: Transport
     scheme: str
+    process: Callable[[str], Transport]
+    others: list[Transport] = field(default_factory=list)
+
+    def join(self, endpoint: str, name: str) -> Link:
+        """Join a hub as a process of this name."""
+        if self.binder is self.connector or name == "dx":
+            return self.connector.join(endpoint, name)
+        self.others.append(self.process(name))
+        return self.others[-1].join(endpoint, name)
 
     def close_binder(self) -> None:
         """End the binding process's transport, where that is not the other's too."""
@@ -29,16 +47,24 @@ class Ends:
         if self.binder is not self.connector:
             self.connector.close()
 
+    def close(self) -> None:
+        """End them all."""
+        for transport in (*self.others, self.connector, self.binder):
+            transport.close()
 
-@pytest.fixture(params=["memory", "ipc", "tcp"])
+
+@pytest.fixture(params=["memory", "ipc", "tcp", "tcp with keys"])
 def ends(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Ends]:
+    process: Callable[[str], Transport]
     if request.param == "memory":
         shared = MemoryTransport()
-        both = Ends(shared, shared, "memory")
+        process = lambda _name: shared  # noqa: E731
     elif request.param == "ipc":
-        both = Ends(ZmqTransport.ipc(tmp_path), ZmqTransport.ipc(tmp_path), "ipc")
+        process = lambda _name: ZmqTransport.ipc(tmp_path)  # noqa: E731
+    elif request.param == "tcp":
+        process = lambda _name: ZmqTransport.tcp()  # noqa: E731
     else:
-        both = Ends(ZmqTransport.tcp(), ZmqTransport.tcp(), "tcp")
+        process = lambda name: ZmqTransport.tcp(ring(name))  # noqa: E731
+    both = Ends(process("supervisor"), process("dx"), request.param, process)
     yield both
-    both.connector.close()
-    both.binder.close()
+    both.close()

@@ -2,20 +2,37 @@
 
 import math
 import struct
+import sys
+from collections.abc import Sequence
 
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from manyhands.protocol.codec import encode
-from manyhands.protocol.gate import DROP_REASONS, Gate
-from manyhands.protocol.limits import MAX_FRAME_BYTES
-from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Tool
+from manyhands.protocol.codec import LAYOUTS, decode, encode
+from manyhands.protocol.gate import DROP_REASONS, ROUNDING, Bounds, Gate
+from manyhands.protocol.limits import MAX_COUNT, MAX_FRAME_BYTES
+from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
+from manyhands.protocol.signal_head import LONGEST, read_head, type_of
 
 TICK = 10
 PAIR = np.array([1.0, 2.0])
+
+
+def doubles(*numbers: float) -> bytes:
+    return struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def usual(tick: int, *numbers: float, stamp: int = 0, number: int = 16) -> bytes:
+    """A signal's frame in the usual layout, whatever its values."""
+    head = struct.pack(">BBBQBQBH", 0x94, number, 0xCF, tick, 0xCF, stamp, 0xC5, 8 * len(numbers))
+    return head + doubles(*numbers)
+
+
+def counted(gate: Gate) -> dict[str, int]:
+    return {reason: count for reason, count in gate.dropped.items() if count}
 
 
 def test_the_awaited_signal_is_admitted() -> None:
@@ -23,33 +40,74 @@ def test_the_awaited_signal_is_admitted() -> None:
     admitted = gate.admit(encode(Sample(TICK, 123, PAIR)), TICK)
     assert admitted is not None
     np.testing.assert_array_equal(admitted, PAIR)
+    assert admitted.dtype == np.float64
+    assert not admitted.flags.writeable
     assert gate.stamp == 123
     assert gate.dropped == dict.fromkeys(DROP_REASONS, 0)
 
 
-@pytest.mark.parametrize(
-    ("frame", "reason"),
-    [
-        (b"", "malformed"),
-        (b"\xc1", "malformed"),
-        (encode(Sample(TICK, 0, PAIR))[:-1], "malformed"),
-        (encode(Sample(TICK, 0, PAIR)) + bytes(MAX_FRAME_BYTES), "malformed"),
-        (encode(Tool(TICK, 0, PAIR)), "wrong_kind"),
-        (encode(Ready()), "wrong_kind"),
-        (encode(LinkHello(PROTOCOL_VERSION + 1, "c", "s", "n", Role.DEVICE, ("p",))), "wrong_kind"),
-        (encode(Sample(TICK, 0, np.ones(1))), "wrong_width"),
-        (encode(Sample(TICK, 0, np.ones(3))), "wrong_width"),
-        (msgpack.packb([16, TICK, 0, struct.pack("<2d", 1.0, math.nan)]), "not_finite"),
-        (encode(Sample(TICK - 1, 0, PAIR)), "old_tick"),
-        (encode(Sample(TICK + 1, 0, PAIR)), "future_tick"),
-    ],
-)
-def test_anything_else_is_dropped_and_counted(frame: bytes, reason: str) -> None:
-    gate = Gate(Sample, 2)
-    gate.admit(encode(Sample(TICK - 1, 55, PAIR)), TICK - 1)
+def test_our_signals_have_the_usual_layout() -> None:
+    assert encode(Sample(TICK, 7, PAIR)) == usual(TICK, 1.0, 2.0, stamp=7)
+
+
+SHORT = msgpack.packb([16, TICK, 0, doubles(1.0, 2.0)])
+
+REFUSED = [
+    (b"", "malformed"),
+    (b"\xc1", "malformed"),
+    (b"\x94", "malformed"),
+    (b"\xdc\x00", "malformed"),
+    (b"\x94\xc3" + usual(TICK, 1.0, 2.0)[2:], "malformed"),  # true is no type
+    (b"\x90", "malformed"),
+    (b"\x91\x63", "malformed"),  # no such type
+    (b"\x91\x10", "malformed"),
+    (b"\x95" + usual(TICK, 1.0, 2.0)[1:], "malformed"),
+    (msgpack.packb([16, TICK, 0, doubles(1.0, 2.0), 0]), "malformed"),
+    (msgpack.packb([16, TICK, 0]), "malformed"),
+    (msgpack.packb([16, TICK, 0, [1.0, 2.0]]), "malformed"),
+    (msgpack.packb([16, TICK, 0, b""]), "malformed"),
+    (msgpack.packb([16, TICK, 0, doubles(1.0, 2.0)[1:]]), "malformed"),
+    (msgpack.packb([16, float(TICK), 0, doubles(1.0, 2.0)]), "malformed"),
+    (msgpack.packb([16, -1, 0, doubles(1.0, 2.0)]), "malformed"),
+    (msgpack.packb([16, TICK, -1, doubles(1.0, 2.0)]), "malformed"),
+    *[(msgpack.packb([16, tick, 0, doubles(1.0, 2.0)]), "malformed") for tick in (-100, -300, -70_000, -(2**40))],
+    (usual(MAX_COUNT + 1, 1.0, 2.0), "malformed"),
+    (usual(TICK, 1.0, 2.0, stamp=MAX_COUNT + 1), "malformed"),
+    (usual(TICK - 1, 1.0, 2.0, stamp=MAX_COUNT + 1), "malformed"),
+    (usual(TICK, 1.0, 2.0)[:-1], "malformed"),
+    (usual(TICK, 1.0, 2.0) + b"\x00", "malformed"),
+    (SHORT[:-1], "malformed"),
+    (SHORT + b"\x00", "malformed"),
+    (usual(TICK, *range(20)), "malformed"),  # longer than two values can be
+    (encode(Sample(TICK, 0, PAIR)) + bytes(MAX_FRAME_BYTES), "malformed"),
+    (encode(Tool(TICK, 0, PAIR)), "wrong_kind"),
+    (usual(TICK, math.nan, 2.0, number=17), "wrong_kind"),
+    (encode(Ready()), "wrong_kind"),
+    (encode(Telemetry(TICK, {}, {})), "wrong_kind"),
+    (encode(LinkHello(PROTOCOL_VERSION + 1, "c", "s", "n", Role.DEVICE, ("p",))), "wrong_kind"),
+    (usual(TICK, 1.0), "wrong_width"),
+    (usual(TICK, 1.0, 2.0, 3.0), "wrong_width"),
+    (usual(TICK - 1, 1.0), "wrong_width"),
+    (msgpack.packb([16, TICK, 0, doubles(math.nan)]), "wrong_width"),
+    (usual(TICK - 1, 1.0, 2.0), "old_tick"),
+    (usual(0, math.nan, 2.0), "old_tick"),
+    (usual(TICK + 1, 1.0, 2.0), "future_tick"),
+    (usual(MAX_COUNT, math.inf, 2.0), "future_tick"),
+    (usual(TICK, 1.0, math.nan), "not_finite"),
+    (usual(TICK, -math.inf, 1.0), "not_finite"),
+    (msgpack.packb([16, TICK, 0, doubles(1.0, math.nan)]), "not_finite"),
+]
+
+
+@pytest.mark.parametrize("bounds", [None, Bounds((4.0, 4.0), (1.0, 1.0)), Bounds((math.inf,) * 2)])
+@pytest.mark.parametrize(("frame", "reason"), REFUSED)
+def test_anything_else_is_dropped_and_counted(frame: bytes, reason: str, bounds: Bounds | None) -> None:
+    gate = Gate(Sample, 2, bounds)
+    assert gate.admit(encode(Sample(TICK - 1, 55, PAIR)), TICK - 1) is not None
     assert gate.admit(frame, TICK) is None
     assert gate.dropped == {**dict.fromkeys(DROP_REASONS, 0), reason: 1}
     assert gate.stamp == 55
+    assert gate.admit(encode(Sample(TICK, 56, PAIR)), TICK) is not None  # and changes nothing
 
 
 @given(st.lists(st.binary(max_size=40) | st.integers(0, 5).map(lambda k: encode(Sample(k, k, PAIR))), max_size=30))
@@ -58,3 +116,151 @@ def test_no_frame_is_lost_in_silence(frames: list[bytes]) -> None:
     admitted = sum(gate.admit(frame, 3) is not None for frame in frames)
     assert admitted + sum(gate.dropped.values()) == len(frames)
     assert gate.dropped.keys() == set(DROP_REASONS)
+
+
+# --- the head, against the codec
+
+
+def integers(number: int) -> list[bytes]:
+    """Every encoding that MessagePack has for a number that is not negative."""
+    forms = {0xCC: ">B", 0xCD: ">H", 0xCE: ">I", 0xCF: ">Q", 0xD0: ">b", 0xD1: ">h", 0xD2: ">i", 0xD3: ">q"}
+    out = [bytes([number])] if number < 0x80 else []
+    for tag, form in forms.items():
+        bits = 8 * struct.calcsize(form) - form.islower()
+        if number < 2**bits:
+            out.append(bytes([tag]) + struct.pack(form, number))
+    return out
+
+
+@st.composite
+def signals(draw: st.DrawFn) -> bytes:
+    """A signal in any encoding, with any values, sometimes with one byte changed or cut off."""
+    counts = st.sampled_from([0, TICK - 1, TICK, TICK, TICK, TICK + 1, 300, 70_000, 2**40, MAX_COUNT, MAX_COUNT + 1])
+    values = draw(st.lists(st.floats() | st.floats(-2.0, 2.0), min_size=1, max_size=3))
+    data = doubles(*values)
+    array = draw(st.sampled_from([b"\x94", b"\xdc\x00\x04", b"\xdd\x00\x00\x00\x04"]))
+    head = [draw(st.sampled_from(integers(draw(which)))) for which in (st.sampled_from([16, 16, 17]), counts, counts)]
+    length = draw(st.sampled_from([b"\xc4" + bytes([len(data)]), struct.pack(">BH", 0xC5, len(data)),
+                                   struct.pack(">BI", 0xC6, len(data))]))  # fmt: skip
+    frame = array + b"".join(head) + length + data
+    match draw(st.integers(0, 5)):
+        case 0:
+            at = draw(st.integers(0, len(frame) - 1))
+            frame = frame[:at] + bytes([draw(st.integers(0, 255))]) + frame[at + 1 :]
+        case 1:
+            frame = frame[: draw(st.integers(0, len(frame)))]
+    return frame
+
+
+@settings(max_examples=600)
+@given(signals() | st.binary(max_size=60))
+@example(usual(TICK, 1.0, -0.0))
+@example(b"\xdd\x00\x00\x00\x04\xd3" + b"\x00" * 7 + b"\x10" + (b"\xd3" + b"\x00" * 7 + b"\x0a") * 2
+         + b"\xc6\x00\x00\x00\x10" + doubles(1.0, 2.0))  # fmt: skip
+def test_a_gate_and_the_codec_agree_on_what_a_signal_is(frame: bytes) -> None:
+    gate = Gate(Sample, 2)
+    admitted = gate.admit(frame, TICK)
+    message = decode(frame, MAX_FRAME_BYTES)
+    awaited = isinstance(message, Sample) and message.values.size == 2 and message.tick == TICK
+    assert (admitted is not None) == awaited
+    if isinstance(message, Sample) and admitted is not None:
+        assert admitted.tobytes() == message.values.tobytes()
+        assert gate.stamp == message.stamp
+    if isinstance(message, Sample) and not awaited:
+        width, k = message.values.size, message.tick
+        reason = "wrong_width" if width != 2 else "old_tick" if k < TICK else "future_tick"
+        if len(frame) > LONGEST + 8 * 2:
+            reason = "malformed"
+        assert counted(gate) == {reason: 1}
+    if isinstance(message, (Sample, Tool)):
+        head = read_head(frame)
+        assert head is not None
+        assert (head.tick, head.stamp) == (message.tick, message.stamp)
+        assert frame[head.size :] == message.values.tobytes()
+        assert type_of(frame) == LAYOUTS[type(message)][0]
+
+
+@pytest.mark.parametrize("at", range(23))
+def test_every_byte_of_the_usual_head_replaced(at: int) -> None:
+    frame = usual(TICK, 1.0, 2.0, stamp=5)
+    for byte in range(256):
+        changed = frame[:at] + bytes([byte]) + frame[at + 1 :]
+        message = decode(changed, MAX_FRAME_BYTES)
+        admitted = Gate(Sample, 2).admit(changed, TICK)
+        assert (admitted is not None) == (isinstance(message, Sample) and message.tick == TICK)
+
+
+def test_the_longest_encoding_is_as_long_as_is_said() -> None:
+    head = b"\xdd\x00\x00\x00\x04" + b"".join(integers(n)[-1] for n in (16, TICK, 5)) + b"\xc6\x00\x00\x00\x10"
+    assert len(head) == LONGEST
+    assert Gate(Sample, 2).admit(head + doubles(1.0, 2.0), TICK) is not None
+
+
+# --- bounds
+
+BOUNDS = Bounds((1.0, 10.0), (0.25, math.inf))
+
+
+def run(gate: Gate, *ticks: Sequence[float]) -> list[bool]:
+    """Which of the values, tick after tick, are admitted."""
+    return [gate.admit(usual(k, *values), k) is not None for k, values in enumerate(ticks)]
+
+
+def test_values_beyond_their_magnitude_are_refused_by_port() -> None:
+    assert run(Gate(Sample, 2, BOUNDS), (1.0, -10.0)) == [True]
+    for values in ((1.01, 0.0), (-1.01, 0.0), (0.0, 10.1), (0.0, -sys.float_info.max)):
+        gate = Gate(Sample, 2, BOUNDS)
+        assert run(gate, values) == [False]
+        assert counted(gate) == {"out_of_range": 1}
+
+
+def test_steps_are_counted_from_the_values_admitted_last() -> None:
+    gate = Gate(Sample, 2, BOUNDS)
+    assert run(gate, (1.0, 0.0), (0.75, 9.0), (0.5, -9.0), (0.8, 0.0), (0.6, 0.0)) == [True, True, True, False, True]
+    assert counted(gate) == {"out_of_range": 1}
+
+
+def test_the_first_signal_has_no_step() -> None:
+    assert run(Gate(Sample, 2, Bounds((5.0, 5.0), (0.1, 0.1))), (4.0, -4.0), (4.05, -4.05)) == [True, True]
+
+
+def test_a_value_refused_for_another_reason_is_no_value_to_step_from() -> None:
+    gate = Gate(Sample, 2, BOUNDS)
+    assert gate.admit(usual(0, 0.0, 0.0), 0) is not None
+    for stray in (usual(0, 0.9, 0.0), usual(2, 0.9, 0.0), usual(1, 0.9, math.nan), usual(1, 0.9, 0.0)):
+        assert gate.admit(stray, 1) is None
+    assert gate.admit(usual(1, 0.3, 0.0), 1) is None
+    assert gate.admit(usual(1, 0.25, 0.0), 1) is not None
+    assert counted(gate) == {"old_tick": 1, "future_tick": 1, "not_finite": 1, "out_of_range": 2}
+
+
+def test_only_the_awaited_ticks_values_are_looked_at() -> None:
+    gate = Gate(Sample, 2, BOUNDS)
+    gate.admit(usual(4, 99.0, 0.0), 5)
+    gate.admit(usual(6, 99.0, 0.0), 5)
+    assert counted(gate) == {"old_tick": 1, "future_tick": 1}
+
+
+def test_rounding_is_let_pass_and_no_more() -> None:
+    assert run(Gate(Sample, 1, Bounds((1.0,))), (1.0 + 0.9 * ROUNDING,)) == [True]
+    assert run(Gate(Sample, 1, Bounds((1.0,))), (1.0 + 1.1 * ROUNDING,)) == [False]
+    most = 1e-3 + ROUNDING * (1e-3 + 1.0)
+    for value, admitted in ((0.999_999_99 * most, True), (1.000_000_01 * most, False)):
+        assert run(Gate(Sample, 1, Bounds((1.0,), (1e-3,))), (0.0,), (value,)) == [True, admitted]
+
+
+def test_without_a_bound_every_finite_value_passes() -> None:
+    largest = sys.float_info.max
+    for bounds in (None, Bounds((math.inf,)), Bounds((math.inf,), (math.inf,)), Bounds((largest,), None)):
+        assert run(Gate(Sample, 1, bounds), (largest,), (-largest,), (math.inf,), (0.0,)) == [True, True, False, True]
+
+
+@pytest.mark.parametrize("entries", [((-1.0,), None), ((math.nan,), None), ((1.0,), (-1.0,)), ((1.0,), (1.0, 1.0))])
+def test_bounds_that_are_none_are_refused(entries: tuple[tuple[float, ...], tuple[float, ...] | None]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        Bounds(*entries)
+
+
+def test_bounds_of_another_width_are_refused() -> None:
+    with pytest.raises(ValueError, match="found bounds of 2 values; expected 3"):
+        Gate(Sample, 3, BOUNDS)

@@ -82,7 +82,12 @@ def test_a_link_between_device_and_coupling_carries_no_feedthrough() -> None:
 
 
 UNFIT: list[tuple[dict[str, Any], RefusalCode, str, str]] = [
-    ({"version": 2}, RefusalCode.VERSION, "found protocol version 2; expected 1", "install the same release"),
+    (
+        {"version": PROTOCOL_VERSION + 1},
+        RefusalCode.VERSION,
+        "found protocol version 3; expected 2",
+        "install the same release",
+    ),
     (
         {"certificate": "bad1dea"},
         RefusalCode.CERTIFICATE,
@@ -126,7 +131,7 @@ def test_the_binding_side_refuses_and_both_sides_can_say_why(
         ({"role": Role.DEVICE}, RefusalCode.ROLE),
         ({"ports": ("dx",)}, RefusalCode.PORTS),
         ({"feedthrough": D_V}, RefusalCode.FEEDTHROUGH),
-        ({"version": 2}, RefusalCode.VERSION),
+        ({"version": PROTOCOL_VERSION + 1}, RefusalCode.VERSION),
     ],
 )
 def test_the_connecting_side_refuses_and_both_sides_can_say_why(change: dict[str, Any], code: RefusalCode) -> None:
@@ -146,10 +151,10 @@ def test_the_connecting_side_refuses_and_both_sides_can_say_why(change: dict[str
 
 
 def test_a_side_of_another_version_refuses_this_one() -> None:
-    connector, binder = both(environment=dataclasses.replace(ENVIRONMENT, version=2))
+    connector, binder = both(environment=dataclasses.replace(ENVIRONMENT, version=PROTOCOL_VERSION + 1))
     converse(connector, binder)
     assert binder.refusal == (
-        "environment refused cx: found protocol version 1; expected 2; "
+        "environment refused cx: found protocol version 2; expected 3; "
         "install the same release of manyhands on both sides"
     )
     assert connector.refusal == f"cx: the link was refused at the other end: {binder.refusal}"
@@ -191,7 +196,7 @@ anything: st.SearchStrategy[Received] = st.sampled_from(
         Welcome(),
         Refusal("certificate", "no"),
         Ready(),
-        ForeignHello(2),
+        ForeignHello(PROTOCOL_VERSION + 1),
         Malformed("found rubbish"),
     ]
 )
@@ -228,8 +233,16 @@ def test_the_supervisor_admits_a_node_of_its_session() -> None:
 @pytest.mark.parametrize(
     ("hello", "code", "what"),
     [
-        (ForeignHello(2), RefusalCode.VERSION, "supervisor refused a node: found protocol version 2; expected 1"),
-        (dataclasses.replace(NODE, version=2), RefusalCode.VERSION, "refused dx: found protocol version 2"),
+        (
+            ForeignHello(PROTOCOL_VERSION + 1),
+            RefusalCode.VERSION,
+            "supervisor refused a node: found protocol version 3; expected 2",
+        ),
+        (
+            dataclasses.replace(NODE, version=PROTOCOL_VERSION + 1),
+            RefusalCode.VERSION,
+            "refused dx: found protocol version 3",
+        ),
         (dataclasses.replace(NODE, certificate="bad1dea"), RefusalCode.CERTIFICATE, "found the certificate bad1dea"),
         (dataclasses.replace(NODE, session="other"), RefusalCode.SESSION, "found the session other"),
         (dataclasses.replace(NODE, name="dz"), RefusalCode.NAME, "refused dz: found this name; expected one of dx, cx"),

@@ -53,8 +53,8 @@ def shake_and_leave(link: Link, handshake: LinkHandshake) -> LinkHello:
 
 
 def both_shake(ends: "Ends", connector: LinkHandshake, binder: LinkHandshake) -> tuple[Future, Future, Link, Link]:
-    bound, endpoint = ends.binder.bind("cx")
-    connected = ends.connector.connect(endpoint)
+    bound, endpoint = ends.binder.bind("cx", "dx")
+    connected = ends.connector.connect(endpoint, "supervisor")
     with ThreadPoolExecutor(2) as both:
         futures = both.submit(shake_and_leave, connected, connector), both.submit(shake_and_leave, bound, binder)
     return (*futures, connected, bound)
@@ -75,14 +75,14 @@ def test_an_established_link_carries_signals_at_once(ends: "Ends") -> None:
     ("coupling", "environment", "expected"),
     [
         (
-            dataclasses.replace(COUPLING, version=2),
+            dataclasses.replace(COUPLING, version=PROTOCOL_VERSION + 1),
             ENVIRONMENT,
-            "environment refused cx: found protocol version 2; expected 1",
+            "environment refused cx: found protocol version 3; expected 2",
         ),
         (
             COUPLING,
-            dataclasses.replace(ENVIRONMENT, version=2),
-            "environment refused cx: found protocol version 1; expected 2",
+            dataclasses.replace(ENVIRONMENT, version=PROTOCOL_VERSION + 1),
+            "environment refused cx: found protocol version 2; expected 3",
         ),
         (
             dataclasses.replace(COUPLING, certificate="bad1dea"),
@@ -109,8 +109,8 @@ def test_a_mismatch_is_a_clear_error_on_both_sides(
 
 
 def test_rubbish_instead_of_a_hello_is_refused_and_the_sender_told(ends: "Ends") -> None:
-    bound, endpoint = ends.binder.bind("cx")
-    stranger = ends.connector.connect(endpoint)
+    bound, endpoint = ends.binder.bind("cx", "dx")
+    stranger = ends.connector.connect(endpoint, "supervisor")
     assert stranger.send(b"GET / HTTP/1.1")
     with pytest.raises(HandshakeRefused, match="environment refused cx: found a malformed frame"):
         shake_and_leave(bound, awaiting())
@@ -121,8 +121,8 @@ def test_rubbish_instead_of_a_hello_is_refused_and_the_sender_told(ends: "Ends")
 
 @pytest.mark.parametrize("opens", [True, False])
 def test_a_silent_peer_is_not_waited_for_longer_than_allowed(ends: "Ends", opens: bool) -> None:
-    bound, endpoint = ends.binder.bind("cx")
-    connected = ends.connector.connect(endpoint)
+    bound, endpoint = ends.binder.bind("cx", "dx")
+    connected = ends.connector.connect(endpoint, "supervisor")
     clock = RealtimeClock()
     side, link, missing = (opening(), connected, "environment") if opens else (awaiting(), bound, "cx")
     with pytest.raises(HandshakeTimeout, match=f"found no answer of {missing} in the time allowed"):
@@ -130,13 +130,13 @@ def test_a_silent_peer_is_not_waited_for_longer_than_allowed(ends: "Ends", opens
 
 
 def test_time_that_stands_still_does_not_make_it_wait_for_ever(ends: "Ends") -> None:
-    bound, _ = ends.binder.bind("cx")
+    bound, _ = ends.binder.bind("cx", "dx")
     with pytest.raises(HandshakeTimeout):
         shake_hands(bound, awaiting(), SimulatedClock(), Instant(30_000_000))
 
 
 def test_a_deadline_in_the_past_is_over(ends: "Ends") -> None:
-    bound, _ = ends.binder.bind("cx")
+    bound, _ = ends.binder.bind("cx", "dx")
     with pytest.raises(HandshakeTimeout):
         shake_hands(bound, awaiting(), RealtimeClock(), Instant(0))
 
@@ -170,8 +170,8 @@ def test_a_refusal_that_cannot_be_delivered_is_still_an_error_here() -> None:
 
 def test_a_refusal_leaves_though_the_process_ends_at_once(ends: "Ends") -> None:
     """The refusing process closes its whole transport; the other one only begins to listen afterwards."""
-    bound, endpoint = ends.binder.bind("cx")
-    connected = ends.connector.connect(endpoint)
+    bound, endpoint = ends.binder.bind("cx", "dx")
+    connected = ends.connector.connect(endpoint, "supervisor")
     unfit = opening(dataclasses.replace(COUPLING, certificate="bad1dea"))
     gone = threading.Event()
 

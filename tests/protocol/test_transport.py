@@ -24,8 +24,8 @@ LONG = Duration(10_000 * MS)  # far longer than anything here takes; never waite
 @pytest.fixture
 def linked(ends: "Ends") -> tuple[Link, Link]:
     """The bound and the connected end of a link, known to be joined."""
-    bound, endpoint = ends.binder.bind("cx")
-    connected = ends.connector.connect(endpoint)
+    bound, endpoint = ends.binder.bind("cx", "dx")
+    connected = ends.connector.connect(endpoint, "supervisor")
     assert connected.send(b"here")
     assert bound.recv(LONG) == b"here"
     return bound, connected
@@ -34,8 +34,8 @@ def linked(ends: "Ends") -> tuple[Link, Link]:
 @pytest.fixture
 def joined(ends: "Ends") -> tuple[Hub, Link, Link]:
     """A hub and two nodes, dx and dy, known to be joined."""
-    hub, endpoint = ends.binder.bind_hub("supervisor")
-    nodes = ends.connector.join(endpoint, "dx"), ends.connector.join(endpoint, "dy")
+    hub, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
+    nodes = ends.join(endpoint, "dx"), ends.join(endpoint, "dy")
     for node in nodes:
         assert node.send(b"here")
     assert {receive(hub), receive(hub)} == {("dx", b"here"), ("dy", b"here")}
@@ -74,7 +74,7 @@ def test_ping_pong_between_threads(linked: tuple[Link, Link]) -> None:
 
 
 def test_without_a_peer_sending_is_declined(ends: "Ends") -> None:
-    bound, _ = ends.binder.bind("cx")
+    bound, _ = ends.binder.bind("cx", "dx")
     assert bound.send(b"anybody?") is False
 
 
@@ -139,8 +139,8 @@ def wait_with_alarm(wait: Callable[[Duration | None], object], timeout: Duration
 
 @pytest.mark.parametrize("timeout", [None, LONG])
 def test_a_signal_handlers_exception_gets_through(ends: "Ends", timeout: Duration | None) -> None:
-    link, _ = ends.binder.bind("cx")
-    hub, _ = ends.binder.bind_hub("supervisor")
+    link, _ = ends.binder.bind("cx", "dx")
+    hub, _ = ends.binder.bind_hub("supervisor", ("dx", "dy"))
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
         for wait in (link.recv, hub.wait):
@@ -250,35 +250,40 @@ def test_no_frame_is_overlooked_by_waiting(joined: tuple[Hub, Link, Link]) -> No
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a b", "a*", "@a", "é", "a\x00", "x" * 97])
 def test_what_is_no_name_is_refused(ends: "Ends", name: str) -> None:
-    _, endpoint = ends.binder.bind_hub("supervisor")
-    for use in (ends.binder.bind, ends.binder.bind_hub, lambda name: ends.connector.join(endpoint, name)):
+    _, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
+    for use in (
+        lambda name: ends.binder.bind(name, "dx"),
+        lambda name: ends.binder.bind_hub(name, ("dx",)),
+        lambda name: ends.connector.join(endpoint, name),
+    ):
         with pytest.raises(TransportError, match=r"found the name .*expected 1 to 96 ASCII characters"):
             use(name)
 
 
 def test_a_name_is_bound_once(ends: "Ends") -> None:
-    ends.binder.bind("cx")
-    for again in (ends.binder.bind, ends.binder.bind_hub):
+    ends.binder.bind("cx", "dx")
+    for again in (lambda: ends.binder.bind("cx", "dx"), lambda: ends.binder.bind_hub("cx", ("dx",))):
         with pytest.raises(TransportError, match="in use; expected a name that is bound once"):
-            again("cx")
+            again()
 
 
 @pytest.mark.parametrize("endpoint", ["", "cx", "inproc://cx", "udp://127.0.0.1:1"])
 def test_an_endpoint_of_another_transport_is_refused(ends: "Ends", endpoint: str) -> None:
-    for use in (ends.connector.connect, lambda endpoint: ends.connector.join(endpoint, "dx")):
+    for use in (
+        lambda endpoint: ends.connector.connect(endpoint, "supervisor"),
+        lambda endpoint: ends.connector.join(endpoint, "dx"),
+    ):
         with pytest.raises(TransportError, match=r"found the endpoint .*; expected"):
             use(endpoint)
 
 
 def test_closing_leaves_nothing(ends: "Ends", joined: tuple[Hub, Link, Link], linked: tuple[Link, Link]) -> None:
     """Twice is as good as once; and nothing can be made afterwards."""
-    ends.connector.close()
-    ends.binder.close()
-    ends.connector.close()
-    ends.binder.close()
+    ends.close()
+    ends.close()
     for link in (*linked, *joined[1:]):
         with pytest.raises(TransportError):
             link.recv(None)
-    for make in (lambda: ends.binder.bind("late"), lambda: ends.binder.bind_hub("late")):
+    for make in (lambda: ends.binder.bind("late", "dx"), lambda: ends.binder.bind_hub("late", ("dx", "dy"))):
         with pytest.raises(TransportError, match="the transport is closed"):
             make()

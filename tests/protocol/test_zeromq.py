@@ -89,9 +89,9 @@ def test_closing_leaves_no_descriptor_thread_or_file(make: Callable[[], ZmqTrans
     before = descriptors_and_threads()
     for _ in range(3):
         one, other = make(), make()
-        bound, endpoint = one.bind("cx")
-        hub, hub_endpoint = one.bind_hub("supervisor")
-        connected, node = other.connect(endpoint), other.join(hub_endpoint, "dx")
+        bound, endpoint = one.bind("cx", "dx")
+        hub, hub_endpoint = one.bind_hub("supervisor", ("dx", "dy"))
+        connected, node = other.connect(endpoint, "supervisor"), other.join(hub_endpoint, "dx")
         assert connected.send(b"x")
         assert bound.recv(LONG) == b"x"
         assert node.send(b"y")
@@ -105,16 +105,16 @@ def test_closing_leaves_no_descriptor_thread_or_file(make: Callable[[], ZmqTrans
 
 
 def test_closing_with_nobody_there_does_not_wait_for_ever(transport: ZmqTransport, tmp_path: Path) -> None:
-    scheme = transport.bind("cx")[1].split("://")[0]
+    scheme = transport.bind("cx", "dx")[1].split("://")[0]
     nobody = tmp_path / "nobody" if scheme == "ipc" else "127.0.0.1:1"
-    assert transport.connect(f"{scheme}://{nobody}").send(b"anybody?")
+    assert transport.connect(f"{scheme}://{nobody}", "supervisor").send(b"anybody?")
     transport.close()
 
 
 def test_tcp_stays_on_the_loopback_and_takes_any_free_port() -> None:
     transport = ZmqTransport.tcp()
     try:
-        endpoints = {transport.bind(name)[1] for name in ("a", "b")}
+        endpoints = {transport.bind(name, "dx")[1] for name in ("a", "b")}
     finally:
         transport.close()
     assert len(endpoints) == 2
@@ -128,7 +128,7 @@ def test_an_ipc_endpoint_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "s").mkdir()
     transport = ZmqTransport.ipc(Path("s"))
     try:
-        assert transport.bind("cx")[1] == f"ipc://{tmp_path}/s/cx"
+        assert transport.bind("cx", "dx")[1] == f"ipc://{tmp_path}/s/cx"
         assert (tmp_path / "s" / "cx").is_socket()
     finally:
         transport.close()
@@ -139,10 +139,10 @@ def test_the_longest_socket_path_binds_and_a_longer_one_is_told_clearly(tmp_path
     directory.mkdir()
     transport = ZmqTransport.ipc(directory)
     try:
-        _, endpoint = transport.bind("cccc")
+        _, endpoint = transport.bind("cccc", "dx")
         assert len(endpoint.removeprefix("ipc://")) == MAX_SOCKET_PATH
         with pytest.raises(TransportError, match=r"found a socket path of 108 bytes.*at most 107; choose a shorter"):
-            transport.bind("ccccc")
+            transport.bind("ccccc", "dx")
     finally:
         transport.close()
 
@@ -151,7 +151,7 @@ def test_a_missing_directory_is_told(tmp_path: Path) -> None:
     transport = ZmqTransport.ipc(tmp_path / "missing")
     try:
         with pytest.raises(TransportError, match=r"cannot bind ipc://.*missing/cx: No such file"):
-            transport.bind("cx")
+            transport.bind("cx", "dx")
     finally:
         transport.close()
 
@@ -161,7 +161,7 @@ def test_a_file_in_the_way_is_not_taken_away(tmp_path: Path) -> None:
     transport = ZmqTransport.ipc(tmp_path)
     try:
         with pytest.raises(TransportError, match="in use; expected a name bound once"):
-            transport.bind("cx")
+            transport.bind("cx", "dx")
     finally:
         transport.close()
     assert (tmp_path / "cx").read_text() == "somebody's"
@@ -171,7 +171,7 @@ def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
     transport = ZmqTransport.tcp()
     try:
         with pytest.raises(TransportError, match="cannot connect to 'tcp://nowhere'"):
-            transport.connect("tcp://nowhere")
+            transport.connect("tcp://nowhere", "supervisor")
     finally:
         transport.close()
 
@@ -179,7 +179,7 @@ def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
 def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
     transport: ZmqTransport, stranger: Stranger
 ) -> None:
-    hub, endpoint = transport.bind_hub("supervisor")
+    hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     node = transport.join(endpoint, "dx")
     flooder = stranger.connect(zmq.DEALER, endpoint)
     monitor = stranger.monitor(flooder, zmq.EVENT_DISCONNECTED)
@@ -192,8 +192,8 @@ def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
 
 
 def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: Stranger) -> None:
-    bound, endpoint = transport.bind("cx")
-    connected = transport.connect(endpoint)
+    bound, endpoint = transport.bind("cx", "dx")
+    connected = transport.connect(endpoint, "supervisor")
     assert connected.send(b"first")
     assert bound.recv(LONG) == b"first"
     intruder = stranger.connect(zmq.PAIR, endpoint)
@@ -208,17 +208,17 @@ def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger:
 def test_a_hub_drops_and_counts_what_is_not_one_frame_of_a_named_node(
     transport: ZmqTransport, stranger: Stranger
 ) -> None:
-    hub, endpoint = transport.bind_hub("supervisor")
+    hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     assert isinstance(hub, ZmqHub)
     node = transport.join(endpoint, "dx")
     nameless = stranger.connect(zmq.DEALER, endpoint)  # ZeroMQ gives it an identity that is no name
     nameless.send(b"frame")
-    while hub.dropped < 1:
+    while hub.dropped["not_a_frame"] < 1:
         hub.wait(LONG)
         assert hub.recv() is None
     request = stranger.connect(zmq.REQ, endpoint)  # puts an empty frame before its own
     request.send(b"frame")
-    while hub.dropped < 2:
+    while hub.dropped["not_a_frame"] < 2:
         hub.wait(LONG)
         assert hub.recv() is None
     assert node.send(b"fine")

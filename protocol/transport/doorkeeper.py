@@ -1,0 +1,303 @@
+"""Who may connect to a process: its keys at work on its sockets, and what became of those who tried.
+
+Every listening socket has a ZAP domain of its own, to which the keys of those it is meant for are bound; ZeroMQ asks
+before it lets a connection exist (RFC 27, CURVE of RFC 26). There is no thread for the answers: a second Python thread
+would compete with the loop for the interpreter. They are given while the process waits for its peers, and once the
+loop runs in its slack, a bounded number at a time (:meth:`Doorkeeper.attend`); nobody who is already connected waits
+for them.
+
+A door before which too many crowd is shut for a while: a packet filter on the listening socket lets the kernel drop
+whoever knocks, which costs the process nothing and leaves the connections that exist alone (ZeroMQ's own
+``unbind`` would end them).
+"""
+
+import ctypes
+import socket as sockets
+import struct
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from enum import StrEnum
+from typing import Final
+
+import zmq
+from zmq.utils import z85
+
+from manyhands.protocol.keys import KeyRing
+from manyhands.protocol.limits import DOOR_BURST, DOOR_SHUT_MS, HANDSHAKE_MS
+
+
+class Refused(StrEnum):
+    """Why a connection was not admitted."""
+
+    NO_KEY = "no_key"  # another security mechanism, none at all most likely
+    NOT_PROVED = "not_proved"  # does not hold the secret of the key it shows, or took us for somebody else
+    UNKNOWN_KEY = "unknown_key"  # the key of nobody this process has to do with
+    WRONG_KEY = "wrong_key"  # known, but this socket is for somebody else
+    SECOND_PEER = "second_peer"  # the right key, on a link whose peer is there already
+    UNFINISHED = "unfinished"  # opened, and no handshake came of it (or none yet)
+    SHUT = "shut"  # times that a door was shut because too many crowded before it
+
+
+_VERSION: Final = b"1.0"
+_LEAST_FRAMES: Final = 6  # version, request id, domain, address, identity, mechanism; then the credentials
+
+
+def judge(
+    request: Sequence[bytes], admits: Mapping[bytes, Mapping[bytes, str]], known: Collection[bytes]
+) -> tuple[list[bytes], Refused | None]:
+    """The answer to a ZAP request, and why it was refused, if it was.
+
+    Args:
+        request: the frames that ZeroMQ asks with.
+        admits: by domain, the public keys (32 bytes) that may connect, and their names.
+        known: every public key that this process knows.
+
+    Returns:
+        The reply's frames, with the name as user id if the connection may exist.
+    """
+    if len(request) != _LEAST_FRAMES + 1 or request[0] != _VERSION or request[5] != b"CURVE":
+        number = request[1] if len(request) > 1 else b""
+        return [_VERSION, number, b"400", b"no CURVE key", b"", b""], Refused.NO_KEY
+    _, number, domain, _, _, _, key = request
+    name = admits.get(domain, {}).get(key)
+    if name is not None:
+        return [_VERSION, number, b"200", b"OK", name.encode("ascii"), b""], None
+    return [_VERSION, number, b"400", b"not admitted", b"", b""], (
+        Refused.WRONG_KEY if key in known else Refused.UNKNOWN_KEY
+    )
+
+
+class _Door:
+    """One listening socket: what its monitor tells, and the filter that shuts it."""
+
+    _EVENTS: Final = (
+        zmq.EVENT_LISTENING
+        | zmq.EVENT_ACCEPTED
+        | zmq.EVENT_HANDSHAKE_SUCCEEDED
+        | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+        | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+        | zmq.EVENT_DISCONNECTED
+    )
+    _CRYPTOGRAPHIC: Final = 0x11000001  # ZMQ_PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
+    _EVENT: Final = struct.Struct("=HI")
+    _EVENTS_AT_ONCE: Final = 2 * DOOR_BURST  # counted at one look, a few us each; the rest at the next
+    _WINDOW: Final = 100_000_000  # ns, in which DOOR_BURST counts
+    _ROOM: Final = 4 * DOOR_BURST  # connections open at a time, which are file descriptors of this process
+
+    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", socket: "zmq.Socket[bytes]", admits: int) -> None:
+        self._socket, self._admits = socket, admits
+        address = f"inproc://door-{id(self)}"
+        socket.monitor(address, self._EVENTS)
+        self.monitor = context.socket(zmq.PAIR)
+        # ZeroMQ's own thread writes here and would wait for room, with every connection of the process
+        self.monitor.setsockopt(zmq.RCVHWM, 0)
+        self.monitor.connect(address)
+        self._listener: int | None = None
+        self._open: dict[int, bool] = {}  # connections by descriptor, the newest last: whether they are established
+        self._window, self._came = 0, 0  # monotonic ns, and connections opened since
+        self.shut_until: int | None = None  # monotonic ns
+        self.accepted = self.succeeded = self.no_key = self.not_proved = self.not_admitted = self.shut = 0
+        self.second = 0
+
+    def look(self, now: int) -> None:
+        """Count what happened, as much as a look allows for; shut the door if that was too much, or open it again."""
+        if now - self._window >= self._WINDOW:
+            self._window, self._came = now, 0
+        told_all = self._listen_to_monitor()
+        if self.shut_until is None:
+            crowd = self._came > DOOR_BURST + self._admits  # all who belong here may come at once
+            if (crowd or self._is_full()) and self._filter(True):
+                self.shut += 1
+                self.shut_until = now + DOOR_SHUT_MS * 1_000_000
+        elif now >= self.shut_until and told_all and not self._is_full():  # else what was not read would pile up
+            self._filter(False)
+            self.shut_until = None
+            self._window, self._came = now, 0
+
+    def _listen_to_monitor(self) -> bool:
+        """Whether that was all it has to tell."""
+        for _ in range(self._EVENTS_AT_ONCE):
+            try:
+                data = self.monitor.recv_multipart(zmq.NOBLOCK)[0]
+            except zmq.Again:
+                return True
+            self._count(*self._EVENT.unpack(data))
+        return False
+
+    def _is_full(self) -> bool:
+        return len(self._open) > self._ROOM + self._admits
+
+    def _count(self, event: int, value: int) -> None:
+        match event:
+            case zmq.EVENT_LISTENING:
+                self._listener = value
+            case zmq.EVENT_ACCEPTED:
+                self.accepted += 1
+                self._came += 1
+                self._open.pop(value, None)
+                self._open[value] = False
+            case zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                self.succeeded += 1
+                self._establish()
+            case zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL if value == self._CRYPTOGRAPHIC:
+                self.not_proved += 1
+            case zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
+                self.no_key += 1
+            case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+                self.not_admitted += 1  # why, the answer to ZeroMQ's question has counted
+            case zmq.EVENT_DISCONNECTED:
+                self._open.pop(value, None)
+
+    def _establish(self) -> None:
+        """A handshake succeeded: whose, ZeroMQ does not say; most likely that of who came last."""
+        if self._admits == 1 and any(self._open.values()):
+            self.second += 1
+        for descriptor, established in reversed(self._open.items()):
+            if not established:
+                self._open[descriptor] = True
+                return
+
+    def refused(self) -> dict[Refused, int]:
+        """Connections that did not come about, by reason; those refused by key are counted elsewhere."""
+        unfinished = self.accepted - self.succeeded - self.no_key - self.not_proved - self.not_admitted
+        return {
+            Refused.NO_KEY: self.no_key,
+            Refused.NOT_PROVED: self.not_proved,
+            Refused.SECOND_PEER: self.second,
+            Refused.UNFINISHED: max(0, unfinished),
+            Refused.SHUT: self.shut,
+        }
+
+    def _filter(self, drop_all: bool) -> bool:
+        """Have the kernel drop every packet to the listening socket, or none; whether it does as asked.
+
+        No descriptor is needed for it: a crowd may have used them all up.
+        """
+        if self._listener is None or self._socket.closed:  # its number may be another's by now
+            return False
+        program = ctypes.create_string_buffer(struct.pack("=HBBI", 0x06, 0, 0, 0))  # BPF: return 0, that is nothing
+        try:
+            listener = sockets.socket(fileno=self._listener)
+        except OSError:
+            return False
+        try:
+            if drop_all:
+                argument = struct.pack("@HP", 1, ctypes.addressof(program))
+                listener.setsockopt(sockets.SOL_SOCKET, _SO_ATTACH_FILTER, argument)
+            else:
+                listener.setsockopt(sockets.SOL_SOCKET, _SO_DETACH_FILTER, 0)
+        except OSError:  # not permitted here: the door stays as it is
+            return False
+        finally:
+            listener.detach()  # it is ZeroMQ's
+        return True
+
+    def close(self) -> None:
+        if not self._socket.closed:
+            self._socket.disable_monitor()  # before its other end closes: ZeroMQ says goodbye to it
+        self.monitor.close(linger=0)
+
+
+_SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h
+_SO_DETACH_FILTER: Final = 27
+
+
+class Doorkeeper:
+    """Guards the sockets of one context with one process's keys.
+
+    Attributes:
+        settled: whether the process has its peers, and answers only when it calls :meth:`attend`.
+    """
+
+    _ANSWERS: Final = 32  # at one look
+    _LOOK_MS: Final = 100  # between two looks while a door is shut
+
+    def __init__(
+        self, context: "zmq.Context[zmq.Socket[bytes]]", ring: KeyRing, now: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        """To be made before any socket of ``context`` is bound; ``now``: monotonic ns."""
+        self._context, self._ring, self._now = context, ring, now
+        self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
+        self._admits: dict[bytes, Mapping[bytes, str]] = {}
+        self._doors: list[_Door] = []
+        self._refused = dict.fromkeys(Refused, 0)
+        self._desk = context.socket(zmq.REP)
+        self._desk.bind("inproc://zeromq.zap.01")
+        self.settled = False
+
+    def guard(self, socket: "zmq.Socket[bytes]", domain: str, admits: Collection[str]) -> None:
+        """Make ``socket``, which is to be bound, one that only the holders of some keys can connect to.
+
+        Args:
+            socket: not yet bound.
+            domain: a name of its own.
+            admits: names of those who may connect; a single one once at a time.
+
+        Raises:
+            KeyError: the ring has no key of one of them.
+        """
+        wanted = {self._ring.peers[name] for name in admits}
+        self._admits[domain.encode("ascii")] = {
+            key: name for key, name in self._keys.items() if self._ring.peers[name] in wanted
+        }
+        socket.setsockopt(zmq.CURVE_SERVER, 1)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self._ring.pair.secret.encode("ascii"))
+        socket.setsockopt_string(zmq.ZAP_DOMAIN, domain)
+        socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+        self._doors.append(_Door(self._context, socket, len(admits)))
+
+    def introduce(self, socket: "zmq.Socket[bytes]", peer: str) -> None:
+        """Make ``socket``, which is to be connected, prove our key and ask for ``peer``'s.
+
+        Raises:
+            KeyError: the ring has no key of ``peer``.
+        """
+        socket.setsockopt(zmq.CURVE_SERVERKEY, self._ring.peers[peer].encode("ascii"))
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, self._ring.pair.public.encode("ascii"))
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self._ring.pair.secret.encode("ascii"))
+
+    @property
+    def knocking(self) -> "list[zmq.Socket[bytes]]":
+        """Sockets that become readable when there is something to attend to."""
+        return [self._desk, *(door.monitor for door in self._doors)]
+
+    @property
+    def shut(self) -> bool:
+        """Whether a door is shut, and waits for :meth:`attend` to open it again."""
+        return any(door.shut_until is not None for door in self._doors)
+
+    def at_most(self, wait_ms: int) -> int:
+        """As much of a wait (ms, -1 for ever) as may pass before the next :meth:`attend`."""
+        if not self.shut:
+            return wait_ms
+        return self._LOOK_MS if wait_ms < 0 else min(wait_ms, self._LOOK_MS)
+
+    def attend(self) -> None:
+        """Answer those who ask to be let in and count what became of others, a bounded number of both."""
+        if self._desk.closed:  # and so is every door
+            return
+        for _ in range(self._ANSWERS):
+            try:
+                request = self._desk.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                break
+            reply, refused = judge(request, self._admits, self._keys)
+            if refused is not None:
+                self._refused[refused] += 1
+            self._desk.send_multipart(reply)
+        for door in self._doors:
+            door.look(self._now())
+
+    def refused(self) -> dict[str, int]:
+        """Connections not admitted so far, by :class:`Refused`; reasons that never occurred are absent."""
+        total = dict(self._refused)
+        for door in self._doors:
+            for kind, count in door.refused().items():
+                total[kind] += count
+        return {kind.value: count for kind, count in total.items() if count > 0}
+
+    def close(self) -> None:
+        """Stop watching; to be called while the guarded sockets are still open, or after they were closed."""
+        for door in self._doors:
+            door.close()
+        self._desk.close(linger=0)

@@ -1,0 +1,190 @@
+"""SPEC.md says what a session does: who listens and who connects, what is answered and counted, who is trusted."""
+
+import dataclasses
+import importlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from manyhands.launch import conductor
+from manyhands.launch.access import access
+from manyhands.launch.audience import TRACE_OF, Audience
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.keys import roster
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import HUB_NAME, IPC
+from manyhands.launch.session import load_session
+from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.topology import Topology, topology
+from manyhands.nodes import telemetry
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.exchange import bind_links
+from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.gate import DROP_REASONS
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Fault,
+    Message,
+    NodeHello,
+    Probe,
+    Ready,
+    Report,
+    Role,
+    Telemetry,
+)
+from manyhands.protocol.transport import Link
+from manyhands.protocol.transport.doorkeeper import Refused
+from manyhands.protocol.transport.memory import MemoryTransport
+from manyhands.protocol.transport.sockets import HUB_DROPS, ZmqHub
+from manyhands.protocol.transport.zeromq import ZmqTransport
+
+from .spec_text import SPEC, listed, table
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SAID: dict[type[Message], Message] = {
+    NodeHello: NodeHello(PROTOCOL_VERSION, "id", "s", "dx", Role.DEVICE, 1, {}),
+    Probe: Probe(1),
+    Ready: Ready(),
+    Telemetry: Telemetry(1, {}, {}),
+    Report: Report(1, {}, {}, {}),
+    Fault: Fault("boom"),
+}
+
+
+def test_the_digest_of_a_feedthrough() -> None:
+    assert f"(of 0.5 m/N at one port: `{feedthrough_digest([[0.5]])}`)" in SPEC
+
+
+def test_the_supervisors_view_of_a_node() -> None:
+    """What a node that stands somewhere is answered, and where it stands then, by doing it."""
+    nodes = {"dx": Role.DEVICE, "dy": Role.DEVICE}  # the other one keeps the session from going on
+    rows = []
+    for state, kind in conductor.TRANSITIONS:
+        session = conductor.Conductor(Topology(nodes, dict.fromkeys(nodes, ()), ()), "id", "s", 0)
+        session.states["dx"] = state
+        told = session.hear("dx", SAID[kind], 0)
+        answers = [type(i.message).__name__ for i in told if isinstance(i, conductor.Send) and i.node == "dx"]
+        rows.append([state.value, kind.__name__, session.states["dx"].value, ", ".join(answers) or "nothing"])
+        assert session.ignored == 0
+    assert table("| a node that is | sends | is then | is answered with |") == rows
+
+
+def test_what_an_observer_is_shown() -> None:
+    assert {row[0]: row[1] for row in table("| signal | is the trace |")} == TRACE_OF
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    """A session with an observer; what its coupling is, or whether it is certified, is of no account here."""
+    observers = "observers={watch: {reads: [telemetry]}}"
+    return prepare(load_session(SESSIONS / "example1-uncoupled.yaml", [observers]), uncertified=True)
+
+
+class Recorder(MemoryTransport):
+    """Remembers who may connect to what is bound, by its name, which is the ZAP domain."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bound: dict[str, str] = {}
+
+    def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        self.bound[name] = peer
+        return super().bind(name, peer, address)
+
+
+def test_who_listens_and_who_connects(prepared: Prepared) -> None:
+    session = prepared.session
+    roles = roster(session)
+    placeholders = {
+        name: role.upper() for name, role in roles.items() if role in (Role.DEVICE, Role.COUPLING, Role.OBSERVER)
+    }
+    rows: set[tuple[str, str, str]] = set()
+    for name, bundle in cut(prepared, Run("simulated", None, "", traces=False)).items():
+        transport = Recorder()
+        bind_links(bundle.common, transport)
+        rows |= {(roles[name], roles[peer], _general(domain, placeholders)) for domain, peer in transport.bound.items()}
+        transport.close()
+    transport = Recorder()
+    Audience(session).serve(transport, IPC, topology(session))
+    rows |= {(Role.SUPERVISOR, roles[peer], _general(domain, placeholders)) for domain, peer in transport.bound.items()}
+    transport.close()
+    members = ", ".join(role for role in Role if role is not Role.SUPERVISOR)
+    rows.add((Role.SUPERVISOR, members, HUB_NAME))
+    assert {tuple(row) for row in table("| listens | connects | ZAP domain |")} == rows
+
+
+def _general(domain: str, placeholders: Mapping[str, str]) -> str:
+    return "-".join(placeholders.get(part, part) for part in domain.split("-"))
+
+
+def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
+    """By a supervisor that has met one of each."""
+    supervisor = Supervisor(prepared, clock="simulated", reach=IPC, ticks=1, record=False)
+    transport = ZmqTransport.ipc(tmp_path)
+    hub, _ = transport.bind_hub(HUB_NAME, ())
+    assert isinstance(hub, ZmqHub)
+    hub.dropped.update(dict.fromkeys(HUB_DROPS, 1))
+    supervisor._conductor.ignored = supervisor._collector.refused = 1
+    supervisor._tally(hub, transport)
+    transport.close()
+    assert [row[0] for row in table("| count at the hub | is |")] == list(supervisor._refused)
+
+
+def test_what_a_report_counts(prepared: Prepared) -> None:
+    bundles = cut(prepared, Run("simulated", None, "", traces=False))
+    reports: dict[str, Report] = {}
+    for bundle in bundles.values():
+        match bundle:
+            case DeviceBundle():
+                reports["device"] = DeviceNode(bundle, simulated_driver(bundle)).report()
+            case CouplingBundle():
+                reports["coupling"] = CouplingNode(bundle).report()
+            case EnvironmentBundle():
+                reports["environment"] = EnvironmentNode(bundle).report()
+    counted = [[role, name] for role, report in reports.items() for name in report.counts]
+    assert [row[:2] for row in table("| role | count in the Report | is |")] == counted
+
+
+def test_numbers_that_others_may_choose_otherwise() -> None:
+    rows = table("| number | value | where | is |")
+    assert len(rows) >= 8
+    for name, value, where, _ in rows:
+        module = importlib.import_module("manyhands." + where.removesuffix(".py").replace("/", "."))
+        constant, _, clock = name.partition(" ")
+        found = getattr(module, constant)
+        number, _, unit = value.partition(" ")
+        stated = from_seconds(float(number)) if unit == "s" else float(number)
+        assert (found[clock.strip("()")] if clock else found) == stated, name
+
+
+def test_who_is_trusted_with_what(prepared: Prepared) -> None:
+    """Reading and writing by the capability table, bundles by their types."""
+    session = prepared.session
+    capabilities = access(session)
+    bundles = {Role.DEVICE: DeviceBundle, Role.COUPLING: CouplingBundle, Role.ENVIRONMENT: EnvironmentBundle}
+    bundles |= {Role.OBSERVER: ObserverBundle}
+    rows = table("| role | reads | writes | its bundle holds |")
+    assert [row[0] for row in rows] == list(Role)
+    for role, *told in rows:
+        for action, cell in zip(("read", "write"), told, strict=False):
+            allowed = {c.channel for c in capabilities if c.role == role and c.action == action}
+            assert listed(cell) == allowed, f"{role} {action}"
+        if role in bundles:
+            fields = {field.name for field in dataclasses.fields(bundles[Role(role)])} - {"common"}
+            assert listed(told[2]) == fields, role
+
+
+def test_every_attack_is_counted_by_a_count_that_there_is() -> None:
+    attacks = table("| attacker | can at most | cannot | is counted as |")
+    named = {name for row in attacks for name in re.findall(r"\w+", row[3])}
+    assert named == {*Refused, *DROP_REASONS, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit"} | {
+        telemetry.CLIPPED,
+        telemetry.SATURATED,
+    }
