@@ -28,6 +28,14 @@ def node_entry(role: Role, report: Report) -> dict[str, Any]:
             entry[speed] = figures[speed]
     if names.TAU_BREACHES in counts:
         entry[names.TAU_BREACHES] = counts[names.TAU_BREACHES]
+    for clips in (names.CLIPPED, names.SATURATED):
+        if clips in counts:
+            entry[clips] = counts[clips]
+    refused = {
+        key.removeprefix(names.REFUSED): n for key, n in counts.items() if key.startswith(names.REFUSED) and n > 0
+    }
+    if refused:
+        entry["refused"] = refused
     dropped = {key: n for key, n in counts.items() if key.startswith("dropped_") and n > 0}
     if dropped:
         entry["dropped"] = {key.removeprefix("dropped_"): n for key, n in dropped.items()}
@@ -41,6 +49,7 @@ def run_report(
     duration: float,
     nodes: Mapping[str, Role],
     reports: Mapping[str, Report],
+    refused: Mapping[str, int],
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -51,6 +60,7 @@ def run_report(
         duration: what was run, in the session's own time, s.
         nodes: every node's role.
         reports: the last words of those that gave one.
+        refused: what the supervisor did not admit, by kind; those kinds that occurred.
     """
     return {
         "session": session,
@@ -58,6 +68,7 @@ def run_report(
         "clock": clock,
         "duration": duration,
         "nodes": {name: node_entry(role, reports[name]) for name, role in nodes.items() if name in reports},
+        **({"refused": dict(refused)} if refused else {}),
     }
 
 

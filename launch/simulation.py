@@ -7,7 +7,6 @@ run of the processes under the simulated clock has the same numbers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from manyhands.launch.topology import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.guard import Guard, LimitExceeded
 from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.ledger import Ledger
@@ -30,6 +30,8 @@ class Simulation:
 
     Attributes:
         devices: the devices' cores by name.
+        guards: what watches over the devices' limits, by name.
+        couplings: the blocks' cores by name.
         ledgers: every party's energy ledger by node; parties that promised nothing are absent.
     """
 
@@ -37,11 +39,14 @@ class Simulation:
         """Everything at rest at tick 0."""
         session = prepared.session
         self._session, self._id = session, prepared.id
-        bundles = cut(prepared, Run(SIMULATED, "ipc", Path(), "", traces=True))
+        bundles = cut(prepared, Run(SIMULATED, None, "", traces=True))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
-        self._drivers, self.devices, self._device_ports = [], {}, []
-        self._couplings, self._coupling_ports = [], []
+        self._drivers, self._device_ports = [], []
+        self._coupling_ports = []
+        self.devices: dict[str, DeviceCore] = {}
+        self.guards: dict[str, Guard] = {}
+        self.couplings: dict[str, CouplingCore] = {}
         self.ledgers: dict[str, Ledger] = {}
         D_V = np.zeros((m, m))
         environment: EnvironmentBundle | None = None
@@ -53,10 +58,11 @@ class Simulation:
                     self._drivers.append(simulated_driver(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device
+                    self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
                     self.ledgers[name] = device.ledger
                 case CouplingBundle():
-                    coupling = CouplingCore(bundle.block, bundle.K, bundle.level, T)
-                    self._couplings.append(coupling)
+                    coupling = CouplingCore(bundle.block, bundle.K, bundle.level, T, bundle.limits.force)
+                    self.couplings[name] = coupling
                     self._coupling_ports.append(ports)
                     D_V[np.ix_(ports, ports)] = bundle.block.D
                     if coupling.ledger is not None:
@@ -70,15 +76,22 @@ class Simulation:
             self.ledgers[ENVIRONMENT] = self._environment.ledger
 
     def run(self, ticks: int, progress: Callable[[int], None] | None = None) -> Recording:
-        """Run ``ticks`` ticks; ``progress`` is told now and then how many are done."""
+        """Run ``ticks`` ticks; ``progress`` is told now and then how many are done.
+
+        Raises:
+            LimitExceeded: a device went beyond its displacement or its speed, which would end a session.
+        """
         m = len(self._session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
         p = np.zeros(m)
-        devices = list(zip(self._drivers, self.devices.values(), self._device_ports, strict=True))
-        couplings = list(zip(self._couplings, self._coupling_ports, strict=True))
+        devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
+        couplings = list(zip(self.couplings.values(), self._coupling_ports, strict=True))
         for k in range(ticks):
-            for driver, device, ports in devices:
+            for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
                 displacement = driver.sample(k)
+                breach = guard.breach(displacement)
+                if breach is not None:
+                    raise LimitExceeded(f"{name}, {k * self._session.period:.6g} s after the start: {breach}")
                 device.sample(displacement)
                 x[k, ports] = displacement
             for coupling, ports in couplings:
@@ -86,9 +99,10 @@ class Simulation:
             f_v[k] = self._environment.react(p)
             self._environment.settle()
             for coupling, ports in couplings:
-                coupling.absorb(f_v[k, ports])
-            for driver, device, ports in devices:
-                force = f_v[k, ports]
+                f_v[k, ports] = applied = coupling.limited(f_v[k, ports])
+                coupling.absorb(applied)
+            for driver, device, guard, ports in devices:
+                f_v[k, ports] = force = guard.clip(f_v[k, ports])
                 driver.apply(force)
                 driver.idle()
                 device.apply(force, driver.intended_work())

@@ -132,6 +132,12 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         table.add_row(name, str(node["ticks"]), str(node.get("late", "")), *percentiles, ledger, speeds)
     console.print(table)
+    for name, node in report["nodes"].items():
+        counts = {**node.get("refused", {}), **node.get("dropped", {})}
+        counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
+        if counts:
+            told = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+            console.print(f"{name}: not admitted, or not as it came: {told}", markup=False, soft_wrap=True)
 
 
 def _coupling_rows(table: Table, coupling: SpringDamper) -> None:

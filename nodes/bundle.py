@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,12 +40,14 @@ class Peer:
         role: what it is.
         ports: the ports that the link carries, in order.
         binds: whether *this* node binds the link's endpoint.
+        address: where it binds it (tcp), host:port; empty for any port of the loopback.
     """
 
     name: str
     role: Role
     ports: tuple[str, ...]
     binds: bool
+    address: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,9 @@ class Common:
         tau: delay that the certificate assumes, s.
         clock: :data:`REALTIME` or :data:`SIMULATED`.
         transport: "ipc" or "tcp".
-        directory: the session's directory, mode 0700.
+        public: the public keys of this node, its peers and the supervisor; empty for a session without keys.
+        private: the file of this node's private key; empty for a session without keys, or where the user names it.
+        directory: the session's directory, mode 0700; empty for a node on another machine.
         control: endpoint of the supervisor's hub.
         ports: the node's ports, in order.
         peers: its links.
@@ -75,6 +81,8 @@ class Common:
     tau: float
     clock: str
     transport: str
+    public: Mapping[str, str]
+    private: str
     directory: str
     control: str
     ports: tuple[str, ...]
@@ -106,43 +114,97 @@ class SimulatedHand:
     motion: tuple[Any, ...]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """What the devices at a node's ports may exert and reach, either way; one entry for each port of the node.
+
+    Attributes:
+        force: N.
+        displacement: m.
+        speed: m/s.
+
+    Raises:
+        ValueError: a limit is not a finite number greater than 0.
+    """
+
+    force: tuple[float, ...]
+    displacement: tuple[float, ...]
+    speed: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for limit in (*self.force, *self.displacement, *self.speed):
+            if not 0.0 < limit < math.inf:
+                raise ValueError(f"found the limit {limit}; expected a finite number greater than 0")
+
+
 @dataclass(frozen=True, eq=False)
 class DeviceBundle:
-    """A device's part: the level of its G_hat (N*s/m), its K_i (m/N) and its simulated hand."""
+    """A device's part: the level of its G_hat (N*s/m), its K_i (m/N), its simulated hand and its limits."""
 
     common: Common
     level: Matrix
     K: Matrix
     hand: SimulatedHand
+    limits: Limits
 
 
 @dataclass(frozen=True, eq=False)
 class CouplingBundle:
-    """A coupling block's part: V_i, K_i (m/N), and Delta_V,i (N*s/m) unless uncertified."""
+    """A coupling block's part: V_i, K_i (m/N), Delta_V,i (N*s/m) unless uncertified, and its devices' limits."""
 
     common: Common
     block: StateSpace
     K: Matrix
     level: Matrix | None
+    limits: Limits
 
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentBundle:
-    """The environment's part: E, and Phi_E (N*s/m) unless uncertified."""
+    """The environment's part: E, Phi_E (N*s/m) unless uncertified, and by what it knows its couplings.
+
+    Attributes:
+        common: what every node needs.
+        E: the environment.
+        Phi_E: its level.
+        tool_magnitude: the greatest |p| that honest devices and couplings can send, by port, m; None: no bound.
+        tool_step: the greatest |p(k) - p(k-1)|, likewise.
+        feedthrough: by coupling, the digest of the D_V that it must say
+            (:func:`manyhands.nodes.feedthrough.feedthrough_digest`).
+    """
 
     common: Common
     E: StateSpace
     Phi_E: Matrix | None
+    tool_magnitude: tuple[float | None, ...]
+    tool_step: tuple[float | None, ...]
+    feedthrough: Mapping[str, str]
 
 
-Bundle = DeviceBundle | CouplingBundle | EnvironmentBundle
-_B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle)
+@dataclass(frozen=True, eq=False)
+class ObserverBundle:
+    """An observer's part: who it is, and nothing of the session itself."""
+
+    common: Common
+
+
+Bundle = DeviceBundle | CouplingBundle | EnvironmentBundle | ObserverBundle
+_B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBundle)
 
 
 def save(bundle: Bundle, path: Path) -> None:
     """Write a bundle for its owner's eyes only (mode 0600)."""
     path.touch(mode=0o600, exist_ok=False)
     path.write_text(json.dumps(_plain(bundle), allow_nan=False))
+
+
+def role_of(path: Path) -> Role:
+    """What the node of a bundle is.
+
+    Raises:
+        BundleError: as :func:`load`.
+    """
+    return load(path, ObserverBundle).common.role
 
 
 def load(path: Path, kind: type[_B]) -> _B:
@@ -165,6 +227,8 @@ def _plain(value: Any) -> Any:
         return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, np.ndarray):
         return {"shape": value.shape, "entries": value.ravel().tolist()}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     return value
@@ -183,13 +247,21 @@ def _system(data: Any) -> StateSpace:
 
 
 def _common(data: Any) -> Common:
-    peers = tuple(Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"]) for p in data["peers"])
+    peers = tuple(Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"]) for p in data["peers"])
     return Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
 
 
 def _hand(data: Any) -> SimulatedHand:
     vectors = {name: tuple(data[name]) for name in data if name != "operator"}
     return SimulatedHand(operator=_system(data["operator"]), **vectors)
+
+
+def _limits(data: Any) -> Limits:
+    return Limits(**{name: tuple(float(limit) for limit in data[name]) for name in data})
+
+
+def _bounds(data: Any) -> tuple[float | None, ...]:
+    return tuple(None if bound is None else float(bound) for bound in data)
 
 
 _READ: dict[str, Any] = {
@@ -200,4 +272,8 @@ _READ: dict[str, Any] = {
     "K": _array,
     "E": _system,
     "Phi_E": _optional_array,
+    "limits": _limits,
+    "tool_magnitude": _bounds,
+    "tool_step": _bounds,
+    "feedthrough": dict,
 }

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TypeVar
 
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, Common
-from manyhands.nodes.life import Life, Stopped
-from manyhands.protocol.clock import from_seconds
+from manyhands.nodes.life import Life, Sight, Stopped
+from manyhands.protocol.clock import Clock, Duration, from_seconds
+from manyhands.protocol.clock_offset import Exchange, offset_of
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
+    Echo,
     Fault,
     Message,
     NodeHello,
+    Probe,
     Ready,
     Refusal,
     Report,
@@ -25,10 +30,12 @@ from manyhands.protocol.messages import (
     Welcome,
     presentable,
 )
-from manyhands.protocol.transport import Link
+from manyhands.protocol.transport import Link, Transport, Trouble
 
 _PATIENCE = from_seconds(0.2)
 _LAST_WORD_WAITS = 10
+_JOINING_WAITS = 300  # a minute for a supervisor that is not there yet
+_PROBES = 32
 
 _M = TypeVar("_M", bound=Message)
 
@@ -42,15 +49,21 @@ class TelemetryLost(ValueError):
 
 
 class ControlLine:
-    """The link to the supervisor's hub.
+    """The link to the supervisor's hub, and what else there is to do ten times a second.
 
     Attributes:
         dropped: telemetry messages that could not be queued.
         malformed: frames from the supervisor that made no sense.
     """
 
-    def __init__(self, link: Link, common: Common) -> None:
-        self._link, self._common = link, common
+    def __init__(self, transport: Transport, common: Common) -> None:
+        """Join the hub.
+
+        Raises:
+            TransportError: its endpoint is none.
+        """
+        self._transport, self._common = transport, common
+        self._link: Link = transport.join(common.control, common.name)
         self._lossless = common.clock == SIMULATED and common.traces
         self.dropped = 0
         self.malformed = 0
@@ -81,15 +94,46 @@ class ControlLine:
     def publish(self, telemetry: Telemetry) -> None:
         """Send telemetry, or drop and count it when nobody keeps up: it must not disturb the loop.
 
-        A simulated clock has all the time in the world; there a recording must be whole.
+        Whoever wants to be let in is attended to as well. A simulated clock has all the time in the world; there a
+        recording must be whole.
 
         Raises:
             TelemetryLost: it would have been dropped from a recording under the simulated clock.
         """
+        if refused := sum(self._transport.refused().values()):
+            total = telemetry.figures.get(names.NOT_ADMITTED, 0.0) + refused
+            telemetry = replace(telemetry, figures={**telemetry.figures, names.NOT_ADMITTED: total})
         if not self._link.send(encode(telemetry)):
             if self._lossless:
                 raise TelemetryLost("the supervisor reads telemetry too slowly; record less, or not at all")
             self.dropped += 1
+        self._transport.attend()
+
+    def refused(self) -> Mapping[str, int]:
+        """Connections that this process did not admit, by reason."""
+        return self._transport.refused()
+
+    def clock_offset(self, clock: Clock, life: Life) -> Duration:
+        """How far the supervisor's clock is ahead of ``clock``; raises like :meth:`peers_endpoints`."""
+        exchanges: list[Exchange] = []
+        while len(exchanges) < _PROBES:
+            sent = clock.now()
+            self._send(Probe(sent))
+            echo = self._await(Echo, life)
+            if echo.sent == sent:
+                exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
+        return offset_of(exchanges)
+
+    def connection(self) -> Sight:
+        """Whether the supervisor can still be reached, for a node on another machine that is not in its loop."""
+        return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
+
+    def sight(self) -> Sight:
+        """The same within the loop, where a Stop is all that the supervisor may still say."""
+        frame = self._link.recv(Duration(0))
+        if frame is not None and isinstance(decode(frame, MAX_CONTROL_BYTES), Stop):
+            return Sight.ENDING
+        return self.connection()
 
     def report(self, report: Report, life: Life) -> None:
         """Send the node's last word, and stay until it was heard."""
@@ -119,12 +163,15 @@ class ControlLine:
         self._link.send(encode(message))  # a supervisor that is gone hears nothing, and life.check finds out
 
     def _await(self, kind: type[_M], life: Life) -> _M:
+        waits = 0
         while True:
             frame = self._link.recv(_PATIENCE)
             if frame is None:
                 life.check()
                 if life.stopping:
                     raise Stopped
+                waits += 1
+                self._require_connection(waits)
                 continue
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, kind):
@@ -134,3 +181,13 @@ class ControlLine:
             if isinstance(message, Stop):
                 raise Stopped
             self.malformed += 1
+
+    def _require_connection(self, waits: int) -> None:
+        """Give up on a supervisor that will not have this node, at once, or that is not there, after a while."""
+        trouble = self._link.trouble()
+        if trouble is None or trouble is Trouble.LOST or (trouble is Trouble.NOBODY and waits < _JOINING_WAITS):
+            return
+        raise Refused(
+            f"{self._common.name}: cannot join the supervisor at {self._common.control}: {trouble}; see that the "
+            "session runs there, and that bundle and key are of its present keys"
+        )

@@ -4,6 +4,9 @@ A node ends when its ticks are done, when the supervisor asks (SIGTERM), or when
 kernel is asked to send SIGTERM on the parent's death; as that fires on the death of the parent's *thread* and
 can be missed before it is asked for, the parent's id is compared as well whenever a node waits in vain.
 Ctrl-C is the supervisor's business: nodes ignore it, so that the order of ending stays in one hand.
+
+A node on another machine than its supervisor has no such parent. It looks at its line to the supervisor instead, and
+Ctrl-C in its own terminal ends it.
 """
 
 from __future__ import annotations
@@ -12,6 +15,8 @@ import ctypes
 import gc
 import os
 import signal
+from collections.abc import Callable
+from enum import Enum
 from types import FrameType
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -21,20 +26,39 @@ class Stopped(Exception):
     """The node was asked to end before its loop had begun."""
 
 
+class Sight(Enum):
+    """What was seen of the supervisor."""
+
+    PRESENT = "present"
+    ENDING = "ending"  # it wants this node to end
+    GONE = "gone"
+
+
+def _sight_of(parent: int) -> Sight:
+    return Sight.PRESENT if os.getppid() == parent else Sight.GONE
+
+
 class Life:
     """Whether this process should still run.
 
     Attributes:
         stopping: becomes true when it should end at the next tick.
         orphaned: becomes true when its supervisor is gone.
+        failure: why it ends, if that is a failure.
+        watch: for a node without a parent: looks after the supervisor some other way, and says what it saw.
     """
 
-    def __init__(self, parent: int) -> None:
-        """Watch over the process whose supervisor has the process id ``parent``."""
+    def __init__(self, parent: int | None) -> None:
+        """Watch over the process whose supervisor has the process id ``parent``, or is on another machine."""
         self.stopping = self.orphaned = False
+        self.failure: str | None = None
+        self.watch: Callable[[], Sight] = lambda: Sight.PRESENT
         self._parent = parent
         self._raises = True
         signal.signal(signal.SIGTERM, self._asked_to_stop)
+        if parent is None:
+            signal.signal(signal.SIGINT, self._asked_to_stop)
+            return
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         prctl = getattr(ctypes.CDLL(None), "prctl", None)
         if prctl is not None:
@@ -43,8 +67,15 @@ class Life:
 
     def check(self) -> None:
         """Compare the parent's id; to be called wherever the node has waited in vain."""
-        if os.getppid() != self._parent:
-            self.stopping = self.orphaned = True
+        sight = self.watch() if self._parent is None else _sight_of(self._parent)
+        if sight is not Sight.PRESENT:
+            self.stopping = True
+            self.orphaned = sight is Sight.GONE
+
+    def fail(self, text: str) -> None:
+        """End at the next tick because of a failure; the first one is the one that is told."""
+        self.stopping = True
+        self.failure = self.failure or text
 
     def enter_loop(self) -> None:
         """From now on a request to end is only noted, so that no tick is cut in two."""

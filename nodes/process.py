@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import (
     BundleError,
     Common,
@@ -25,7 +26,10 @@ from manyhands.nodes.bundle import (
 from manyhands.nodes.control import ControlLine, Refused
 from manyhands.nodes.exchange import bind_links
 from manyhands.nodes.life import Life, Stopped
+from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
+from manyhands.protocol.key_files import KeyFileError
+from manyhands.protocol.keys import KeyRing, load_private
 from manyhands.protocol.messages import Report, Start
 from manyhands.protocol.transport import Link, Transport, TransportError
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -63,22 +67,48 @@ def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
     try:
         life = Life(int(sys.argv[2]))
         bundle = load(Path(sys.argv[1]), kind)
+        ring = key_ring(bundle.common, Path(bundle.common.private)) if bundle.common.public else None
         node = make(bundle)
     except Stopped:
         return EXIT_OK
-    except (BundleError, ValueError) as error:
+    except (BundleError, KeyFileError, ValueError) as error:
         print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
         return EXIT_BAD_INPUT
-    return run(bundle.common, node, life)
+    return run(bundle.common, node, life, ring)
 
 
-def run(common: Common, node: Node, life: Life) -> int:
-    """Run one node to its end; returns the exit code."""
-    transport: Transport = ZmqTransport.of(common.transport, Path(common.directory))
+def key_ring(common: Common, private: Path) -> KeyRing:
+    """The node's own keys, and the public ones of those it has to do with.
+
+    Raises:
+        KeyFileError: the private key cannot be read, or is not this node's.
+    """
+    pair = load_private(private, common.session, common.name)
+    if common.public.get(common.name) != pair.public:
+        raise KeyFileError(
+            f"{private}: found another key than the bundle names for {common.name}; "
+            "expected the one it was cut with; have bundle and key renewed together"
+        )
+    return KeyRing(common.name, pair, {name: key for name, key in common.public.items() if name != common.name})
+
+
+def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bool = False) -> int:
+    """Run one node to its end; returns the exit code.
+
+    Args:
+        common: its bundle.
+        node: what its role adds.
+        life: whether it should still run.
+        ring: its keys; None for a session without.
+        remote: whether it runs on another machine than its supervisor, or may.
+    """
+    transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
     try:
-        control = ControlLine(transport.join(common.control, common.name), common)
+        control = ControlLine(transport, common)
+        if remote:
+            life.watch = control.connection
         try:
-            return _converse(common, node, life, transport, control)
+            return _converse(common, node, life, transport, control, remote)
         except Stopped:
             return EXIT_OK
         except (HandshakeRefused, Refused) as error:
@@ -95,18 +125,29 @@ def run(common: Common, node: Node, life: Life) -> int:
         transport.close()
 
 
-def _converse(common: Common, node: Node, life: Life, transport: Transport, control: ControlLine) -> int:
+def _converse(common: Common, node: Node, life: Life, transport: Transport, control: ControlLine, remote: bool) -> int:
     links, endpoints = bind_links(common, transport)
     control.hello(endpoints, os.getpid())
     for name, endpoint in control.peers_endpoints(life).items():
-        links[name] = transport.connect(endpoint)
+        links[name] = transport.connect(endpoint, name)
     node.establish(links)
+    ahead = control.clock_offset(RealtimeClock(), life) if remote else 0
     control.ready()
     start = control.start(life)
+    if remote:
+        start = Start(start.epoch - ahead, start.ticks)
+        life.watch = control.sight
+    transport.settle()
     life.enter_loop()
     try:
         node.loop(start, life, control)
     finally:
         life.leave_loop()
-    control.report(node.report(), life)
+    if life.failure is not None:
+        control.fault(life.failure, life)
+        print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
+        return EXIT_FAILED
+    report = node.report()
+    refused = {f"{names.REFUSED}{kind}": count for kind, count in transport.refused().items()}
+    control.report(Report(report.ticks, report.figures, {**report.counts, **refused}, report.percentiles), life)
     return EXIT_OK

@@ -5,15 +5,21 @@
 
 The environment, which knows D_V, completes x_e = p + D_V f_v. The block promises that V_hat,i is
 Delta_V,i-OSP, from f_v to the backward difference of (V_i - K_i) f_v ((7) of [Bianchini2010]_).
+
+A force beyond its devices' limits is clipped before it is handed on and absorbed, so that xi follows what is applied.
+In such a tick the environment's force is not the device's, and the certificate does not speak of it.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.saturation import Saturation
 
 Vector = NDArray[np.float64]
 
@@ -25,7 +31,9 @@ class CouplingCore:
         ledger: its energy ledger; None when the session is not certified, so that nothing was promised.
     """
 
-    def __init__(self, block: StateSpace, K: Vector, level: Vector | None, T: float) -> None:
+    def __init__(
+        self, block: StateSpace, K: Vector, level: Vector | None, T: float, force_limits: Sequence[float]
+    ) -> None:
         """Start at rest.
 
         Args:
@@ -33,7 +41,9 @@ class CouplingCore:
             K: the block of the loop transformation's K, m/N.
             level: Delta_V,i, N*s/m, or None.
             T: period, s.
+            force_limits: the greatest force of each port's device, N.
         """
+        self._saturation = Saturation(force_limits)
         n, m = block.order, block.outputs
         xi = np.hstack([block.A, block.B])  # rows over (xi, f_v)
         self._step = np.ascontiguousarray(np.vstack([xi, block.C @ xi, np.hstack([block.C, block.D - K])]))
@@ -47,8 +57,17 @@ class CouplingCore:
         """p(k), m, from the devices' displacement x(k), m."""
         return x + self._offset
 
+    @property
+    def saturated(self) -> int:
+        """Ticks whose force was clipped."""
+        return self._saturation.ticks
+
+    def limited(self, f: Vector) -> Vector:
+        """The force to hand on and to absorb for f_v(k), N, as it came from the environment."""
+        return self._saturation.clip(f)
+
     def absorb(self, f: Vector) -> None:
-        """Take f_v(k), N, of this block's ports, keep the ledger and step to the next tick."""
+        """Take the force f_v(k), N, that is applied at the block's ports, keep the ledger and step to the next tick."""
         n, m = self._n, self._m
         self._known[n:] = f
         following = self._step @ self._known  # xi and C_V xi of the next tick, (V - K) f_v of this one

@@ -3,6 +3,9 @@
 In a tick: wait for kT on an absolute schedule, sample, send x(k) to every coupling that holds one of its
 ports, wait for their f_v(k), apply. A tick is late when its force is applied after the next tick was due;
 the schedule then goes on at the next multiple of T, so that devices stay in phase.
+
+The guard looks at a sample before anyone else does, and clips the force last before the driver: a device beyond its
+limits of displacement or speed lets go and ends the session.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from manyhands.nodes.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.device.core import STALE_TICKS, DeviceCore
 from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.guard import Guard
 from manyhands.nodes.distribution import Distribution
 from manyhands.nodes.exchange import Joint, establish
 from manyhands.nodes.life import Life
@@ -39,6 +43,7 @@ class DeviceNode:
         common = bundle.common
         self._common, self._driver = common, driver
         self._core = DeviceCore(bundle.level, bundle.K, common.period)
+        self._guard = Guard(bundle.limits, common.period, common.ports)
         self._realtime = RealtimeClock()
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
@@ -58,8 +63,16 @@ class DeviceNode:
         self._joints, _ = establish(self._common, links, admits, self._realtime)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks."""
-        clock, driver, core, period = self._clock, self._driver, self._core, self._period
+        """Run the ticks; however they end, the device exerts no force any more."""
+        try:
+            self._run(start, life, control)
+        finally:
+            self._driver.release()
+        if (rest := self._ticks % self._common.telemetry_ticks) > 0:
+            self._publish(control, rest)
+
+    def _run(self, start: Start, life: Life, control: ControlLine) -> None:
+        clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
         epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         stale_after = Duration(STALE_TICKS * period)
         f = np.zeros(len(self._common.ports))
@@ -69,17 +82,23 @@ class DeviceNode:
             clock.sleep_until(Instant(epoch + slot * period))
             sampled = clock.now()
             x = driver.sample(tick)
+            breach = guard.breach(x)
+            if breach is not None:
+                life.fail(f"{self._common.name}: {breach}")
+                return
             core.sample(x)
             for joint in self._joints:
                 joint.send(Sample, tick, sampled, x)
             if not all(j.receive_into(f, tick, life, stale_after, self._hear_nothing) for j in self._joints):
-                break
-            held = f.copy()  # f is written again in the next tick
+                return
+            held = guard.clip(f.copy())  # f is written again in the next tick
             driver.apply(held)
             applied = clock.now()
             core.apply(held, driver.intended_work())
             driver.idle()
-            self._account(tick, x, f, Duration(applied - sampled), None if last is None else Duration(sampled - last))
+            self._account(
+                tick, x, held, Duration(applied - sampled), None if last is None else Duration(sampled - last)
+            )
             due_next = epoch + (slot + 1) * period
             if applied > due_next:
                 self._late += 1
@@ -91,12 +110,9 @@ class DeviceNode:
             self._ticks = tick
             if tick % self._common.telemetry_ticks == 0:
                 self._publish(control, self._common.telemetry_ticks)
-        driver.release()
-        if (rest := tick % self._common.telemetry_ticks) > 0:
-            self._publish(control, rest)
 
     def report(self) -> Report:
-        """Ticks, lateness, tau and period percentiles, ledger, speeds."""
+        """Ticks, lateness, tau and period percentiles, ledger, speeds, clipped forces."""
         core = self._core
         return Report(
             self._ticks,
@@ -109,6 +125,7 @@ class DeviceNode:
                 names.LATE: self._late,
                 names.STALE: self._stale,
                 names.TAU_BREACHES: self._tau_breaches,
+                names.CLIPPED: self._guard.clipped,
                 "dropped_telemetry": self._dropped_telemetry,
                 **names.dropped_frames(self._joints),
             },
@@ -136,9 +153,11 @@ class DeviceNode:
             names.PEAK_SPEED: self._core.peak_speed,
             names.LATE: float(self._late),
             names.TAU_BREACHES: float(self._tau_breaches),
+            names.CLIPPED: float(self._guard.clipped),
             f"{names.TAU}_p50": self._tau.quantile(0.5),
             f"{names.TAU}_p99": self._tau.quantile(0.99),
             **names.ledger_figures(self._core.ledger),
+            **names.stray_frames(self._joints),
         }
         traces = (
             {names.DISPLACEMENT: self._trace_x[:rows], names.FORCE: self._trace_f[:rows]} if self._common.traces else {}

@@ -24,7 +24,7 @@ def prepared() -> Prepared:
 
 
 def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", "ipc", tmp_path, "ipc:///nowhere", traces=True))
+    bundles = cut(prepared, Run("simulated", tmp_path, "ipc:///nowhere", traces=True))
     for name, kind in (("dx", DeviceBundle), ("cy", CouplingBundle), ("environment", EnvironmentBundle)):
         path = tmp_path / f"{name}.bundle"
         save(bundles[name], path)
@@ -38,7 +38,7 @@ def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
 
 def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_path: Path) -> None:
     """No number of another user's block, and no name but those of its own peers, is in a bundle's file."""
-    bundles = cut(prepared, Run("simulated", "ipc", tmp_path, "ipc:///nowhere", traces=False))
+    bundles = cut(prepared, Run("simulated", tmp_path, "ipc:///nowhere", traces=False))
     texts = {}
     for name, bundle in bundles.items():
         save(bundle, tmp_path / name)
@@ -67,7 +67,7 @@ def test_what_is_no_bundle_is_refused_by_name(text: str, tmp_path: Path) -> None
 
 def test_an_uncertified_run_promises_nothing(tmp_path: Path) -> None:
     session = load_session(SESSIONS / "example1-uncoupled.yaml")
-    bundles = cut(prepare(session, uncertified=True), Run("simulated", "ipc", tmp_path, "", traces=False))
+    bundles = cut(prepare(session, uncertified=True), Run("simulated", tmp_path, "", traces=False))
     coupling, environment = bundles["cx"], bundles["environment"]
     assert isinstance(coupling, CouplingBundle)
     assert isinstance(environment, EnvironmentBundle)

@@ -18,6 +18,7 @@ from manyhands.nodes.environment.core import EnvironmentCore
 T = 1e-3
 PARTITION = Partition(("a", "b"), ((0, 2), (1,)))  # blocks that are not contiguous
 PORTS = ("p", "q", "r")
+UNLIMITED = (np.inf,) * 3  # N
 
 
 def network(stiffness: float, damping: float, mass: float) -> Network:
@@ -63,7 +64,7 @@ def test_split_over_parties_the_loop_is_the_papers(
     blocks = [part.realisation(T) for part in coupling(K, B, cross).restrict(PARTITION)]
     V = PARTITION.join(blocks)
     x = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-4, (200, 3)), axis=0)
-    cores = [CouplingCore(block, np.zeros(block.D.shape), None, T) for block in blocks]
+    cores = [CouplingCore(block, np.zeros(block.D.shape), None, T, UNLIMITED[: len(block.D)]) for block in blocks]
     environment = EnvironmentCore(E, V.D, None, T)
     f, p = np.zeros_like(x), np.zeros(3)
     for k in range(len(x)):
@@ -117,7 +118,7 @@ def test_passive_parties_keep_their_ledgers_above_zero_for_any_signal() -> None:
     block = SpringDamper(np.array([[stiffness]]), np.array([[0.1]])).realisation(T)
     J = Delta_D - stiffness * T / 2.0
     level = Delta_D / J * (J + 0.1) / J * Delta_D - Delta_D  # the class's greatest level, a limit
-    core = CouplingCore(block, K, np.array([[0.99 * level]]), T)
+    core = CouplingCore(block, K, np.array([[0.99 * level]]), T, UNLIMITED[:1])
     E = Network(("p",), (("m", 1.0),), (Link(("p", "m"), 3000.0, 0.1),)).environment(T)
     environment = EnvironmentCore(E, block.D, np.zeros((1, 1)), T)
     for _ in range(2000):
@@ -129,3 +130,20 @@ def test_passive_parties_keep_their_ledgers_above_zero_for_any_signal() -> None:
     assert core.ledger.minimum >= 0.0
     assert environment.ledger.minimum >= 0.0
     assert core.ledger.total > 0.0
+
+
+def test_a_block_follows_the_force_that_is_applied() -> None:
+    """Limited first: the state, the offset and the ledger are those of the clipped force."""
+    block = SpringDamper(np.array([[700.0]]), np.array([[0.1]])).realisation(T)
+    level, K = np.array([[0.5]]), np.array([[T / 2.74]])
+    limited, free = (CouplingCore(block, K, level, T, (limit,)) for limit in (2.0, np.inf))
+    for f, applied in ((1.5, 1.5), (9.0, 2.0), (-2.5, -2.0), (2.0, 2.0)):
+        handed_on = limited.limited(np.array([f]))
+        assert handed_on[0] == applied
+        limited.absorb(handed_on)
+        free.absorb(free.limited(np.array([applied])))
+        assert limited.free_position(np.zeros(1)) == free.free_position(np.zeros(1))
+    assert limited.ledger is not None
+    assert free.ledger is not None
+    assert limited.ledger.total == free.ledger.total
+    assert (limited.saturated, free.saturated) == (2, 0)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,43 +22,22 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Force, Start, Telemetry
+from manyhands.protocol.messages import Start
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.memory import MemoryTransport
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 350  # telemetry comes every 100: the last is a part
-
-
-class Running:
-    """A life that goes on."""
-
-    stopping = False
-
-    def check(self) -> None:
-        """Nothing to look after."""
-
-
-class Kept:
-    """A line to the supervisor that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.telemetry: list[Telemetry] = []
-        self.dropped = 0
-
-    def publish(self, telemetry: Telemetry) -> None:
-        traces = {name: trace.copy() for name, trace in telemetry.traces.items()}
-        self.telemetry.append(Telemetry(telemetry.tick, telemetry.figures, traces))
-
+LIMITS = {"dx": 1.25, "dz": 0.5}  # N; both bite now and then
+SATURATING = tuple(f"devices.{device}.limits={{force: {limit}}}" for device, limit in LIMITS.items())
 
 Node = DeviceNode | CouplingNode | EnvironmentNode
+Loops = Callable[[Prepared], tuple[dict[str, Node], dict[str, Any]]]
 
 
 def nodes_of(prepared: Prepared) -> dict[str, Node]:
-    run = Run("simulated", "memory", Path(), "", traces=True)
     out: dict[str, Node] = {}
-    for name, bundle in cut(prepared, run).items():
+    for name, bundle in cut(prepared, Run("simulated", None, "", traces=True)).items():
         match bundle:
             case DeviceBundle():
                 out[name] = DeviceNode(bundle, simulated_driver(bundle))
@@ -66,77 +48,79 @@ def nodes_of(prepared: Prepared) -> dict[str, Node]:
     return out
 
 
+@pytest.fixture
+def run_loops(new_life: Callable[[], Any], new_line: Callable[[], Any]) -> Loops:
+    """Runs all nodes of a session from handshake to last tick; gives them, and what each told its supervisor."""
+
+    def run(prepared: Prepared) -> tuple[dict[str, Node], dict[str, Any]]:
+        graph = topology(prepared.session)
+        transport = MemoryTransport()
+        links: dict[str, dict[str, Link]] = {name: {} for name in graph.nodes}
+        for plan in graph.links:
+            link, endpoint = transport.bind(f"{plan.binder}-{plan.connector}", plan.connector)
+            links[plan.binder][plan.connector] = link
+            links[plan.connector][plan.binder] = transport.connect(endpoint, plan.binder)
+        nodes = nodes_of(prepared)
+        lines = {name: new_line() for name in nodes}
+
+        def run_one(name: str) -> None:
+            nodes[name].establish(links[name])
+            nodes[name].loop(Start(0, TICKS), new_life(), lines[name])
+
+        with ThreadPoolExecutor(len(nodes)) as pool:
+            for done in [pool.submit(run_one, name) for name in nodes]:
+                done.result()
+        transport.close()
+        return nodes, lines
+
+    return run
+
+
+@pytest.mark.parametrize("overrides", [(), SATURATING], ids=["within limits", "saturating"])
 @pytest.mark.parametrize("file", ["example1.yaml", "example1-centralised.yaml", "example1-operator.yaml"])
-def test_loops_give_the_simulations_numbers(file: str) -> None:
-    prepared = prepare(load_session(SESSIONS / file))
+def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...], run_loops: Loops) -> None:
+    if file == "example1-operator.yaml" and overrides:
+        overrides = ("devices.d.limits={force: [1.25, 100, 0.5]}",)
+    prepared = prepare(load_session(SESSIONS / file, overrides))
+    nodes, lines = run_loops(prepared)
     graph = topology(prepared.session)
-    transport = MemoryTransport()
-    links: dict[str, dict[str, Link]] = {name: {} for name in graph.nodes}
-    for plan in graph.links:
-        links[plan.binder][plan.connector], endpoint = transport.bind(f"{plan.binder}-{plan.connector}")
-        links[plan.connector][plan.binder] = transport.connect(endpoint)
-    nodes = nodes_of(prepared)
-    kept = {name: Kept() for name in nodes}
-
-    def run(name: str) -> None:
-        nodes[name].establish(links[name])
-        nodes[name].loop(Start(0, TICKS), Running(), kept[name])  # type: ignore[arg-type]
-
-    with ThreadPoolExecutor(len(nodes)) as pool:
-        for done in [pool.submit(run, name) for name in nodes]:
-            done.result()
-    transport.close()
-
     devices = {name: graph.ports[name] for name in prepared.session.devices}
     collector = Collector(devices)
     for name in devices:
-        for telemetry in kept[name].telemetry:
+        for telemetry in lines[name].telemetry:
             collector.add(name, telemetry.tick, telemetry.traces["x"], telemetry.traces["f_v"])
     recording = collector.recording("s", "c", prepared.session.period)
-    expected = Simulation(prepared).run(TICKS)
+    simulation = Simulation(prepared)
+    expected = simulation.run(TICKS)
     np.testing.assert_array_equal(recording.x, expected.x)
     np.testing.assert_array_equal(recording.f_v, expected.f_v)
     for name, node in nodes.items():
-        report = node.report()
+        report, told = node.report(), lines[name].telemetry[-1]
         assert report.ticks == TICKS, name
-        assert report.figures["ledger_min"] >= 0.0, name
         assert all(n == 0 for key, n in report.counts.items() if key.startswith("dropped")), name
+        if name in simulation.couplings:
+            assert report.counts["saturated"] == told.figures["saturated"] == simulation.couplings[name].saturated
+        if name in devices:
+            assert report.counts["clipped"] == told.figures["clipped"] == 0  # its couplings have done it already
+        if not overrides:
+            assert report.figures["ledger_min"] >= 0.0, name
+    saturated = sum(core.saturated for core in simulation.couplings.values())
+    assert (saturated > 0) == bool(overrides)
+    if overrides:
+        for port, limit in zip((0, 2), LIMITS.values(), strict=True):
+            assert np.max(np.abs(recording.f_v[:, port])) == limit
+            assert np.any(np.abs(recording.f_v[:, port]) < limit)
 
 
-def test_junk_on_a_link_is_counted_and_changes_nothing() -> None:
-    """A frame of rubbish, an old force and a future one, put before the first tick's force."""
-    prepared = prepare(load_session(SESSIONS / "example1.yaml"))
-    bundle = cut(prepared, Run("simulated", "memory", Path(), "", traces=True))["dx"]
-    assert isinstance(bundle, DeviceBundle)
-    transport = MemoryTransport()
-    coupling_end, endpoint = transport.bind("cx-dx")
-    device_end = transport.connect(endpoint)
-    node = DeviceNode(bundle, simulated_driver(bundle))
-
-    from manyhands.nodes.bundle import Common, Peer
-    from manyhands.nodes.exchange import establish
-    from manyhands.protocol.clock import RealtimeClock
-    from manyhands.protocol.messages import Role, Sample
-
-    own = bundle.common
-    common = Common(**{**{f: getattr(own, f) for f in own.__dataclass_fields__}, "name": "cx", "role": Role.COUPLING,
-                       "peers": (Peer("dx", Role.DEVICE, ("dx",), True),)})  # fmt: skip
-    with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(establish, common, {"dx": coupling_end}, {"dx": Sample}, RealtimeClock())
-        node.establish({"cx": device_end})
-        other.result()
-    zero, one = np.zeros(1), np.ones(1)
-    for frame in (b"\xc1junk", encode(Force(1, 0, one)), encode(Sample(0, 0, one)), encode(Force(0, 0, np.ones(2)))):
-        assert coupling_end.send(frame)
-    for tick in range(3):
-        assert coupling_end.send(encode(Force(tick, 0, zero)))
-        assert coupling_end.send(encode(Force(tick, 0, one)))  # a replay
-    node.loop(Start(0, 3), Running(), Kept())  # type: ignore[arg-type]
-    transport.close()
-    counts = node.report().counts
-    assert counts["dropped_malformed"] == 1
-    assert counts["dropped_future_tick"] == 1
-    assert counts["dropped_wrong_kind"] == 1
-    assert counts["dropped_wrong_width"] == 1
-    assert counts["dropped_old_tick"] == 2  # the third tick's replay is never read
-    assert node.report().figures["peak_speed"] == 0.0
+@pytest.mark.parametrize("overrides", [(), SATURATING], ids=["within limits", "saturating"])
+def test_a_couplings_traces_are_what_it_says_and_hands_on(overrides: tuple[str, ...], run_loops: Loops) -> None:
+    """f_v is its device's, and p = x + C_V xi, with xi following the force that is applied."""
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides))
+    _, lines = run_loops(prepared)
+    pairs = (("dx", "cx"), ("dy", "cy"), ("dz", "cz"))
+    for (device, coupling), block in zip(pairs, prepared.blocks, strict=True):
+        x, f, p = lines[device].trace("x"), lines[device].trace("f_v"), lines[coupling].trace("p")
+        np.testing.assert_array_equal(lines[coupling].trace("f_v"), f)
+        offset = dataclasses.replace(block, D=np.zeros_like(block.D)).simulate(f)
+        np.testing.assert_allclose(p, x + offset, rtol=1e-12, atol=1e-15)
+        assert np.max(np.abs(p - x)) > 0.0

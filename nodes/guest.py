@@ -1,0 +1,84 @@
+"""A node that joins a session of another machine by invitation: with its bundle and its key, and nothing else.
+
+The bundle says who it is and whom it may talk to; where the supervisor is, the user says. It has no parent to watch: it
+ends when its connection to the supervisor is lost, when the supervisor says so, or on Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from manyhands.nodes.bundle import (
+    BundleError,
+    Common,
+    CouplingBundle,
+    DeviceBundle,
+    EnvironmentBundle,
+    ObserverBundle,
+    load,
+    role_of,
+)
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.observer.node import observe
+from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, Node, key_ring, run
+from manyhands.protocol.key_files import KeyFileError
+from manyhands.protocol.messages import Role
+from manyhands.protocol.transport.zeromq import SCHEMES
+
+MAKERS: dict[Role, tuple[type[Any], Callable[[Any], Node]]] = {
+    Role.DEVICE: (DeviceBundle, lambda bundle: DeviceNode(bundle, simulated_driver(bundle))),
+    Role.COUPLING: (CouplingBundle, CouplingNode),
+    Role.ENVIRONMENT: (EnvironmentBundle, EnvironmentNode),
+}
+
+
+def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
+    """Run one node of a session whose supervisor is at ``endpoint``; returns the exit code.
+
+    Args:
+        name: the node's name, which must be the bundle's.
+        bundle_path: its bundle.
+        private: its private key's file; by default the bundle's own name with the suffix ``.key``.
+        endpoint: ``tcp://HOST:PORT`` of the supervisor (or an ``ipc://`` path).
+        host: the address of this machine that others reach; needed only by a node that others connect to.
+    """
+    try:
+        life = Life(None)
+        role = role_of(bundle_path)
+        kind, make = MAKERS.get(role, (ObserverBundle, None))
+        bundle = load(bundle_path, kind)
+        common = _placed(bundle.common, name, bundle_path, endpoint, host)
+        ring = key_ring(common, private or bundle_path.with_suffix(".key")) if common.public else None
+        bundle = dataclasses.replace(bundle, common=common)
+        if make is None:
+            return observe(bundle, life, ring)
+        node = make(bundle)
+    except Stopped:
+        return EXIT_OK
+    except (BundleError, KeyFileError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
+        return EXIT_BAD_INPUT
+    return run(common, node, life, ring, remote=True)
+
+
+def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | None) -> Common:
+    """The bundle's common part, with what only the guest knows: where the supervisor is, and where the guest."""
+    if common.name != name:
+        raise BundleError(f"{path}: found the bundle of {common.name}; expected that of {name}")
+    scheme = endpoint.partition("://")[0]
+    if scheme not in SCHEMES or not endpoint.partition("://")[2]:
+        raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT")
+    if common.public and scheme != "tcp":
+        raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT, for this bundle has keys")
+    others = common.peers
+    if host is not None:
+        others = tuple(dataclasses.replace(p, address=f"{host}:*") if p.binds else p for p in others)
+    return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others)

@@ -1,0 +1,53 @@
+"""The observer's process: what the supervisor tells it goes to standard output, a line each.
+
+It comes and goes as it likes: the session neither waits for it nor notices that it left.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from manyhands.nodes.bundle import ObserverBundle
+from manyhands.nodes.control import ControlLine, Refused
+from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.observer.core import ObserverCore
+from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.keys import KeyRing
+from manyhands.protocol.transport import TransportError
+from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
+
+_PATIENCE = from_seconds(0.2)
+
+
+def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
+    """Print what the session tells this observer until the session or the observer ends; returns the exit code."""
+    common, core = bundle.common, ObserverCore()
+    transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
+    try:
+        control = ControlLine(transport, common)
+        life.watch = control.connection
+        control.hello({}, os.getpid())
+        link = transport.connect(control.peers_endpoints(life)[HUB], HUB)
+        while not life.stopping:
+            frame = link.recv(_PATIENCE)
+            if frame is None:
+                life.check()
+            elif (line := core.line(frame)) is not None:
+                print(line, flush=True)  # noqa: T201 -- printing is what it does
+        return EXIT_OK
+    except Stopped:
+        return EXIT_OK
+    except Refused as error:
+        print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
+        return EXIT_REFUSED
+    except (TransportError, KeyError, ValueError) as error:
+        print(f"{common.name}: {error}", file=sys.stderr)  # noqa: T201
+        return EXIT_FAILED
+    except BrokenPipeError:  # whoever read the lines has had enough
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 -- the interpreter flushes it once more at its end
+        return EXIT_OK
+    finally:
+        transport.close()

@@ -1,0 +1,161 @@
+"""From a session's limits to each process's bounds: whose limits go where, and that no honest tool is ever refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.design.statespace import StateSpace
+from manyhands.launch import bundles
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.port_bounds import limits_at, tool_bounds
+from manyhands.launch.preparation import prepare
+from manyhands.launch.session import Session, load_session
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
+from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.exchange import bounds_by_peer
+from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.protocol.codec import encode
+from manyhands.protocol.gate import Gate
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
+from manyhands.protocol.messages import Role, Telemetry, Tool
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+OVERRIDES = (
+    "devices.dx.limits={force: 1, displacement: 0.1, speed: 2}",
+    "devices.dy.limits={force: 3, displacement: 0.2, speed: 4}",
+    "devices.dz.limits={force: 5, displacement: 0.3, speed: 6}",
+)
+
+
+def session(file: str = "example1.yaml", overrides: tuple[str, ...] = OVERRIDES) -> Session:
+    return load_session(SESSIONS / file, overrides)
+
+
+HELD = session("example1-centralised.yaml")
+
+
+def test_limits_are_those_of_the_ports_in_their_order() -> None:
+    assert limits_at(session(), ("dz", "dx")) == Limits((5.0, 1.0), (0.3, 0.1), (6.0, 2.0))
+    axes = ("devices.d.limits={force: [1, 2, 3], displacement: 0.5, speed: [4, 5, 6]}",)
+    held = session("example1-operator.yaml", axes)
+    assert limits_at(held, held.ports[1:]) == Limits((2.0, 3.0), (0.5, 0.5), (5.0, 6.0))
+
+
+def test_each_bundle_holds_the_limits_of_its_own_ports_and_the_environment_none(tmp_path: Path) -> None:
+    prepared = prepare(session())
+    cuts = cut(prepared, Run("simulated", tmp_path, "", traces=False))
+    for name, expected in (("dy", (3.0, 0.2, 4.0)), ("cz", (5.0, 0.3, 6.0))):
+        bundle = cuts[name]
+        assert isinstance(bundle, (DeviceBundle, CouplingBundle))
+        assert bundle.limits == Limits(*((value,) for value in expected))
+        save(bundle, tmp_path / name)
+        assert load(tmp_path / name, type(bundle)).limits == bundle.limits
+    environment = cuts["environment"]
+    assert isinstance(environment, EnvironmentBundle)
+    magnitude, step = tool_bounds(prepared.session, prepared.blocks)
+    assert environment.tool_magnitude == magnitude
+    assert environment.tool_step == step
+    save(environment, tmp_path / "environment")
+    again = load(tmp_path / "environment", EnvironmentBundle)
+    assert (again.tool_magnitude, again.tool_step) == (magnitude, step)
+    assert again.feedthrough == {
+        name: feedthrough_digest(block.D) for name, block in zip(("cx", "cy", "cz"), prepared.blocks, strict=True)
+    }
+
+
+def test_a_tool_can_go_as_far_as_its_device_and_the_memory_of_its_block() -> None:
+    """In closed form for springs and dampers, h = gain (0, 1, a, a^2, ...)."""
+    held = session()
+    prepared = prepare(held)
+    magnitude, step = tool_bounds(held, prepared.blocks)
+    for i, (X, S, F) in enumerate(((0.1, 2.0, 1.0), (0.2, 4.0, 3.0), (0.3, 6.0, 5.0))):
+        block = prepared.blocks[i]
+        a, gain = float(block.A[0, 0]), float(block.B[0, 0] * block.C[0, 0])
+        assert 0.0 < a < 1.0
+        assert magnitude[i] == pytest.approx(X + F * gain / (1.0 - a), rel=1e-9)
+        # the steps of h are gain, and then gain (a - 1) a^k, k = 0, 1, ...
+        assert step[i] == pytest.approx(held.period * S + 2.0 * F * gain, rel=1e-9)
+
+
+def test_bounds_are_in_the_sessions_order_whatever_that_of_the_blocks() -> None:
+    held = session(overrides=(*OVERRIDES, "couplings={cz: {devices: [dz]}, cxy: {devices: [dx, dy]}}"))
+    assert held.blocks == (("dz",), ("dx", "dy"))
+    static = [StateSpace.static(np.zeros((m, m))) for m in (1, 2)]
+    magnitude, step = tool_bounds(held, static)
+    assert magnitude == (0.1, 0.2, 0.3)
+    assert step == pytest.approx((0.002, 0.004, 0.006))
+
+
+@pytest.fixture(scope="module")
+def environment() -> EnvironmentBundle:
+    """The environment of one block over all ports."""
+    bundle = cut(prepare(HELD), Run("simulated", None, "", traces=False))["environment"]
+    assert isinstance(bundle, EnvironmentBundle)
+    return bundle
+
+
+@given(seed=st.integers(0, 2**16), radius=st.sampled_from([0.1, 0.9, 0.99]), extreme=st.booleans())
+def test_an_honest_coupling_is_never_refused(
+    seed: int, radius: float, extreme: bool, environment: EnvironmentBundle
+) -> None:
+    """A block of two devices under any force, with devices that keep to their limits, by the very gate."""
+    rng = np.random.default_rng(seed)
+    held = HELD
+    n, m = 4, len(held.ports)
+    A = rng.normal(size=(n, n))
+    A *= radius / np.max(np.abs(np.linalg.eigvals(A)))
+    block = StateSpace(A, rng.normal(size=(n, m)), 1e-3 * rng.normal(size=(m, n)), np.zeros((m, m)))
+    magnitude, step = tool_bounds(held, [block])
+    limits = limits_at(held, held.ports)
+    (bounds,) = bounds_by_peer(environment.common, Role.COUPLING, magnitude, step).values()
+    gate = Gate(Tool, m, bounds)
+    core = CouplingCore(block, np.zeros((m, m)), None, held.period, limits.force)
+    X, S = np.array(limits.displacement), np.array(limits.speed)
+    x = X * rng.uniform(-1.0, 1.0, m)
+    for tick in range(200):
+        p = core.free_position(x)
+        assert gate.admit(encode(Tool(tick, 0, p)), tick) is not None
+        f = rng.choice([-1e3, 1e3], m) if extreme else rng.normal(0.0, 3.0, m)
+        core.absorb(core.limited(f))
+        change = rng.choice([-1.0, 1.0], m) if extreme else rng.uniform(-1.0, 1.0, m)
+        x = np.clip(x + held.period * S * change, -X, X)
+
+
+def test_a_block_without_a_bound_leaves_its_ports_without_one(tmp_path: Path) -> None:
+    prepared = prepare(session())
+    integrating = dataclasses.replace(prepared.blocks[1], A=np.eye(1))
+    blocks = (prepared.blocks[0], integrating, prepared.blocks[2])
+    magnitude, step = tool_bounds(prepared.session, blocks)
+    assert [bound is None for bound in magnitude] == [False, True, False]
+    assert [bound is None for bound in step] == [False, True, False]
+    cuts = cut(dataclasses.replace(prepared, blocks=blocks), Run("simulated", tmp_path, "", traces=False))
+    environment = cuts["environment"]
+    assert isinstance(environment, EnvironmentBundle)
+    save(environment, tmp_path / "environment")
+    again = load(tmp_path / "environment", EnvironmentBundle)
+    assert again.tool_magnitude == magnitude
+    bounds = bounds_by_peer(again.common, Role.COUPLING, again.tool_magnitude, again.tool_step)["cy"]
+    assert bounds.magnitude == (np.inf,)
+    assert bounds.step == (np.inf,)
+
+
+def test_telemetry_comes_ten_times_a_second_or_as_often_as_its_traces_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ticks(period: float, name: str) -> int:
+        prepared = prepare(load_session(SESSIONS / "example1-centralised.yaml", [f"period={period}"]), uncertified=True)
+        return cut(prepared, Run("simulated", None, "", traces=True))[name].common.telemetry_ticks
+
+    assert [ticks(period, "c") for period in (0.05, 0.001, 0.0001)] == [2, 100, 1000]
+    monkeypatch.setattr(bundles, "MOST_TRACE_VALUES", 1200)
+    assert [ticks(0.0001, name) for name in ("dx", "c")] == [600, 200]
+
+
+def test_the_largest_traces_fit_a_frame() -> None:
+    rows = np.zeros((bundles.MOST_TRACE_VALUES // 2, 1))
+    figures = {f"{i:0{MAX_NAME}}": 0.5 for i in range(100)}
+    assert len(encode(Telemetry(MAX_COUNT, figures, {"x": rows, "f_v": rows}))) <= MAX_CONTROL_BYTES

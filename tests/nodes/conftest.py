@@ -1,0 +1,47 @@
+"""What a node's loop runs against in a test: a life that goes on, and a line to nobody."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manyhands.protocol.messages import Telemetry
+
+
+class Running:
+    """A life that goes on until something fails."""
+
+    def __init__(self) -> None:
+        self.stopping, self.failure = False, ""
+
+    def check(self) -> None:
+        """Nothing to look after."""
+
+    def fail(self, text: str) -> None:
+        self.stopping, self.failure = True, self.failure or text
+
+
+class Kept:
+    """A line to the supervisor that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.telemetry: list[Telemetry] = []
+        self.dropped = 0
+
+    def publish(self, telemetry: Telemetry) -> None:
+        traces = {name: trace.copy() for name, trace in telemetry.traces.items()}
+        self.telemetry.append(Telemetry(telemetry.tick, telemetry.figures, traces))
+
+    def trace(self, name: str) -> np.ndarray:
+        """One trace over all ticks."""
+        return np.vstack([telemetry.traces[name] for telemetry in self.telemetry])
+
+
+@pytest.fixture
+def new_life() -> type[Running]:
+    return Running
+
+
+@pytest.fixture
+def new_line() -> type[Kept]:
+    return Kept
