@@ -20,6 +20,7 @@ from manyhands.design.differences import differences
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.problem import HapticLoop, LinearGiven, NoCoupling, SpringDamperGiven
 from manyhands.design.statespace import StateSpace
+from manyhands.launch.access import capability_violations
 from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.session import Session
 
@@ -85,9 +86,22 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
             f"{path}: not proved: {first.condition}: found {first.value:.6g}, bound {first.bound:.3g}; "
             "design the session anew"
         )
-    if session is not None and (found := differences(certificate, haptic_loop(session), coupling_request(session))):
-        raise NotCertified(f"{path}: a certificate of another session: {found[0]}; design this session anew")
+    if session is not None and (found := _foreign(certificate, session)):
+        raise NotCertified(f"{path}: a certificate of another session: {found}; design this session anew")
     return certificate
+
+
+def _foreign(certificate: Certificate, session: Session) -> str:
+    """Why a certificate is another session's; empty where it is this one's.
+
+    A block that would need ports outside its process is told as that: it could not run there, whatever was proved.
+    """
+    found = differences(certificate, haptic_loop(session), coupling_request(session))
+    loop = certificate.loop
+    if loop.session == session.name and loop.ports == session.ports:
+        blocks = zip(loop.partition.names, loop.partition.blocks, strict=True)
+        found = capability_violations(session, {name: [loop.ports[p] for p in block] for name, block in blocks}) + found
+    return found[0] if found else ""
 
 
 def prepare(

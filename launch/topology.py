@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from manyhands.launch.session import Session
+from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.protocol.limits import MAX_PORTS
 from manyhands.protocol.messages import Role
 
-ENVIRONMENT = "environment"
+__all__ = ["ENVIRONMENT", "LinkPlan", "LinkTooWide", "Topology", "require_runnable", "topology"]
 
 
 @dataclass(frozen=True)
@@ -64,20 +64,17 @@ def require_runnable(graph: Topology) -> None:
 
 def topology(session: Session) -> Topology:
     """The graph of ``session``."""
-    nodes = {
-        **dict.fromkeys(session.devices, Role.DEVICE),
-        **dict.fromkeys(session.couplings, Role.COUPLING),
-        ENVIRONMENT: Role.ENVIRONMENT,
-    }
     ports = {
         **{device: session.ports_of(device) for device in session.devices},
         **dict(zip(session.couplings, session.blocks, strict=True)),
         ENVIRONMENT: session.ports,
     }
     links = [LinkPlan(ENVIRONMENT, coupling, ports[coupling]) for coupling in session.couplings]
+    device_of = {port: device for device in session.devices for port in ports[device]}
+    place = {device: i for i, device in enumerate(session.devices)}
     for coupling in session.couplings:
-        for device in session.devices:
-            shared = tuple(port for port in ports[coupling] if port in ports[device])
-            if shared:
-                links.append(LinkPlan(coupling, device, shared))
-    return Topology(nodes, ports, tuple(links))
+        shared: dict[str, list[str]] = {}
+        for port in ports[coupling]:
+            shared.setdefault(device_of[port], []).append(port)
+        links += [LinkPlan(coupling, device, tuple(shared[device])) for device in sorted(shared, key=place.__getitem__)]
+    return Topology(session.roles, ports, tuple(links))

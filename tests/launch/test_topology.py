@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,33 +12,10 @@ from manyhands.launch.topology import ENVIRONMENT, topology
 from manyhands.protocol.messages import Role
 
 
-@st.composite
-def sessions(draw: st.DrawFn) -> Session:
-    """A session with random devices whose ports are dealt to random couplings."""
-    sizes = draw(st.lists(st.integers(1, 3), min_size=1, max_size=4))
-    devices = {f"d{i}": {"dof": n, "osp": 1.0, "driver": "simulated", "mass": 0.2} for i, n in enumerate(sizes)}
-    ports = [f"d{i}.{a}" if n > 1 else f"d{i}" for i, n in enumerate(sizes) for a in range(n)]
-    owner = [draw(st.integers(0, 2)) for _ in ports]
-    couplings = {
-        f"c{c}": {"ports": [p for p, o in zip(ports, owner, strict=True) if o == c]} for c in sorted(set(owner))
-    }
-    links = [{"between": [port, "ground"], "stiffness": 100.0, "damping": 0.1} for port in ports]
-    return Session.model_validate(
-        {
-            "session": "drawn",
-            "period": 0.001,
-            "devices": devices,
-            "couplings": couplings,
-            "environment": {"type": "network", "masses": {}, "links": links},
-            "design": {"coupling": "spring-damper"},
-        },
-        context={"folder": Path()},
-    )
-
-
 @settings(max_examples=60)
-@given(sessions())
-def test_blocks_links_and_ports_agree(session: Session) -> None:
+@given(data=st.data())
+def test_blocks_links_and_ports_agree(drawn_sessions: st.SearchStrategy[Session], data: st.DataObject) -> None:
+    session = data.draw(drawn_sessions)
     graph, loop = topology(session), haptic_loop(session)
     mask = loop.partition.mask()
     index = {port: i for i, port in enumerate(session.ports)}

@@ -1,0 +1,174 @@
+"""Who may read and write what: the capability table, from a session's structure alone.
+
+Two processes that share a connection may use on it those channels of the channel table that join their roles in that
+direction, for the ports that the connection carries, and nothing else. Sockets, key rings and what `manyhands graph`
+prints come from here, so that what a process can get hold of is what its block of V was designed with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from manyhands.launch.session import SUPERVISOR, Session
+from manyhands.launch.session.error import listed, one_of
+from manyhands.launch.session.observers import TELEMETRY
+from manyhands.launch.topology import topology
+from manyhands.protocol.channels import CHANNELS, Channel, Rate
+from manyhands.protocol.messages import Role
+
+Action = Literal["read", "write"]
+
+DATA: Final = tuple(channel for channel in CHANNELS.values() if channel.rate is not Rate.ONCE)
+"""The channels that carry a session's data; what sets up and ends one is said between all who are connected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """One row of the table: what ``node`` may do on a channel towards one peer.
+
+    Attributes:
+        node: who may.
+        role: what it is.
+        action: whether it may read or write.
+        channel: a name of the channel table.
+        peer: from whom, or to whom.
+        ports: the ports whose values, or whose telemetry, the channel carries between the two, in their order.
+        content: what an observation may hold, NODE/CHANNEL each; empty on channels that hold one thing.
+    """
+
+    node: str
+    role: Role
+    action: Action
+    channel: str
+    peer: str
+    ports: tuple[str, ...]
+    content: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Connection:
+    """Two processes that can send each other frames, and the ports that these are about."""
+
+    ends: tuple[str, str]
+    ports: tuple[str, ...]
+    content: tuple[str, ...] = ()
+
+
+def access(session: Session) -> tuple[Capability, ...]:
+    """The capability table: one row for each node, channel and peer, in the order of nodes, then of channels."""
+    roles = {
+        **session.roles,
+        SUPERVISOR: Role.SUPERVISOR,
+        **dict.fromkeys(session.observers, Role.OBSERVER),
+    }
+    rows: dict[str, list[Capability]] = {name: [] for name in roles}
+    connections = tuple(_connections(session))
+    for channel in DATA:
+        for connection in connections:
+            for sender, receiver in (connection.ends, connection.ends[::-1]):
+                if joins(channel, roles[sender], roles[receiver]):
+                    about = (connection.ports, connection.content)
+                    rows[sender].append(Capability(sender, roles[sender], "write", channel.name, receiver, *about))
+                    rows[receiver].append(Capability(receiver, roles[receiver], "read", channel.name, sender, *about))
+    return tuple(row for own in rows.values() for row in own)
+
+
+def joins(channel: Channel, sender: Role, receiver: Role) -> bool:
+    """Whether a process of one role may send on a channel to a process of another."""
+    return sender in channel.senders and receiver in channel.receivers
+
+
+def _connections(session: Session) -> Iterator[_Connection]:
+    graph = topology(session)
+    for link in graph.links:
+        yield _Connection((link.binder, link.connector), link.ports)
+    for node in graph.nodes:
+        yield _Connection((SUPERVISOR, node), graph.ports[node])
+    for observer in session.observers:
+        seen = observed(session, observer)
+        ports = {port for node in seen for port in graph.ports[node]}
+        yield _Connection(
+            (SUPERVISOR, observer),
+            tuple(port for port in session.ports if port in ports),
+            tuple(f"{node}/{channel}" for node, channels in seen.items() for channel in channels),
+        )
+
+
+def observed(session: Session, observer: str) -> Mapping[str, tuple[str, ...]]:
+    """The channels of each node that an observer may read, in the order of the nodes and of the channel table.
+
+    Raises:
+        ValueError: the session has no such observer.
+    """
+    if observer not in session.observers:
+        raise ValueError(f"found the observer {observer!r}; expected {one_of(session.observers, observer)}")
+    wanted: dict[str, set[str]] = {node: set() for node in session.roles}
+    for entry in session.observers[observer].reads:
+        node, slash, channel = entry.partition("/")
+        if slash:
+            wanted[node].add(channel)
+            continue
+        for everyone in wanted.values():
+            everyone.add(TELEMETRY)
+    return {node: tuple(name for name in CHANNELS if name in channels) for node, channels in wanted.items() if channels}
+
+
+def peers(session: Session) -> Mapping[str, frozenset[str]]:
+    """With whom each node, the supervisor and each observer shares a channel: whose public keys it holds."""
+    found: dict[str, set[str]] = {}
+    for row in access(session):
+        found.setdefault(row.node, set()).add(row.peer)
+    return {name: frozenset(others) for name, others in found.items()}
+
+
+def peers_of(session: Session, name: str) -> frozenset[str]:
+    """With whom one of them shares a channel; for several names, :func:`peers` derives the table once.
+
+    Raises:
+        ValueError: the session has no process of this name.
+    """
+    found = peers(session)
+    if name not in found:
+        raise ValueError(f"found the process {name!r}; expected {one_of(found, name)}")
+    return found[name]
+
+
+def capability_violations(session: Session, structure: Mapping[str, Sequence[str]]) -> list[str]:
+    """Where blocks of V would need ports that their processes may not both read and write; empty where they agree.
+
+    Args:
+        session: the session, whose couplings say what each process may do.
+        structure: the ports of each block by name, as a certificate has them.
+
+    Returns:
+        One sentence for each port outside its process, and for each block without a process.
+    """
+    allowed = _within_reach(access(session))
+    owner = {port: coupling for coupling, ports in session.blocks_by_name.items() for port in ports}
+    found = []
+    for block, ports in structure.items():
+        if block not in allowed:
+            found.append(f"the block {block!r} has no process; expected {one_of(allowed, block)}")
+            continue
+        for port in ports:
+            if port not in allowed[block]:
+                whose = f"of the coupling {owner[port]!r}" if port in owner else "of none of the couplings"
+                found.append(
+                    f"the block {block!r} touches the port {port!r} {whose}; "
+                    f"the process {block!r} may read and write {listed(allowed[block])} alone"
+                )
+    return found
+
+
+def _within_reach(table: tuple[Capability, ...]) -> dict[str, tuple[str, ...]]:
+    """The ports of each coupling that it may use on every signal of its: what it cannot answer it cannot couple."""
+    by_channel: dict[str, dict[str, dict[str, None]]] = {}
+    for row in table:
+        if row.role is Role.COUPLING and CHANNELS[row.channel].rate is Rate.EVERY_TICK:
+            by_channel.setdefault(row.node, {}).setdefault(row.channel, {}).update(dict.fromkeys(row.ports))
+    return {
+        node: tuple(port for port in next(iter(sets.values())) if all(port in ports for ports in sets.values()))
+        for node, sets in by_channel.items()
+    }
