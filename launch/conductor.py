@@ -16,12 +16,14 @@ from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
 from manyhands.protocol.messages import (
     Connect,
+    Echo,
     Fault,
     Message,
     NodeHello,
+    Probe,
     Ready,
-    Refusal,
     Report,
+    Role,
     Start,
     Stop,
     Telemetry,
@@ -52,6 +54,7 @@ class Phase(StrEnum):
 
 TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
     (NodeState.STARTING, NodeHello): NodeState.WELCOMED,
+    (NodeState.WELCOMED, Probe): NodeState.WELCOMED,
     (NodeState.WELCOMED, Ready): NodeState.READY,
     (NodeState.RUNNING, Telemetry): NodeState.RUNNING,
     (NodeState.RUNNING, Report): NodeState.REPORTED,
@@ -72,6 +75,13 @@ class Send:
 
 
 @dataclass(frozen=True)
+class Release:
+    """Instruction: an observer was told all it needs; the next one of its name may come."""
+
+    observer: str
+
+
+@dataclass(frozen=True)
 class Terminate:
     """Instruction: ask every process that still runs to end (SIGTERM)."""
 
@@ -81,7 +91,7 @@ class Kill:
     """Instruction: end every process that still runs (SIGKILL)."""
 
 
-Instruction = Send | Terminate | Kill
+Instruction = Send | Release | Terminate | Kill
 
 
 @dataclass
@@ -93,6 +103,8 @@ class Conductor:
         certificate: the id that all nodes must share.
         session: the session's name.
         ticks: number of ticks to run; 0 runs until interrupted.
+        remote: nodes that are started elsewhere; of those no process can be seen to end.
+        observers: where each observer is served.
         phase: where the session stands.
         states: where each node stands.
         reports: the last words received.
@@ -105,6 +117,8 @@ class Conductor:
     certificate: str
     session: str
     ticks: int
+    remote: frozenset[str] = frozenset()
+    observers: Mapping[str, str] = field(default_factory=dict)
     phase: Phase = Phase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
@@ -112,9 +126,11 @@ class Conductor:
     interrupted: bool = False
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
+    _roles: dict[str, Role] = field(init=False)
 
     def __post_init__(self) -> None:
         self.states = dict.fromkeys(self.graph.nodes, NodeState.STARTING)
+        self._roles = {**self.graph.nodes, **dict.fromkeys(self.observers, Role.OBSERVER)}
 
     def hear(self, sender: str, received: Received, now: int) -> list[Instruction]:
         """A message from a node.
@@ -124,8 +140,11 @@ class Conductor:
             received: what the frame turned out to be.
             now: monotonic ns, from which the first tick's instant is reckoned.
         """
-        if isinstance(received, NodeHello | ForeignHello) and self.states.get(sender) in (None, NodeState.STARTING):
-            return self._greet(sender, received)
+        if isinstance(received, NodeHello | ForeignHello):
+            if sender in self.observers:
+                return self._greet_observer(sender, received)
+            if self.states.get(sender) in (None, NodeState.STARTING):
+                return self._greet(sender, received)
         state = self.states.get(sender)
         if state is None or isinstance(received, ForeignHello | Malformed):
             self.ignored += 1
@@ -136,25 +155,51 @@ class Conductor:
             return []
         self.states[sender] = target
         match received:
+            case Probe(sent):
+                return [Send(sender, Echo(sent, now, now))]
             case Ready():
                 return self._start_if_all_ready(now)
             case Report():
                 self.reports[sender] = received
+                self._gone_if_remote(sender)
                 return [Send(sender, Stop("reported"))]
             case Fault(text):
-                return [Send(sender, Stop("heard")), *self._fail(text)]
+                told = [Send(sender, Stop("heard")), *self._fail(text)]
+                self._gone_if_remote(sender)
+                return told
         return []
 
     def exited(self, node: str, code: int) -> list[Instruction]:
         """A node's process has ended with ``code`` (negative: the signal that killed it)."""
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return self._ended(node, how)
+
+    def silent(self, node: str) -> list[Instruction]:
+        """Nothing was heard of a remote node for so long that it must be gone."""
+        return self._ended(node, "fell silent") if self.states[node] is not NodeState.ENDED else []
+
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """Remote nodes that have not joined yet; people start those, and people take their time."""
+        return tuple(n for n in self.graph.nodes if n in self.remote and self.states[n] is NodeState.STARTING)
+
+    def _ended(self, node: str, how: str) -> list[Instruction]:
         state, self.states[node] = self.states[node], NodeState.ENDED
         out: list[Instruction] = []
         if state not in (NodeState.REPORTED, NodeState.FAULTED) and self.phase is not Phase.ENDING:
-            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             out = self._fail(f"{node} {how} while {state}")
+        self._over_if_all_ended()
+        return out
+
+    def _gone_if_remote(self, node: str) -> None:
+        """A remote node's last word is all that is seen of its end."""
+        if node in self.remote:
+            self.states[node] = NodeState.ENDED
+            self._over_if_all_ended()
+
+    def _over_if_all_ended(self) -> None:
         if all(state is NodeState.ENDED for state in self.states.values()):
             self.phase = Phase.OVER
-        return out
 
     def interrupt(self) -> list[Instruction]:
         """The user wants the session to end; who asks again wants it at once."""
@@ -168,13 +213,17 @@ class Conductor:
         if self.phase is Phase.STARTING:
             waiting = ", ".join(f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
             return self._fail(f"not every node became ready in time; still waiting for {waiting}")
-        return [Kill()] if self.phase is Phase.ENDING else []
+        if self.phase is not Phase.ENDING:
+            return []
+        for node in self.remote:  # which nobody here can kill
+            self.states[node] = NodeState.ENDED
+        self._over_if_all_ended()
+        return [Kill()]
 
     def _greet(self, sender: str, hello: NodeHello | ForeignHello) -> list[Instruction]:
         """Accept or refuse a node; once all are here, tell each where its peers are."""
-        refusal = check_node_hello(hello, self.certificate, self.session, self.graph.nodes)
-        if refusal is None and isinstance(hello, NodeHello) and hello.name != sender:
-            refusal = Refusal("name", f"{sender} calls itself {hello.name}")
+        binds = [link.connector for link in self.graph.links_of(sender) if link.binder == sender]
+        refusal = check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
         if refusal is not None:
             told: list[Instruction] = [Send(sender, refusal)]
             if sender not in self.states:  # a stranger: refused, and no reason to end a session that is not its own
@@ -190,6 +239,15 @@ class Conductor:
                 binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
                 out.append(Send(node, Connect({b: self._endpoints.get((b, node), "") for b in binders})))
         return out
+
+    def _greet_observer(self, sender: str, hello: NodeHello | ForeignHello) -> list[Instruction]:
+        """Tell an observer where it is served; the session goes on as if it were not there."""
+        refusal = check_node_hello(hello, self.certificate, self.session, self._roles, sender)
+        if refusal is not None:
+            self.ignored += 1
+            return [Send(sender, refusal), Release(sender)]
+        endpoints = {Role.SUPERVISOR.value: self.observers[sender]}
+        return [Send(sender, Welcome()), Send(sender, Connect(endpoints)), Release(sender)]
 
     def _start_if_all_ready(self, now: int) -> list[Instruction]:
         if any(state is not NodeState.READY for state in self.states.values()):
@@ -208,7 +266,11 @@ class Conductor:
         if self.phase in (Phase.ENDING, Phase.OVER):
             return []
         self.phase = Phase.ENDING
-        return [Terminate()]
+        farewell = [Send(node, Stop("the session ends")) for node in self.graph.nodes if node in self.remote]
+        for node in self.awaited:
+            self.states[node] = NodeState.ENDED  # nobody to wait for
+        self._over_if_all_ended()
+        return [Terminate(), *farewell]
 
 
 EPOCH_DELAY_NS = 20_000_000

@@ -12,6 +12,7 @@ from manyhands.launch.display import say, status
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plots import plot_comparison, plot_velocities
 from manyhands.launch.preparation import prepare
+from manyhands.launch.reach import IPC
 from manyhands.launch.recording import Recording
 from manyhands.launch.running import run_session
 from manyhands.launch.session import Session
@@ -45,7 +46,7 @@ def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder
         decentralised,
         err,
         clock=clock,
-        transport="ipc",
+        reach=IPC,
         ticks=ticks,
         report=folder / "report.json",
         keep=True,

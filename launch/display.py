@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from manyhands.launch.conductor import Phase
-from manyhands.launch.supervisor import Progress
+from manyhands.launch.outcome import Progress
 from manyhands.launch.topology import Topology
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Telemetry
@@ -81,16 +81,17 @@ class LiveTable:
         table = Table(title=f"{self._title}: {progress.phase}", title_justify="left")
         table.add_column("node")
         table.add_column("role")
-        for column in ("tick", "rate [Hz]", "late", "τ p50 [µs]", "τ p99 [µs]", "speed [m/s]", "ledger [J]"):
+        for column in ("tick", "rate [Hz]", "late", "τ p50 [µs]", "τ p99 [µs]", "speed [m/s]", "ledger [J]", "refused"):
             table.add_column(column, justify="right")
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
             if telemetry is None or progress.phase is Phase.STARTING:
-                table.add_row(name, role.value, progress.states[name], *[""] * 6)
+                table.add_row(name, role.value, progress.states[name], *[""] * 7)
                 continue
             table.add_row(name, role.value, str(telemetry.tick), self._rate(name, telemetry, progress.elapsed),
                           *(_figure(telemetry, key, form) for key, form in _COLUMNS))  # fmt: skip
-        return Group(table, *(Text(f"! {notice}", style="yellow") for notice in progress.notices))
+        notices = [*progress.notices, *not_admitted(progress.refused)]
+        return Group(table, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
         """Ticks a second since a telemetry of at least half a second ago."""
@@ -102,12 +103,19 @@ class LiveTable:
         return f"{shown:.0f}" if shown else ""
 
 
+def not_admitted(refused: Mapping[str, int]) -> list[str]:
+    """What the supervisor did not admit, in a line; none where there was nothing."""
+    counts = ", ".join(f"{kind} {count}" for kind, count in refused.items())
+    return [f"not admitted by the supervisor: {counts}"] if counts else []
+
+
 _COLUMNS = (
     (names.LATE, ".0f"),
     (f"{names.TAU}_p50", ".0f"),
     (f"{names.TAU}_p99", ".0f"),
     (names.SPEED, ".2e"),
     (names.LEDGER, ".2e"),
+    (names.NOT_ADMITTED, ".0f"),
 )
 
 

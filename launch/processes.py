@@ -82,6 +82,6 @@ class Processes:
         self._fds.clear()
 
     def log(self, name: str) -> str:
-        """The end of what a node wrote to its error output, empty when it wrote nothing."""
-        text = (self._directory / f"{name}.log").read_text(errors="replace").strip()
-        return text[-_LOG_SHOWN:]
+        """The end of what a node wrote to its error output; empty when it wrote nothing, or was not started here."""
+        path = self._directory / f"{name}.log"
+        return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""

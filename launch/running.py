@@ -6,10 +6,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from manyhands.launch.display import LiveTable, say
+from manyhands.launch.display import LiveTable, not_admitted, say
+from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared
+from manyhands.launch.reach import Reach
 from manyhands.launch.report import save_json
-from manyhands.launch.supervisor import Outcome, Supervisor
+from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import topology
 
 
@@ -18,7 +20,7 @@ def run_session(
     console: Console,
     *,
     clock: str,
-    transport: str,
+    reach: Reach,
     ticks: int,
     record: Path | None = None,
     report: Path | None = None,
@@ -30,7 +32,7 @@ def run_session(
         prepared: the session with its coupling and certificate.
         console: where progress, notices and faults go.
         clock: "realtime" or "simulated".
-        transport: "ipc" or "tcp".
+        reach: how the processes reach each other.
         ticks: number of ticks; 0 runs until interrupted.
         record: where every x and f_v goes.
         report: where the report goes.
@@ -39,12 +41,12 @@ def run_session(
     Raises:
         RecordingError, OSError: a file cannot be written.
     """
-    title = f"{prepared.session.name} ({clock}, {transport}), certificate {prepared.id[:16]}"
+    title = f"{prepared.session.name} ({clock}, {reach.transport}), certificate {prepared.id[:16]}"
     with LiveTable(console, title, topology(prepared.session), ticks) as table:
         outcome = Supervisor(
             prepared,
             clock=clock,
-            transport=transport,
+            reach=reach,
             ticks=ticks,
             record=keep or record is not None,
             show=table,
@@ -56,8 +58,8 @@ def run_session(
     if outcome.lost:
         lost = ", ".join(f"{device} {ticks}" for device, ticks in outcome.lost.items())
         say(console, f"warning: ticks missing from the recording (NaN there): {lost}")
-    if outcome.refused:
-        say(console, f"warning: {outcome.refused} messages to the supervisor made no sense and were dropped")
+    for line in not_admitted(outcome.refused):
+        say(console, f"warning: {line}")
     if record is not None and outcome.recording is not None:
         outcome.recording.save(record)
         say(console, f"recording written to {record}")

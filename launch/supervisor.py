@@ -9,30 +9,31 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import signal
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from manyhands.launch.allowance import Allowance
+from manyhands.launch.audience import Audience
 from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import Conductor, Instruction, Kill, Phase, Send, Terminate
+from manyhands.launch.conductor import Conductor, Instruction, Kill, NodeState, Phase, Release, Send, Terminate
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.interrupt import Interrupt
+from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.placement import placement
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import Processes
-from manyhands.launch.recording import Collector, Recording
+from manyhands.launch.reach import HUB_NAME, Reach
+from manyhands.launch.recording import Collector
 from manyhands.launch.report import run_report
+from manyhands.launch.run_directory import run_directory
 from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
-from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -40,52 +41,8 @@ from manyhands.protocol.transport.zeromq import ZmqTransport
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 REFRESH = from_seconds(0.2)
-
-_PREFIX = "manyhands-"
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a display is told.
-
-    Attributes:
-        phase: where the session stands.
-        states: where each node stands.
-        pids: process ids of the nodes that run.
-        telemetry: the latest telemetry of each node.
-        elapsed: since the first tick, s.
-        notices: assumptions found broken, each told once.
-    """
-
-    phase: Phase
-    states: Mapping[str, str]
-    pids: Mapping[str, int]
-    telemetry: Mapping[str, Telemetry]
-    elapsed: float
-    notices: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run went.
-
-    Attributes:
-        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP).
-        faults: what went wrong, empty for a good run.
-        notices: assumptions of the certificate that the run broke.
-        report: the report's object.
-        recording: every x and f_v, when wanted and any were received.
-        lost: ticks missing from the recording, by device.
-        refused: telemetry messages and control messages that made no sense.
-    """
-
-    code: int
-    faults: tuple[str, ...]
-    notices: tuple[str, ...]
-    report: Mapping[str, Any]
-    recording: Recording | None
-    lost: Mapping[str, int]
-    refused: int
+REMOTE_SILENCE = from_seconds(3.0)  # thirty telemetry messages that did not come
+FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest one sends a telemetry in a hundred ticks
 
 
 class Supervisor:
@@ -96,7 +53,7 @@ class Supervisor:
         prepared: Prepared,
         *,
         clock: str,
-        transport: str,
+        reach: Reach,
         ticks: int,
         record: bool,
         show: Callable[[Progress], None] | None = None,
@@ -106,18 +63,21 @@ class Supervisor:
         Args:
             prepared: the session with its coupling and certificate.
             clock: "realtime" or "simulated".
-            transport: "ipc" or "tcp" (on loopback).
+            reach: how the processes reach each other.
             ticks: number of ticks; 0 runs until interrupted.
             record: whether to keep every x and f_v.
             show: told about the progress a few times a second.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
-        self._clock_name, self._transport_name, self._record = clock, transport, record
+        self._clock_name, self._reach, self._record = clock, reach, record
         self._show = show
         self._graph = topology(session)
-        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks)
+        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks, reach.remote)
         self._clock = RealtimeClock()
+        self._audience = Audience(session)
+        self._heard: dict[str, Instant] = {}
+        self._refused: Mapping[str, int] = {}
         self._telemetry: dict[str, Telemetry] = {}
         self._notices: dict[str, str] = {}
         self._began: Instant | None = None
@@ -127,42 +87,56 @@ class Supervisor:
     def run(self) -> Outcome:
         """Run the session to its end."""
         with Interrupt() as interrupt:
-            sweep_directories()
-            directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-"))
-            try:
+            with run_directory() as directory:
                 self._run_in(directory, interrupt)
-            finally:
-                shutil.rmtree(directory)
             return self._outcome(interrupt.signal)
 
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
-        transport = ZmqTransport.of(self._transport_name, directory)
+        reach = self._reach
+        transport = ZmqTransport.of(reach.transport, directory, reach.ring())
         processes = Processes(directory)
         try:
-            hub, endpoint = transport.bind_hub("control")
-            run = Run(self._clock_name, self._transport_name, directory, endpoint, self._record)
+            local = [name for name in self._graph.nodes if name not in reach.remote]
+            private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
+            members = (*self._graph.nodes, *self._session.observers)
+            hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
+            self._conductor.observers = self._audience.serve(transport, reach, self._graph)
+            traces = self._record or self._audience.wants_traces
+            run = Run(self._clock_name, directory, endpoint, traces, reach, private)
             places = placement(self._graph, sorted(os.sched_getaffinity(0))) if self._clock_name == REALTIME else {}
-            for name, bundle in cut(self._prepared, run).items():
+            bundles = cut(self._prepared, run)
+            for name in local:
                 path = directory / f"{name}.bundle"
-                bundle_files.save(bundle, path)
+                bundle_files.save(bundles[name], path)
                 processes.start(name, self._graph.nodes[name], path, places.get(name))
-            self._watch(hub, processes, interrupt)
+            self._watch(hub, transport, processes, interrupt)
         finally:
             processes.end_all()
             transport.close()
 
-    def _watch(self, hub: Hub, processes: Processes, interrupt: Interrupt) -> None:
+    def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
         """The loop: wait for anything, tell the conductor, do as it says."""
         conductor, clock = self._conductor, self._clock
         phase, deadline = conductor.phase, Instant(clock.now() + STARTUP_TIME)
         shown = Instant(0)
+        per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
+        allowance = Allowance(per_second, clock.now())
         while conductor.phase is not Phase.OVER:
-            ready = hub.wait(Duration(min(REFRESH, max(deadline - clock.now(), 0))), (*processes.fds, interrupt.fd))
+            pause = allowance.pause(clock.now())
+            timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
+            ready = hub.wait(Duration(timeout), (*processes.fds, interrupt.fd), frames=pause == 0)
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
                 self._carry_out(conductor.interrupt(), hub, processes)
-            while (received := hub.recv()) is not None:
+            while allowance.pause(clock.now()) == 0:
+                before = hub.handled
+                received = hub.recv()
+                allowance.spend(hub.handled - before, clock.now())  # what it dropped counts, too
+                if received is None:
+                    break
                 self._hear(*received, hub, processes)
+            for name in self._silent():
+                self._carry_out(conductor.silent(name), hub, processes)
             for name, code in processes.reap(ready).items():
                 self._carry_out(conductor.exited(name, code), hub, processes)
             if conductor.phase is not phase:
@@ -170,33 +144,51 @@ class Supervisor:
                 deadline = Instant(clock.now() + ENDING_TIME if phase is Phase.ENDING else 2**62)
                 if phase is Phase.RUNNING:
                     self._began = clock.now()
+            elif conductor.phase is Phase.STARTING and conductor.awaited:
+                deadline = Instant(clock.now() + STARTUP_TIME)
             elif clock.now() >= deadline:
                 self._carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
             if self._show is not None and clock.now() - shown >= REFRESH:
                 shown = clock.now()
+                self._tally(hub, transport)
                 self._show(self._progress(processes))
+        self._tally(hub, transport)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
         if self._show is not None:
             self._show(self._progress(processes))
 
+    def _silent(self) -> list[str]:
+        """Remote nodes that run and have not been heard for too long."""
+        conductor, now = self._conductor, self._clock.now()
+        running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
+        return [name for name in running if now - self._heard.get(name, now) > REMOTE_SILENCE]
+
+    def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
+        counts = {**transport.refused(), **hub.dropped, "out_of_turn": self._conductor.ignored}
+        counts["telemetry_that_does_not_fit"] = self._collector.refused
+        self._refused = {kind: count for kind, count in counts.items() if count > 0}
+
     def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+        self._heard[sender] = self._clock.now()
         message = decode(frame, MAX_CONTROL_BYTES)
         self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and sender in self._graph.nodes:
             self._telemetry[sender] = message
             self._check_assumptions(sender, message)
-            if names.DISPLACEMENT in message.traces and names.FORCE in message.traces:
-                self._collector.add(
-                    sender, message.tick, message.traces[names.DISPLACEMENT], message.traces[names.FORCE]
-                )
+            self._audience.tell(sender, message)
+            x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
+            if self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
+                self._collector.add(sender, message.tick, x, f_v)
 
     def _carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
         for instruction in instructions:
             match instruction:
                 case Send(node, message):
                     hub.send(node, encode(message))  # one that is gone hears nothing; its exit is seen
+                case Release(observer):
+                    hub.forget(observer)
                 case Terminate():
                     processes.send(signal.SIGTERM)
                 case Kill():
@@ -211,6 +203,11 @@ class Supervisor:
                 f"{node}: the force is applied {tau:.0f} us (median) after the sample; the certificate assumes "
                 f"{self._certificate.tau * 1e6:g} us"
             )
+        if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
+            self._notices.setdefault(
+                f"{node} limits",
+                f"{node}: a force was clipped to the limits; the certificate is about forces within them",
+            )
 
     def _progress(self, processes: Processes) -> Progress:
         elapsed = 0.0 if self._began is None else seconds(Duration(self._clock.now() - self._began))
@@ -221,6 +218,7 @@ class Supervisor:
             self._telemetry,
             elapsed,
             tuple(self._notices.values()),
+            self._refused,
         )
 
     def _outcome(self, ended_by: signal.Signals | None) -> Outcome:
@@ -243,10 +241,11 @@ class Supervisor:
                 ticks * self._session.period,
                 self._graph.nodes,
                 conductor.reports,
+                self._refused,
             ),
             recording,
             {device: n for device, n in self._collector.lost.items() if n > 0},
-            self._collector.refused + conductor.ignored,
+            self._refused,
         )
 
 
@@ -257,14 +256,3 @@ def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:
     told = "\n".join(conductor.faults)
     logs = ((name, processes.log(name)) for name in conductor.graph.nodes)
     return [f"{name} wrote:\n{text}" for name, text in logs if text and text not in told]
-
-
-def sweep_directories() -> None:
-    """Remove what runs whose supervisor was killed have left in the temporary directory.
-
-    A run's directory bears its supervisor's process id; it is ours and nobody's when that process is gone.
-    """
-    for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
-        pid = path.name.removeprefix(_PREFIX).split("-")[0]
-        if pid.isdigit() and path.is_dir() and path.stat().st_uid == os.getuid() and not Path(f"/proc/{pid}").exists():
-            shutil.rmtree(path, ignore_errors=True)  # another supervisor may be sweeping too

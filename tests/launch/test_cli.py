@@ -217,7 +217,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
 
     for module in (designing, preparation):
         monkeypatch.setattr(module, "certify", importing)
-    monkeypatch.setattr(cli, "_ctrl_c", [])
+    monkeypatch.setattr(cli.common, "ctrl_c", [])
     result = manyhands_command(*command, "example1.yaml")
     assert result.exit_code == 130
     assert "Traceback" not in result.output

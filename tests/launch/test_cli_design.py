@@ -27,7 +27,7 @@ COMPLEMENTARITY = ["--set", "design.algorithm=complementarity"]
 @pytest.fixture(autouse=True)
 def own_interrupt(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    monkeypatch.setattr(cli, "_ctrl_c", [])
+    monkeypatch.setattr(cli.common, "ctrl_c", [])
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)
@@ -246,12 +246,12 @@ def test_an_interrupt_that_a_search_answers_with_its_best_is_told(monkeypatch: p
 def test_the_handler_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a design Ctrl-C means again what it means to the command line."""
     seen: list[Any] = []
-    honest = cli._end
+    honest = cli.common.end
 
     def ending(code: int) -> None:
         seen.append(signal.getsignal(signal.SIGINT))
         honest(code)
 
-    monkeypatch.setattr(cli, "_end", ending)
+    monkeypatch.setattr(cli.designing, "end", ending)
     assert manyhands_command("design", "example1.yaml", *GIVEN).exit_code == 0
-    assert seen == [cli._unwind]
+    assert seen == [cli.common.unwind]

@@ -19,9 +19,12 @@ import pytest
 from manyhands.launch import supervisor as supervisor_module
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import Phase
+from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import reach
+from manyhands.launch.run_directory import sweep_directories
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Outcome, Progress, Supervisor, sweep_directories
+from manyhands.launch.supervisor import Supervisor
 from manyhands.nodes.bundle import Bundle
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -35,7 +38,9 @@ def prepared() -> Prepared:
 
 def run(prepared: Prepared, show: Callable[[Progress], None], transport: str = "ipc") -> Outcome:
     """A run without an end of its own."""
-    return Supervisor(prepared, clock="realtime", transport=transport, ticks=0, record=False, show=show).run()
+    return Supervisor(
+        prepared, clock="realtime", reach=reach(prepared.session, transport), ticks=0, record=False, show=show
+    ).run()
 
 
 def once(when: Callable[[Progress], bool], then: Callable[[Progress], object]) -> Callable[[Progress], None]:

@@ -7,18 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import reach
 from manyhands.launch.recording import Recording
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.supervisor import Outcome, Supervisor
+from manyhands.launch.supervisor import Supervisor
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 1500  # the hands push until 350
 
 
 def run(prepared: Prepared, transport: str, clock: str = "simulated", ticks: int = TICKS) -> Outcome:
-    return Supervisor(prepared, clock=clock, transport=transport, ticks=ticks, record=True).run()
+    return Supervisor(prepared, clock=clock, reach=reach(prepared.session, transport), ticks=ticks, record=True).run()
 
 
 def recording_of(outcome: Outcome) -> Recording:

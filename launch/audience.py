@@ -1,0 +1,63 @@
+"""The observers of a session: of each node's telemetry each is told the part that it may read, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from manyhands.launch.access import observed
+from manyhands.launch.reach import Reach
+from manyhands.launch.session import SUPERVISOR, Session
+from manyhands.launch.topology import Topology
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Observation, Telemetry
+from manyhands.protocol.transport import Link, Transport
+
+TRACE_OF: Mapping[str, str] = {
+    "sample": names.DISPLACEMENT,
+    "force": names.FORCE,
+    "tool": names.FREE_POSITION,
+    "reaction": names.FORCE,
+}
+"""The trace of a node's telemetry that holds what went over a channel of its."""
+
+
+def visible(node: str, telemetry: Telemetry, channels: Collection[str]) -> Observation | None:
+    """The observation of ``node`` for somebody who may read these of its channels; None if that is nothing.
+
+    Figures belong to the channel ``telemetry``; each trace to the signal it holds.
+    """
+    wanted = {TRACE_OF[channel] for channel in channels if channel in TRACE_OF}
+    traces = {name: trace for name, trace in telemetry.traces.items() if name in wanted}
+    figures = telemetry.figures if "telemetry" in channels else {}
+    return Observation(node, telemetry.tick, figures, traces) if traces or figures else None
+
+
+class Audience:
+    """The observers, each with a link of its own, on which the supervisor speaks and never listens.
+
+    Attributes:
+        wants_traces: whether one of them may read what is exchanged once a tick.
+        missed: observations that nobody was there to take, or that were not taken fast enough.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._channels = {observer: observed(session, observer) for observer in session.observers}
+        self._links: dict[str, Link] = {}
+        self.wants_traces = any(set(c) - {"telemetry"} for own in self._channels.values() for c in own.values())
+        self.missed = 0
+
+    def serve(self, transport: Transport, reach: Reach, graph: Topology) -> Mapping[str, str]:
+        """Bind a link for each observer; returns their endpoints."""
+        endpoints = {}
+        for index, observer in enumerate(self._channels):
+            address = reach.observer_address(graph, index)
+            self._links[observer], endpoints[observer] = transport.bind(f"{SUPERVISOR}-{observer}", observer, address)
+        return endpoints
+
+    def tell(self, node: str, telemetry: Telemetry) -> None:
+        """Pass on to each observer what it may know; who does not keep up misses it, and nobody waits."""
+        for observer, link in self._links.items():
+            observation = visible(node, telemetry, self._channels[observer].get(node, ()))
+            if observation is not None and not link.send(encode(observation)):
+                self.missed += 1

@@ -1,0 +1,44 @@
+"""The command line: what the arguments mean, what is printed, and the exit codes.
+
+0 done; 1 a process failed; 2 usage error or bad input; 3 not certified; 130 Ctrl-C. Results go to standard
+output, everything else to standard error, so that ``--json`` can be piped.
+"""
+
+from __future__ import annotations
+
+import signal
+from typing import Annotated
+
+import typer
+
+import manyhands
+from manyhands.launch.cli import designing, network, running
+from manyhands.launch.cli.common import err, out, unwind
+from manyhands.launch.display import say
+
+__all__ = ["app", "err", "out"]
+
+app = typer.Typer(
+    name="manyhands",
+    help="Several haptic devices, one virtual environment, and a certificate that the loop is stable.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for group in (designing, running, network):
+    app.add_typer(group.commands)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        say(out, f"manyhands {manyhands.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    # From here on there may be half-written files to clear away, so Ctrl-C unwinds instead of leaving at once.
+    signal.signal(signal.SIGINT, unwind)

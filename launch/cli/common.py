@@ -1,0 +1,168 @@
+"""What the commands share: consoles, options, and how every error becomes one message and an exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from manyhands.design.errors import CertificateError, DesignError
+from manyhands.launch.display import say
+from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
+from manyhands.launch.files import TargetError
+from manyhands.launch.preparation import NotCertified, Prepared, prepare
+from manyhands.launch.reach import ReachError
+from manyhands.launch.recording import RecordingError
+from manyhands.launch.session import Session, SessionError
+from manyhands.launch.topology import LinkTooWide
+from manyhands.nodes.bundle import CLOCKS
+from manyhands.nodes.device.guard import LimitExceeded
+from manyhands.protocol.key_files import KeyFileError
+
+MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
+
+_NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
+
+
+def _console(stderr: bool) -> Console:
+    console = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    return console if console.is_terminal else Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
+
+
+out, err = _console(stderr=False), _console(stderr=True)
+
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="A session file, or the name of a shipped one.")]
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+Clock = Annotated[str, typer.Option(metavar="|".join(CLOCKS), help="What paces the session.")]
+CertificatePath = Annotated[
+    Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
+]
+Uncertified = Annotated[bool, typer.Option("--uncertified", help="Run even if nothing proves the session stable.")]
+
+
+KeyFolder = Annotated[
+    Path | None, typer.Option("--keys", metavar="DIR", help="The session's keys (manyhands keys); tcp only.")
+]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Plain TCP: whoever can reach its ports may join in."),
+]
+ctrl_c: list[int] = []  # what was asked, for the unwinding may be caught on its way by code that is not ours
+
+
+def unwind(signum: int, _frame: FrameType | None) -> None:
+    """Ctrl-C: note it, and unwind."""
+    ctrl_c.append(signum)
+    raise SystemExit(EXIT_INTERRUPTED)
+
+
+def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
+    """Settle the coupling of a run, telling what the design is doing."""
+    from manyhands.launch.designing import telling
+
+    with telling(err, "designing the coupling") as progress:
+        return prepare(session, certificate, uncertified, progress)
+
+
+def ticks_of(session: Session, duration: float) -> int:
+    """Number of ticks in ``duration`` (s)."""
+    if not session.period <= duration <= 1e9:
+        refuse(f"--duration: found {duration:g} s; expected from one period, {session.period:g} s, to 1e9 s")
+    return round(duration / session.period)
+
+
+def kept_ticks(session: Session, duration: float) -> int:
+    """Number of ticks in ``duration`` (s) of a run that is kept in memory."""
+    ticks, ports = ticks_of(session, duration), len(session.ports)
+    if ticks * ports > MOST_SIMULATED_VALUES:
+        refuse(
+            f"--duration: found {duration:g} s, {ticks} ticks of {ports} ports; expected at most "
+            f"{MOST_SIMULATED_VALUES // ports} ticks"
+        )
+    return ticks
+
+
+def require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
+    """Refuse a value that is none of the valid ones."""
+    if value not in valid:
+        refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
+
+
+def require_folder(path: Path | None) -> None:
+    """Refuse a file where a folder is to be written to."""
+    if path is not None and path.exists() and not path.is_dir():
+        refuse(f"{path}: found a file; expected the name of a folder")
+
+
+def end(code: int) -> None:
+    """End the command with this exit code."""
+    if code:
+        raise typer.Exit(code)
+
+
+def refuse(text: str) -> None:
+    """End the command with this error."""
+    say(err, f"error: {text}")
+    raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def warn_insecure(console: Console) -> None:
+    """Say in red that nothing keeps others out."""
+    console.print(
+        "warning: --insecure: nothing is encrypted and nobody proves who they are; whoever can reach these ports can "
+        "read every motion and push every hand",
+        style="bold red",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+_BAD_INPUT = (
+    CertificateError,
+    KeyFileError,
+    LinkTooWide,
+    ReachError,
+    RecordingError,
+    SessionError,
+    TargetError,
+)
+
+
+@contextmanager
+def errors() -> Iterator[None]:
+    """Every error of ours as one message and its exit code; Ctrl-C as its own, whatever an import made of it."""
+    try:
+        try:
+            yield
+        finally:
+            if ctrl_c:
+                raise SystemExit(EXIT_INTERRUPTED) from None
+    except (
+        SessionError,
+        CertificateError,
+        KeyFileError,
+        LinkTooWide,
+        ReachError,
+        RecordingError,
+        TargetError,
+    ) as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except (NotCertified, DesignError) as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_NOT_CERTIFIED) from error
+    except LimitExceeded as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_FAILED) from error
+    except OSError as error:
+        say(err, f"error: {error.filename or ''}: {error.strerror}")
+        raise typer.Exit(EXIT_FAILED) from error

@@ -1,0 +1,115 @@
+"""The commands about who may take part: graph, keys, invite, node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manyhands.launch.cli.common import (
+    CertificatePath,
+    Clock,
+    Insecure,
+    Json,
+    KeyFolder,
+    Overrides,
+    SessionPath,
+    Uncertified,
+    end,
+    err,
+    errors,
+    out,
+    prepare_session,
+    refuse,
+    require_one_of,
+)
+from manyhands.launch.display import say
+from manyhands.launch.shipped import load_named
+from manyhands.nodes.bundle import CLOCKS, REALTIME
+
+commands = typer.Typer()
+
+NodeName = Annotated[str, typer.Argument(metavar="NODE", help="A device, a coupling, the environment, or an observer.")]
+
+
+@commands.command(epilog="Example: manyhands graph example1.yaml --access")
+def graph(
+    session: SessionPath,
+    access: Annotated[bool, typer.Option("--access", help="Show who may read and write what.")] = False,
+    overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
+    as_json: Json = False,
+) -> None:
+    """Show a session's processes and links, or what each of them may read and write."""
+    with errors():
+        from manyhands.launch.graph import run_graph
+
+        end(run_graph(load_named(session, overrides), out, access, as_json))
+
+
+@commands.command(epilog="Example: manyhands keys example1.yaml -o keys")
+def keys(
+    session: SessionPath,
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="The folder of the session's keys.")],
+    renew: Annotated[
+        list[str], typer.Option("--renew", metavar="NAME", help="Replace this key; others stay. Repeatable.")
+    ] = [],  # noqa: B006
+    overrides: Overrides = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Make a key pair for every process, the supervisor and the observers. Keys that are there are kept."""
+    with errors():
+        from manyhands.launch.keying import run_keys
+
+        end(run_keys(load_named(session, overrides), output, renew, out, err, as_json))
+
+
+@commands.command(epilog="Example: manyhands invite example1.yaml dx --keys keys --certificate c.json -o dx.bundle")
+def invite(
+    session: SessionPath,
+    node: NodeName,
+    output: Annotated[Path, typer.Option("-o", metavar="BUNDLE", help="Write the bundle here (mode 0600).")],
+    keys: KeyFolder = None,
+    insecure: Insecure = False,
+    clock: Clock = REALTIME,
+    overrides: Overrides = [],  # noqa: B006
+    certificate: CertificatePath = None,
+    uncertified: Uncertified = False,
+) -> None:
+    """Cut what one node on another machine needs to join: its own part of the session, and nobody else's."""
+    with errors():
+        from manyhands.launch.invitation import invite as cut_bundle
+        from manyhands.launch.keys import load_folder
+
+        require_one_of("--clock", clock, CLOCKS)
+        if (keys is None) is not insecure:
+            refuse("found neither --keys nor --insecure, or both; expected --keys DIR (manyhands keys makes them)")
+        if certificate is None and not uncertified:
+            refuse("found no --certificate; expected the file that the session will be launched with")
+        loaded = load_named(session, overrides)
+        folder = None if keys is None else load_folder(loaded, keys)
+        prepared = prepare_session(loaded, certificate, uncertified)
+        cut_bundle(prepared, node, folder, clock, output)
+        say(err, f"{output}: the bundle of {node}, under the certificate {prepared.id}")
+        key = "" if keys is None else f" --key {node}.key"
+        say(err, f"on its machine: manyhands node {node} --session {output.name}{key} --connect tcp://HOST:PORT")
+        end(0)
+
+
+@commands.command(epilog="Example: manyhands node dx --session dx.bundle --key dx.key --connect tcp://192.0.2.7:7400")
+def node(
+    name: NodeName,
+    bundle: Annotated[Path, typer.Option("--session", metavar="BUNDLE", help="Its bundle (manyhands invite).")],
+    connect: Annotated[str, typer.Option("--connect", metavar="tcp://HOST:PORT", help="Where the session listens.")],
+    key: Annotated[
+        Path | None, typer.Option("--key", metavar="FILE", help="Its private key; by default BUNDLE with suffix .key.")
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option("--host", metavar="HOST", help="This machine's address, if others connect to it."),
+    ] = None,
+) -> None:
+    """Join a session of another machine as one of its nodes, or look on as an observer (a line of JSON each time)."""
+    from manyhands.nodes.guest import join
+
+    end(join(name, bundle, key, connect, host))

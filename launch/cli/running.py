@@ -1,0 +1,159 @@
+"""The commands that run a session: simulate, launch, demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manyhands.launch.cli.common import (
+    CertificatePath,
+    Clock,
+    Duration,
+    Insecure,
+    KeyFolder,
+    Overrides,
+    SessionPath,
+    Uncertified,
+    end,
+    err,
+    errors,
+    kept_ticks,
+    out,
+    prepare_session,
+    require_folder,
+    require_one_of,
+    ticks_of,
+    warn_insecure,
+)
+from manyhands.launch.display import say
+from manyhands.launch.files import require_target
+from manyhands.launch.keys import load_folder
+from manyhands.launch.reach import Listen, reach
+from manyhands.launch.recording import SUFFIXES, require_suffix
+from manyhands.launch.shipped import load_named
+from manyhands.launch.summary import print_report
+from manyhands.launch.topology import require_runnable, topology
+from manyhands.nodes.bundle import CLOCKS, REALTIME
+from manyhands.protocol.transport.zeromq import SCHEMES
+
+commands = typer.Typer()
+
+
+@commands.command(epilog="Example: manyhands simulate example1.yaml --duration 5 -o run.npz")
+def simulate(
+    session: SessionPath,
+    duration: Duration = 10.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", metavar="FILE", help=f"Write every x and f_v here ({', '.join(SUFFIXES)}).")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+    certificate: CertificatePath = None,
+    uncertified: Uncertified = False,
+) -> None:
+    """Run the sampled-data loop in one process.
+
+    No hand is shaken by a simulation: a session that cannot be certified is simulated with a warning.
+    """
+    with errors():
+        from rich.progress import Progress
+
+        from manyhands.launch.simulation import Simulation
+
+        loaded = load_named(session, overrides)
+        ticks = kept_ticks(loaded, duration)
+        if output is not None:
+            require_suffix(output)
+        prepared = prepare_session(loaded, certificate, uncertified=True)
+        if prepared.certificate is None and not uncertified:
+            say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
+        simulation = Simulation(prepared)
+        with Progress(console=err, transient=True) as bar:
+            task = bar.add_task("simulating", total=ticks)
+            recording = simulation.run(ticks, lambda done: bar.update(task, completed=done))
+        if output is not None:
+            recording.save(output)
+            say(err, f"written to {output}")
+        for name, device in simulation.devices.items():
+            say(
+                out,
+                f"{name}: peak speed {device.peak_speed:.3g} m/s, speed at the end {device.speed:.3g} m/s, "
+                f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
+            )
+
+
+@commands.command(epilog="Example: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json")
+def launch(
+    session: SessionPath,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="How long to run, in s; without it, until Ctrl-C.")
+    ] = None,
+    clock: Clock = REALTIME,
+    transport: Annotated[
+        str, typer.Option(metavar="|".join(SCHEMES), help="How the processes talk; tcp is encrypted.")
+    ] = SCHEMES[0],
+    keys: KeyFolder = None,
+    listen: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Where remote nodes and observers connect to (tcp); links follow PORT."),
+    ] = None,
+    remote: Annotated[
+        list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
+    ] = [],  # noqa: B006
+    insecure: Insecure = False,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE", help=f"Keep every x and f_v ({', '.join(SUFFIXES)}).")
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
+    overrides: Overrides = [],  # noqa: B006
+    certificate: CertificatePath = None,
+    uncertified: Uncertified = False,
+) -> None:
+    """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
+    with errors():
+        from manyhands.launch.running import run_session
+
+        require_one_of("--clock", clock, CLOCKS)
+        require_one_of("--transport", transport, SCHEMES)
+        loaded = load_named(session, overrides)
+        ticks = 0 if duration is None else ticks_of(loaded, duration)
+        if record is not None:
+            require_suffix(record)
+        if report is not None:
+            require_target(report)
+        require_runnable(topology(loaded))
+        ways = reach(
+            loaded,
+            transport,
+            insecure=insecure,
+            keys=None if keys is None else load_folder(loaded, keys),
+            listen=None if listen is None else Listen.parse(listen),
+            remote=frozenset(remote),
+        )
+        if insecure:
+            warn_insecure(err)
+        prepared = prepare_session(loaded, certificate, uncertified)
+        outcome = run_session(prepared, err, clock=clock, reach=ways, ticks=ticks, record=record, report=report)
+        print_report(out, outcome.report)
+        end(outcome.code)
+
+
+@commands.command(epilog="Example: manyhands demo -o out/demo")
+def demo(
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Where plots and report go.")] = Path("out/demo"),
+    duration: Duration = 10.0,
+    clock: Clock = REALTIME,
+) -> None:
+    """Design Example 1's coupling, run its seven processes, and draw the paper's Figs. 5-7."""
+    with errors():
+        from manyhands.launch.demo import run_demo
+
+        require_one_of("--clock", clock, CLOCKS)
+        require_folder(output)
+        shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        code = run_demo(shipped, out, err, output, kept_ticks(shipped["example1"], duration), clock)
+        end(code)
+
+
+DEMO_SESSIONS = ("example1", "example1-centralised", "example1-uncoupled")

@@ -1,0 +1,151 @@
+"""How the processes of a run reach each other: by which transport, at which addresses, with which keys."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from manyhands.launch.access import peers
+from manyhands.launch.keys import Keys, ephemeral, roster
+from manyhands.launch.session import SUPERVISOR, Session
+from manyhands.launch.session.error import one_of
+from manyhands.launch.topology import Topology
+from manyhands.protocol.keys import KeyRing
+from manyhands.protocol.transport.zeromq import LOOPBACK
+
+HUB_NAME = "control"
+
+
+class ReachError(Exception):
+    """The processes cannot be reached as asked: what was found, and what would be right."""
+
+
+@dataclass(frozen=True)
+class Listen:
+    """Where a session listens: an address of this machine, and the first of its TCP ports (0: any)."""
+
+    host: str = LOOPBACK
+    port: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> Listen:
+        """From ``HOST:PORT``.
+
+        Raises:
+            ReachError: it is none, or names every address of the machine, which is no address to tell others.
+        """
+        host, colon, port = text.rpartition(":")
+        if not colon or not port.isdecimal() or not 0 < int(port) < 65536 or not host:
+            raise ReachError(f"--listen: found {text!r:.100}; expected HOST:PORT, such as 192.0.2.7:7400")
+        try:
+            address = ipaddress.IPv4Address(host)
+        except ValueError as error:
+            raise ReachError(f"--listen: found the host {host!r:.100}; expected an IPv4 address") from error
+        if address.is_unspecified:
+            raise ReachError(f"--listen: found {host}; expected the one address that others reach this machine at")
+        return cls(host, int(port))
+
+
+ANYWHERE: Final = Listen()
+"""Any ports of the loopback."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How a run's processes reach each other.
+
+    Attributes:
+        transport: "ipc" or "tcp".
+        keys: the session's keys; None for one that is not encrypted.
+        listen: where its supervisor, and what remote nodes connect to, listens (tcp).
+        remote: nodes that are started elsewhere, by invitation.
+        allowed: whom each process shares a channel with, the supervisor and observers among them.
+    """
+
+    transport: str
+    keys: Keys | None = None
+    listen: Listen = ANYWHERE
+    remote: frozenset[str] = frozenset()
+    allowed: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+    def address(self, graph: Topology, index: int) -> str:
+        """Where the link of this index in ``graph`` is bound; the ports follow the hub's, in the graph's order.
+
+        Links between processes of this machine stay on its loopback.
+        """
+        connector = graph.links[index].connector
+        return self._at(1 + index, self.listen.host if connector in self.remote else LOOPBACK)
+
+    def hub_address(self) -> str:
+        """Where the hub is bound."""
+        return self._at(0, self.listen.host)
+
+    def observer_address(self, graph: Topology, index: int) -> str:
+        """Where the observer of this index is served."""
+        return self._at(1 + len(graph.links) + index, self.listen.host)
+
+    def _at(self, offset: int, host: str) -> str:
+        if self.transport != "tcp":
+            return ""
+        return f"{host}:{self.listen.port + offset}" if self.listen.port else f"{host}:*"
+
+    def public(self, name: str) -> Mapping[str, str]:
+        """The public keys that a process is given: its own, and those of whom it shares a channel with."""
+        if self.keys is None:
+            return {}
+        keys = self.keys.public.keys
+        return {one: keys[one] for one in sorted({name, *self.allowed[name]})}
+
+    def ring(self) -> KeyRing | None:
+        """The supervisor's own."""
+        return None if self.keys is None else self.keys.ring(SUPERVISOR, self.allowed[SUPERVISOR])
+
+
+IPC: Final = Reach("ipc")
+"""Over Unix-domain sockets: all on one machine, and for one user."""
+
+
+def reach(
+    session: Session,
+    transport: str,
+    *,
+    insecure: bool = False,
+    keys: Keys | None = None,
+    listen: Listen | None = None,
+    remote: frozenset[str] = frozenset(),
+) -> Reach:
+    """How a run of ``session`` is carried: TCP encrypted, with keys made for this one run if none are given.
+
+    Args:
+        session: the session.
+        transport: "ipc" or "tcp".
+        insecure: TCP without keys.
+        keys: the keys to use.
+        listen: where to listen; by default on any port of the loopback.
+        remote: nodes that are started elsewhere.
+
+    Raises:
+        ReachError: the wishes do not go together.
+    """
+    if transport != "tcp" and (insecure or keys or listen or remote):
+        raise ReachError(
+            f"--transport: found {transport}; expected tcp, which --insecure, --keys, --listen and --remote are about"
+        )
+    if insecure and keys is not None:
+        raise ReachError("found both --insecure and --keys; expected one: without encryption keys are of no use")
+    nodes = session.roles
+    for name in remote:
+        if name not in nodes:
+            raise ReachError(f"--remote: found {name!r:.100}; expected {one_of(nodes, name)}")
+    if remote and listen is None:
+        raise ReachError("--remote: found no --listen; expected the address HOST:PORT that the remote node can reach")
+    if remote and not insecure and keys is None:
+        raise ReachError(
+            "--remote: found no --keys; expected the folder that the invitation was made with (manyhands keys); "
+            "keys made for one run are known to nobody else"
+        )
+    if transport == "tcp" and not insecure and keys is None:
+        keys = ephemeral(roster(session), session.name)
+    return Reach(transport, keys, listen or ANYWHERE, remote, peers(session))
