@@ -1,0 +1,254 @@
+"""Any messages from nodes and strangers to the conductor, in any order, between the ends of processes, deadlines and
+Ctrl-C: it never raises, everything it says can be sent, and a session only moves forward.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Final
+
+from draws import Draws
+from forger import Forger
+
+import manyhands.launch
+from manyhands.launch.conductor import Conductor, Instruction, Kill, NodeState, Phase, Release, Send, Terminate
+from manyhands.launch.session import load_session
+from manyhands.launch.topology import Topology, topology
+from manyhands.protocol.codec import ForeignHello, Received, decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Connect,
+    Fault,
+    LinkHello,
+    Message,
+    NodeHello,
+    Ready,
+    Refusal,
+    Report,
+    Role,
+    Start,
+    Telemetry,
+    Welcome,
+)
+
+MOST_EVENTS: Final = 64
+CERTIFICATE: Final = "c0ffee"
+SESSION: Final = load_session(Path(manyhands.launch.__file__).parent / "sessions" / "example1-centralised.yaml")
+GRAPH: Final[Topology] = topology(SESSION)
+NODES: Final = tuple(GRAPH.nodes)
+OBSERVERS: Final = {"watch": "ipc:///s/watch"}
+STRANGERS: Final = ("stranger", "supervisor", "dx2")
+REMOTE: Final = {"nobody": frozenset[str](), "a device": frozenset({NODES[0]}), "all": frozenset(NODES)}
+ROLES: Final = {**GRAPH.nodes, **dict.fromkeys(OBSERVERS, Role.OBSERVER)}
+EVENTS: Final = (
+    "good hello",
+    "ready",
+    "frame",
+    "exit",
+    "silent",
+    "interrupt",
+    "too late",
+    "all good hellos",
+    "all ready",
+)
+PHASES: Final = (Phase.STARTING, Phase.RUNNING, Phase.ENDING, Phase.OVER)
+EXITS: Final = (0, 1, 2, 4, 255, *range(-64, 0))
+NOW: Final = (0, 1, 10**15, 2**62)
+MOST_FAULTS: Final = 2 * len(NODES) + 1
+"""Each node can fail once and end badly once, and the start can be too late once; more would be a flood."""
+
+
+def check(data: bytes) -> None:
+    """Play the session that ``data`` decides; raise if the conductor breaks one of its promises."""
+    play(Draws(data))
+
+
+def play(draws: Draws) -> None:
+    """The same for decisions from anywhere."""
+    watch = Watch(REMOTE[draws.choice(tuple(REMOTE))])
+    for _ in range(MOST_EVENTS):
+        # a supervisor that has seen the last process end listens no more
+        if not draws.more or watch.conductor.phase is Phase.OVER:
+            return
+        match draws.choice(EVENTS):
+            case "good hello":
+                node = draws.choice(NODES)
+                watch.hear(node, node_hello(node))
+            case "ready":
+                watch.hear(draws.choice(NODES), Ready(), draws.choice(NOW))
+            case "all good hellos":
+                for node in NODES:
+                    watch.hear(node, node_hello(node))
+            case "all ready":
+                for node in NODES:
+                    watch.hear(node, Ready())
+            case "frame":
+                sender = draws.choice((*NODES, *OBSERVERS, *STRANGERS))
+                frame = Forger(draws, _in_place(sender), (*NODES, CERTIFICATE, SESSION.name, "other")).frame()
+                watch.hear(sender, decode(frame, MAX_CONTROL_BYTES), draws.choice(NOW))
+            case "exit":
+                watch.exited(draws.choice(NODES), draws.choice(EXITS))
+            case "silent":
+                watch.silent(draws.choice(NODES))
+            case "interrupt":
+                watch.look(watch.conductor.interrupt())
+            case "too late":
+                watch.look(watch.conductor.too_late())
+
+
+def node_hello(sender: str) -> NodeHello:
+    """What ``sender`` says when all is well."""
+    binds = {link.connector: f"ipc:///s/{sender}-{link.connector}" for link in GRAPH.links if link.binder == sender}
+    role = ROLES.get(sender, Role.DEVICE)
+    return NodeHello(PROTOCOL_VERSION, CERTIFICATE, SESSION.name, sender, role, 1, binds)
+
+
+class Watch:
+    """A conductor, and beside it what may be known of a session from its messages alone."""
+
+    def __init__(self, remote: frozenset[str]) -> None:
+        self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote=remote, observers=OBSERVERS)
+        self.welcomed: set[str] = set()
+        self.connected: set[str] = set()
+        self.ready: set[str] = set()
+        self.started: set[str] = set()
+        self._processes: set[str] = set(NODES) - remote
+        self._terminated = False
+
+    def hear(self, sender: str, received: Received, now: int = 0) -> None:
+        """The conductor is told of a message."""
+        before = self._snapshot()
+        if isinstance(received, Ready) and sender in self.welcomed:
+            self.ready.add(sender)
+        out = self.conductor.hear(sender, received, now)
+        for one in out:
+            if isinstance(one, Send) and isinstance(one.message, Welcome):
+                assert one.node == sender, f"{sender} spoke and {one.node} was welcomed"
+                assert _belongs(sender, received), f"{sender} was welcomed for {received!r}"
+                self.welcomed.add(sender)
+        if sender in OBSERVERS:
+            assert self._snapshot() == before, f"{sender}, an observer, changed the session with {received!r}"
+            self._told_observer(sender, received, out)
+        elif sender not in NODES:
+            assert self._snapshot() == before, f"{sender}, a stranger, changed the session with {received!r}"
+            said = [one.message for one in out if isinstance(one, Send) and one.node == sender]
+            assert len(said) == len(out) <= 1, f"{sender}, a stranger, brought about {out}"
+            assert all(isinstance(message, Refusal) for message in said), f"{sender}, a stranger, was told {said}"
+        elif not any(isinstance(one, Send) and isinstance(one.message, Start) for one in out):
+            self._others_stay(sender, before[0], ending=Terminate() in out)
+        assert len(self.conductor.reports) <= len(self.started)
+        self.look(out)
+
+    def exited(self, node: str, code: int) -> None:
+        """The conductor is told of a process's end; a process ends once, and is one of this machine."""
+        if node in self._processes:
+            self._processes.remove(node)
+            self.look(self.conductor.exited(node, code))
+
+    def silent(self, node: str) -> None:
+        """The conductor is told that nothing was heard of a node for long; only one of elsewhere is missed so."""
+        if node in self.conductor.remote:
+            self.look(self.conductor.silent(node))
+
+    def look(self, out: list[Instruction]) -> None:
+        """Everything that must hold whatever happened."""
+        for one in out:
+            match one:
+                case Send(node, message):
+                    assert decode(encode(message), MAX_CONTROL_BYTES) == message
+                    self._said(node, message)
+                case Terminate():
+                    assert not self._terminated, "processes were asked to end twice"
+                    self._terminated = True
+                case Kill():
+                    assert self._terminated, "processes were killed before they were asked to end"
+        assert self.conductor.states.keys() == set(NODES)
+        over = all(state is NodeState.ENDED for state in self.conductor.states.values())
+        assert (self.conductor.phase is Phase.OVER) == over
+        assert not (over and self._processes), f"over, and {self._processes} still run"
+        assert len(self.conductor.faults) <= MOST_FAULTS, f"{len(self.conductor.faults)} faults are kept"
+        self._only_forward()
+
+    _phase: Phase = Phase.STARTING
+
+    def _only_forward(self) -> None:
+        phase = self.conductor.phase
+        assert PHASES.index(phase) >= PHASES.index(self._phase), f"from {self._phase} back to {phase}"
+        assert phase is not Phase.RUNNING or self.started == set(NODES)
+        self._phase = phase
+
+    def _said(self, node: str, message: Message) -> None:
+        if isinstance(message, Connect) and node not in OBSERVERS:
+            assert self.welcomed >= set(NODES), f"{node} was told its peers before all had said hello"
+            assert node not in self.connected, f"{node} was told its peers twice"
+            binders = {link.binder for link in GRAPH.links if link.connector == node}
+            assert message.endpoints.keys() == binders, f"{node} was told of {list(message.endpoints)}"
+            self.connected.add(node)
+        elif isinstance(message, Start):
+            assert self.ready == set(NODES), f"{node} was started before all were ready"
+            assert self.connected == set(NODES), f"{node} was started before all were told their peers"
+            assert node not in self.started, f"{node} was started twice"
+            assert not self._terminated, f"{node} was started after it was asked to end"
+            self.started.add(node)
+
+    def _others_stay(self, sender: str, before: dict[str, NodeState], ending: bool) -> None:
+        """One node's message moves no other; only those elsewhere that never came are not awaited once all end."""
+        moved = {node for node, state in self.conductor.states.items() if node != sender and state is not before[node]}
+        given_up = {node for node in moved if before[node] is NodeState.STARTING and node in self.conductor.remote}
+        assert moved == (given_up if ending else set()), f"{sender} moved {moved}"
+        assert all(self.conductor.states[node] is NodeState.ENDED for node in moved)
+
+    def _told_observer(self, observer: str, received: Received, out: list[Instruction]) -> None:
+        """An observer that belongs is told where it is served, one that does not is refused; both are let go then."""
+        if not isinstance(received, NodeHello | ForeignHello):
+            assert out == [], f"{observer} brought about {out} with {received!r}"
+            return
+        *said, last = out
+        assert last == Release(observer)
+        messages = [one.message for one in said if isinstance(one, Send) and one.node == observer]
+        assert len(messages) == len(said)
+        if _belongs(observer, received):
+            assert messages == [Welcome(), Connect({Role.SUPERVISOR.value: OBSERVERS[observer]})]
+        else:
+            assert [type(message) for message in messages] == [Refusal]
+
+    def _snapshot(self) -> tuple[dict[str, NodeState], object]:
+        c = self.conductor
+        return dict(c.states), (c.phase, list(c.faults), dict(c.reports), c.interrupted)
+
+
+def _belongs(sender: str, received: Received) -> bool:
+    """Whether ``received`` is the hello of the node that the hub knows as ``sender``."""
+    return isinstance(received, NodeHello) and (
+        (received.version, received.certificate, received.session) == (PROTOCOL_VERSION, CERTIFICATE, SESSION.name)
+        and received.name == sender
+        and ROLES.get(sender) is received.role
+        and received.endpoints.keys() == node_hello(sender).endpoints.keys()
+    )
+
+
+@functools.cache
+def _in_place(sender: str) -> dict[str, Message]:
+    """What a node says, and what it should not."""
+    hello = node_hello(sender)
+    return {
+        "hello": hello,
+        "ready": Ready(),
+        "telemetry": Telemetry(1, {"speed": 0.5}, {}),
+        "report": Report(5, {}, {"late": 0}, {}),
+        "fault": Fault("boom"),
+        "other certificate": dataclasses.replace(hello, certificate="other"),
+        "other session": dataclasses.replace(hello, session="other"),
+        "other name": dataclasses.replace(hello, name="other"),
+        "neighbour's name": dataclasses.replace(hello, name=NODES[0]),
+        "other role": dataclasses.replace(hello, role=Role.OBSERVER),
+        "foreign": dataclasses.replace(hello, version=PROTOCOL_VERSION + 1),
+        "no endpoints": dataclasses.replace(hello, endpoints={}),
+        "other endpoints": dataclasses.replace(hello, endpoints={"other": "ipc:///other"}),
+        "start": Start(0, 0),
+        "welcome": Welcome(),
+        "link hello": LinkHello(PROTOCOL_VERSION, CERTIFICATE, SESSION.name, sender, hello.role, ("dx",)),
+    }

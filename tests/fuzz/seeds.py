@@ -1,0 +1,180 @@
+"""Writes the corpus's seeds that are made by hand: every byte example of SPEC.md, and a conversation for everything
+that a harness has a branch for.
+
+    python tests/fuzz/seeds.py
+
+They have names; the other files of the corpus, named by a digest, are what runs of the fuzzer found worth keeping.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+import fuzz_codec
+import fuzz_conductor
+import fuzz_gate
+import fuzz_handshake
+from draws import Dictation, Misdictated
+from forger import HOW, KIND_NAMES
+
+import manyhands.protocol
+
+CORPUS: Final = Path(__file__).parent / "corpus"
+SPEC: Final = Path(manyhands.protocol.__file__).parent / "SPEC.md"
+
+CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
+    "codec": fuzz_codec.check,
+    "handshake": fuzz_handshake.check,
+    "gate": fuzz_gate.check,
+    "conductor": fuzz_conductor.check,
+}
+"""Every harness by its name."""
+
+
+def seeds(harness: str) -> dict[str, bytes]:
+    """The hand-made seeds of a harness, by the name of their file."""
+    made = {"codec": _codec, "handshake": _handshake, "gate": _gate, "conductor": _conductor}[harness]
+    return {f"{number:02}-{name}": data for number, (name, data) in enumerate(made())}
+
+
+def _codec() -> Iterator[tuple[str, bytes]]:
+    text = SPEC.read_text(encoding="utf-8")
+    for name, frame in re.findall(r"^\| `(\w+)\(.*\)` \| `([0-9a-f ]+)` \|$", text, re.MULTILINE):
+        yield f"spec-{name}", bytes.fromhex(frame)
+    yield "deep-arrays", b"\xdc\x01\x00" * 30
+    yield "deep-maps", b"\x92\x05" + b"\xde\x08\x00\xa1a" * 20
+    yield "long-array", b"\xdd\xff\xff\xff\xff"
+    yield "long-map", b"\x92\x05\xdf\xff\xff\xff\xff"
+    yield "long-text", b"\x92\x08\xdb\xff\xff\xff\xff"
+    yield "long-bytes", b"\x94\x10\x00\x00\xc6\xff\xff\xff\xff"
+    yield "foreign-hello", b"\x98\x01\x07" + b"\x91" * 100
+    yield "key-twice", bytes.fromhex("9205 82 a161a162 a161a163")
+    yield "extension", b"\x92\x22\xd4\x01\x00"
+    yield "not-utf-8", b"\x92\x08\xa2\xc3\x28"
+    yield "short-floats", b"\x94\x20\x01\x81\xa1a\xca\x7f\xc0\x00\x00\x80"
+    for how in HOW:
+        yield f"how-{how}".replace(" ", "-"), fuzz_codec.FORGED + _bytes(fuzz_codec.play, how)
+    for kind in KIND_NAMES:
+        yield f"made-{kind}", fuzz_codec.FORGED + _bytes(fuzz_codec.play, "made", kind)
+
+
+def _handshake() -> Iterator[tuple[str, bytes]]:
+    for side in fuzz_handshake.SIDES:
+        hello = ("as it is", "hoped for")
+        welcome = ("as it is", "welcome")
+        for name, said in {
+            "good": (*hello, *welcome),
+            "twice": (*hello, *hello, *welcome),
+            "welcome-first": (*welcome, *hello),
+            "refused": ("as it is", "refusal", *hello),
+            "refused-late": (*hello, "as it is", "refusal"),
+            **{
+                wrong.replace(" ", "-"): ("as it is", wrong, *hello)
+                for wrong in ("foreign", "other certificate", "other session", "other name", "other role",
+                              "other ports", "more ports", "other feedthrough", "node hello", "echo", "sample")
+            },
+        }.items():  # fmt: skip
+            yield f"{side}-{name}".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "pure", *said)
+        # each frame after 5 ns; 0: what is said in return finds room
+        over = (0, 5, *hello, 0) if fuzz_handshake.SIDES[side].opens else (5, *hello, 0, 5, *welcome)
+        yield f"{side}-link".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link", *over)
+        yield f"{side}-silence".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link")
+    yield "made", _bytes(fuzz_handshake.play, "device", "pure", "made", "LinkHello")
+    yield "field", _bytes(fuzz_handshake.play, "environment", "pure", "field", "hoped for", 6, 2)
+    yield "raw", _bytes(fuzz_handshake.play, "environment", "pure", "raw", b"\x98\x01\x02")
+
+
+def _gate() -> Iterator[tuple[str, bytes]]:
+    def traffic(*told: object, kind: str = "Sample", width: int = 1, bounded: str = "none", first: int = 0) -> bytes:
+        return _bytes(fuzz_gate.play, kind, width, bounded, first, *told)
+
+    for kind in fuzz_gate.KINDS:
+        yield f"{kind}-honest", traffic(*("honest", 7, 64, -64) * 3, kind=kind, width=2)
+    words = ("honest in other words", 7, 64, 0, 0, 0)
+    yield "other-words", traffic(*words, 0, 0, *words, 1, 2)
+    for name in ("awaited", "tool", "late", "first", "early", "narrow", "wide", "widest", "hello", "foreign"):
+        yield f"forged-{name}", traffic("forged", 7, 64, 0, "as it is", name, "honest", 7, 1, 2, width=2, first=1)
+    for bounded in fuzz_gate.BOUNDS:
+        far = ("honest", 7, 0, "forged", 7, 64, "as it is", "far", "forged", 7, 64, "as it is", "a step too far")
+        yield f"{bounded}-far".replace(" ", "-"), traffic(*far, "honest", 7, 128, bounded=bounded)
+    yield "not-finite", traffic("forged", 7, 64, "field", "awaited", 3, 1, 1, math.nan)
+    yield "replayed", traffic("honest", 7, 1, "replayed", 7, 1)
+    for how in HOW:
+        yield f"how-{how}".replace(" ", "-"), traffic("forged", 7, 64, how, kind="Force")
+
+
+def _conductor() -> Iterator[tuple[str, bytes]]:
+    def session(*told: object, remote: str = "nobody") -> bytes:
+        return _bytes(fuzz_conductor.play, remote, *told)
+
+    up = ("all good hellos", "all ready")
+    nodes = fuzz_conductor.NODES
+    frame = [("frame", node, "as it is") for node in nodes]
+    yield (
+        "good-run",
+        session(*up, *(one for said in frame for one in (*said, "report", 0)), *_each("exit", nodes, 0)),
+    )
+    yield "one-by-one", session(*_each("good hello", nodes), *_each("ready", nodes, 10**15))
+    yield "telemetry", session(*up, "frame", nodes[0], "as it is", "telemetry", 0)
+    yield "fault", session(*up, "frame", nodes[0], "as it is", "fault", 0, "exit", nodes[0], 1)
+    for code in (0, 1, -9, -15, -40):
+        yield f"exit{code}", session("good hello", nodes[0], "exit", nodes[0], code)
+    yield "interrupted", session(*up, "interrupt", "interrupt")
+    yield "interrupted-before-ready", session("all good hellos", "interrupt", "all ready")
+    yield "too-late", session("all good hellos", "too late", "all ready", "too late")
+    yield "ready-first", session("ready", nodes[0], 0, *up)
+    yield "ready-before-the-others", session("good hello", nodes[0], "ready", nodes[0], 0, *up)
+    yield "hello-twice", session("all good hellos", "all good hellos")
+    for wrong in ("other certificate", "other session", "other name", "other role", "foreign", "no endpoints",
+                  "other endpoints", "start", "welcome", "link hello"):  # fmt: skip
+        said = ("as it is", wrong, 0)
+        yield wrong.replace(" ", "-"), session(*(("frame", nodes[-1], *said) * 2), *up)
+        yield f"stranger-{wrong}".replace(" ", "-"), session("frame", "stranger", *said, *up)
+    yield "stranger-hello", session("frame", "stranger", "as it is", "hello", 0, *up)
+    yield "flood-of-hellos", session(*("frame", nodes[0], "as it is", "foreign", 0) * 40)
+    for observer in fuzz_conductor.OBSERVERS:
+        for name in ("hello", "other role", "other endpoints", "foreign", "ready", "fault"):
+            told = ("frame", observer, "as it is", name, 0)
+            yield f"observer-{name}".replace(" ", "-"), session(*told, *up, *told)
+    for remote in ("a device", "all"):
+        far = f"remote-{remote}".replace(" ", "-")
+        yield f"{far}-run", session(*up, *("frame", nodes[0], "as it is", "report", 0), remote=remote)
+        yield f"{far}-silent", session(*up, "silent", nodes[0], remote=remote)
+        yield f"{far}-fault", session(*up, "frame", nodes[0], "as it is", "fault", 0, remote=remote)
+        yield f"{far}-never-came", session("too late", remote=remote)
+        yield f"{far}-interrupted", session("good hello", nodes[0], "interrupt", "too late", remote=remote)
+
+
+def _each(event: str, nodes: tuple[str, ...], *rest: object) -> list[object]:
+    return [told for node in nodes for told in (event, node, *rest)]
+
+
+def _bytes(play: Callable[[Dictation], None], *told: object) -> bytes:
+    """The data that makes a harness decide as told, whatever it then finds."""
+    dictation = Dictation(*told)
+    # what the harness finds fault with is for the replay to say, not for the writing of seeds
+    with contextlib.suppress(AssertionError, ValueError):
+        play(dictation)
+        if dictation.more:
+            raise Misdictated(f"nobody asked for the last decisions of {told}")
+    return dictation.bytes
+
+
+def write() -> None:
+    """Put every seed where it belongs, in place of the earlier ones."""
+    for harness in CHECKS:
+        folder = CORPUS / harness
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("[0-9][0-9]-*"):
+            old.unlink()
+        for name, data in seeds(harness).items():
+            (folder / name).write_bytes(data)
+
+
+if __name__ == "__main__":
+    write()
