@@ -1,0 +1,49 @@
+"""The program as a user starts it, for tests of whole sessions."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
+
+
+def run(*arguments: str | Path) -> str:
+    """Run a command to its end; returns what it said on standard output.
+
+    Raises:
+        AssertionError: its exit code is not 0; with what it said.
+    """
+    done = subprocess.run([*MANYHANDS, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, (
+        f"manyhands {' '.join(map(str, arguments))} ended with {done.returncode}: {done.stderr}"
+    )
+    return done.stdout
+
+
+@contextmanager
+def started(*arguments: str | Path, cwd: Path | None = None) -> Iterator[subprocess.Popen[str]]:
+    """A command that goes on meanwhile; ended with Ctrl-C if the test fails before it has seen to that."""
+    command = [*MANYHANDS, *map(str, arguments)]
+    with subprocess.Popen(
+        command, cwd=cwd, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        except BaseException:
+            process.send_signal(signal.SIGINT)
+            raise
+
+
+def read_until(process: subprocess.Popen[str], words: str) -> str:
+    """Read a process's error output up to the line with ``words``; returns that line."""
+    assert process.stderr is not None
+    heard = ""
+    while words not in (line := process.stderr.readline()):
+        heard += line
+        assert line, f"it ended with {process.wait()} and never said {words!r}, but: {heard}"
+    return line

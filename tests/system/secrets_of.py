@@ -1,0 +1,110 @@
+"""What each party of a session may not find out about the others, and the shapes in which it could turn up."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from typing import Any
+
+from zmq.utils import z85
+
+from . import distinctive
+from .patterns import is_distinctive
+
+_NUMBER = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e-?\d+)?")
+_DIGITS = 12  # significant ones of a number's text that are looked for: it may have been written with fewer than all
+
+_Lists = list[list[float]]
+
+
+def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]) -> _Lists:
+    """The numbers that are ``name``'s alone, from its part of the session file and from its bundle."""
+    if name in distinctive.DEVICES:
+        return [*_numbers(session["devices"][name]), *_numbers({**bundle, "common": None})]
+    if name in distinctive.COUPLINGS:
+        given = [session["design"][key][list(distinctive.COUPLINGS).index(name)] for key in ("stiffness", "damping")]
+        return [*_numbers(given), *_numbers([bundle["block"], bundle["level"]])]  # K and the limits are its device's
+    return [*_numbers(session["environment"]), *_numbers({**bundle, "common": None})]
+
+
+def _numbers(plain: object) -> _Lists:
+    """The numbers of a tree, those in formulas too."""
+    formulas = [[float(number) for number in _NUMBER.findall(text)] for text in distinctive.texts(plain)]
+    return [*distinctive.number_lists(plain), *formulas]
+
+
+def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
+    """What others own and ``name`` may know all the same: a device's K and limits its coupling, D_V the environment."""
+    shared: list[object] = []
+    if name in distinctive.COUPLINGS:
+        device = bundles[distinctive.COUPLINGS[name]]
+        shared = [device["K"], device.get("limits")]
+    elif name == distinctive.ENVIRONMENT:
+        shared = [bundles[coupling]["block"]["D"] for coupling in distinctive.COUPLINGS]
+    return {abs(number) for numbers in _numbers(shared) for number in numbers}
+
+
+def forbidden_numbers(name: str, session: Mapping[str, Any], bundles: Mapping[str, Mapping[str, Any]]) -> _Lists:
+    """The distinctive numbers of the others, lists of numbers that stand together as such."""
+    known = shared_with(name, bundles) | {session["period"]}
+    lists = (numbers for other in bundles if other != name for numbers in own_numbers(other, session, bundles[other]))
+    return [kept for numbers in lists if (kept := [n for n in numbers if is_distinctive(n) and abs(n) not in known])]
+
+
+def forbidden_texts(name: str, session: Mapping[str, Any]) -> set[str]:
+    """Names of those that ``name`` has nothing to do with, and the others' formulas."""
+    hands = [session["devices"][device]["hand"] for device in distinctive.DEVICES if device != name]
+    texts = {hand[intent] for hand in hands for intent in ("force", "motion")} | {distinctive.HUB}
+    if name in distinctive.DEVICES:
+        texts |= {*distinctive.DEVICES, *distinctive.COUPLINGS} - {name, _coupling_of(name)}
+    elif name in distinctive.COUPLINGS:
+        texts |= {*distinctive.DEVICES, *distinctive.COUPLINGS} - {name, distinctive.COUPLINGS[name]}
+    else:
+        texts -= {distinctive.HUB}
+    return texts
+
+
+def _coupling_of(device: str) -> str:
+    return next(coupling for coupling, held in distinctive.COUPLINGS.items() if held == device)
+
+
+def as_numbers(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:
+    """The numbers as a processor or a text would hold them, either sign.
+
+    As float 32 those that stand together, two by two: the four bytes of one alone turn up by accident.
+    """
+    out: dict[bytes, str] = {}
+    for numbers in lists:
+        numbers = list(numbers)
+        for number in numbers:
+            for signed in (number, -number):
+                out |= {struct.pack(form, signed): f"{signed!r} ({form})" for form in ("<d", ">d")}
+            out[_as_text(number)] = f"{number!r} (text)"
+        for pair in pairwise(numbers):
+            out |= {struct.pack(form, *pair): f"{pair!r} ({form})" for form in ("<2f", ">2f")}
+    return out
+
+
+def _as_text(number: float) -> bytes:
+    """How the text of a number begins, whatever its length; without an exponent."""
+    text = repr(abs(number)).partition("e")[0]
+    leading = len(text) - len(text.lstrip("0."))
+    return text[: leading + _DIGITS + 1].encode()  # one more for the point
+
+
+def as_doubles(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:
+    """The distinctive ones of the numbers as a processor holds them."""
+    return {struct.pack("<d", n): repr(n) for numbers in lists for n in numbers if is_distinctive(n)}
+
+
+def as_texts(texts: Iterable[str]) -> dict[bytes, str]:
+    """Texts as they are."""
+    return {text.encode(): text for text in texts}
+
+
+def as_keys(keys: Mapping[str, str]) -> dict[bytes, str]:
+    """Keys by what they are: their characters, and the 32 bytes that these mean."""
+    text = {key.encode(): f"{what} (text)" for what, key in keys.items()}
+    return text | {z85.decode(key): f"{what} (bytes)" for what, key in keys.items()}

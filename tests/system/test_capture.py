@@ -1,0 +1,123 @@
+"""What somebody else on the network can read of a session: of one with keys nothing, of one without all of it."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from . import distinctive
+from .capture import Capture, IncompleteCapture, Segment, free_ports, reassembled
+from .commands import run
+from .patterns import Patterns, is_distinctive
+
+SECONDS = "0.4"
+PORTS = 24  # one for the hub, one for each link, and some to spare
+GREETING_MECHANISM = slice(12, 32)  # of what each side of a ZMTP 3 connection says first
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session file, its certificate, and its keys."""
+    folder = tmp_path_factory.mktemp("capture")
+    (folder / "session.yaml").write_text(distinctive.as_file(distinctive.session()))
+    run("design", folder / "session.yaml", "-o", folder / "certificate.json")
+    run("keys", folder / "session.yaml", "-o", folder / "keys")
+    return folder
+
+
+@dataclass(frozen=True)
+class Captured:
+    """A session, and what was seen of it.
+
+    Attributes:
+        directions: all that was sent, by connection and direction.
+        signals: every x and f_v that the session's own recording has.
+        certificate: the id of what it ran under.
+    """
+
+    directions: list[bytes]
+    signals: np.ndarray
+    certificate: str
+
+    def contains(self, patterns: Patterns) -> set[str]:
+        return set().union(*(patterns.found_in([data]) for data in self.directions))
+
+    @property
+    def mechanisms(self) -> set[bytes]:
+        return {data[GREETING_MECHANISM].rstrip(b"\0") for data in self.directions}
+
+
+def captured(folder: Path, *options: str | Path) -> Captured:
+    ports, record = free_ports(PORTS), folder / "run.npz"
+    with Capture(ports) as capture:
+        run(
+            *("launch", folder / "session.yaml", "--certificate", folder / "certificate.json"),
+            *("--transport", "tcp", "--listen", f"127.0.0.1:{ports[0]}", "--clock", "simulated"),
+            *("--duration", SECONDS, "--record", record, *options),
+        )
+        directions = [data for data in capture.finish().values() if data]
+    with np.load(record) as recording:
+        signals = np.concatenate([recording["x"].ravel(), recording["f_v"].ravel()])
+        certificate = str(recording["certificate"])
+    record.unlink()
+    return Captured(directions, signals, certificate)
+
+
+def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
+    """Those of the values that would not turn up by accident, as they are sent."""
+    return {struct.pack(form, value): f"{value!r} ({form})" for value in signals.tolist() if is_distinctive(value)}
+
+
+def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_insecure_one_all(folder: Path) -> None:
+    keyed = captured(folder, "--keys", folder / "keys")
+    plain = captured(folder, "--insecure")
+
+    np.testing.assert_array_equal(keyed.signals, plain.signals)  # what is looked for in both
+    sent = values(plain.signals, "<d")
+    assert len(sent) > 2000
+    node_names = (*distinctive.DEVICES, *distinctive.COUPLINGS, distinctive.ENVIRONMENT)
+    said = {text.encode(): text for text in (distinctive.NAME, *node_names, plain.certificate)}
+
+    assert plain.mechanisms == {b"NULL"}
+    assert plain.contains(Patterns({**sent, **said})) == {*sent.values(), *said.values()}
+
+    links, nodes = 6, 7
+    assert len(keyed.directions) >= 2 * (links + nodes)
+    assert sum(map(len, keyed.directions)) > sum(map(len, plain.directions))
+    assert keyed.mechanisms == {b"CURVE"}
+    assert keyed.contains(Patterns({**sent, **values(keyed.signals, ">d"), **said})) == set()
+
+
+SYN, ACK, FIN = 0x02, 0x10, 0x01
+
+
+def test_what_was_sent_is_found_however_it_was_cut_and_in_whatever_order_it_was_seen() -> None:
+    value = struct.pack("<d", 0.12345678901234567)
+    segments = [
+        Segment(3, 5000, ACK, 6, value[4:] + b"-end"),
+        Segment(3, 5000, SYN, 0, b""),
+        Segment(3, 5000, ACK, 1, b"-" + value[:4]),
+        Segment(3, 6000, SYN | ACK, 0, b""),
+        Segment(3, 5000, ACK, 4, value[2:] + b"-"),  # a part once more
+        Segment(3, 5000, FIN | ACK, 14, b""),
+        Segment(3, 6000, ACK, 1, b"answer"),
+    ]
+    directions = reassembled(segments)
+    assert directions == {(3, 5000): b"-" + value + b"-end", (3, 6000): b"answer"}
+    assert Patterns({value: "it"}).found_in(directions.values()) == {"it"}
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_capture_with_a_hole_says_nothing(lost: int) -> None:
+    segments = [
+        Segment(0, 5000, SYN, 0, b""),
+        Segment(0, 5000, ACK, 1, b"abcd"),
+        Segment(0, 5000, ACK, 5, b"efgh"),
+        Segment(0, 5000, FIN | ACK, 9, b""),
+    ]
+    with pytest.raises(IncompleteCapture):
+        reassembled(segments[:lost] + segments[lost + 1 :])
