@@ -36,6 +36,7 @@ class NodeState(StrEnum):
 
     STARTING = "starting"
     WELCOMED = "connecting"
+    CONNECTED = "shaking hands"
     READY = "ready"
     RUNNING = "running"
     REPORTED = "done"
@@ -55,11 +56,13 @@ class Phase(StrEnum):
 TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
     (NodeState.STARTING, NodeHello): NodeState.WELCOMED,
     (NodeState.WELCOMED, Probe): NodeState.WELCOMED,
-    (NodeState.WELCOMED, Ready): NodeState.READY,
+    (NodeState.CONNECTED, Probe): NodeState.CONNECTED,
+    (NodeState.CONNECTED, Ready): NodeState.READY,
     (NodeState.RUNNING, Telemetry): NodeState.RUNNING,
     (NodeState.RUNNING, Report): NodeState.REPORTED,
     (NodeState.STARTING, Fault): NodeState.FAULTED,
     (NodeState.WELCOMED, Fault): NodeState.FAULTED,
+    (NodeState.CONNECTED, Fault): NodeState.FAULTED,
     (NodeState.READY, Fault): NodeState.FAULTED,
     (NodeState.RUNNING, Fault): NodeState.FAULTED,
 }
@@ -126,11 +129,9 @@ class Conductor:
     interrupted: bool = False
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
-    _roles: dict[str, Role] = field(init=False)
 
     def __post_init__(self) -> None:
         self.states = dict.fromkeys(self.graph.nodes, NodeState.STARTING)
-        self._roles = {**self.graph.nodes, **dict.fromkeys(self.observers, Role.OBSERVER)}
 
     def hear(self, sender: str, received: Received, now: int) -> list[Instruction]:
         """A message from a node.
@@ -159,10 +160,13 @@ class Conductor:
                 return [Send(sender, Echo(sent, now, now))]
             case Ready():
                 return self._start_if_all_ready(now)
-            case Report():
+            case Report(ticks):
                 self.reports[sender] = received
+                told: list[Instruction] = [Send(sender, Stop("reported"))]
+                if self.phase is Phase.RUNNING and not 0 < self.ticks <= ticks:  # the others would wait for it for ever
+                    told += self._fail(f"{sender} left after {ticks} ticks, before the session was over")
                 self._gone_if_remote(sender)
-                return [Send(sender, Stop("reported"))]
+                return told
             case Fault(text):
                 told = [Send(sender, Stop("heard")), *self._fail(text)]
                 self._gone_if_remote(sender)
@@ -171,7 +175,7 @@ class Conductor:
 
     def exited(self, node: str, code: int) -> list[Instruction]:
         """A node's process has ended with ``code`` (negative: the signal that killed it)."""
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        how = f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
         return self._ended(node, how)
 
     def silent(self, node: str) -> list[Instruction]:
@@ -229,12 +233,14 @@ class Conductor:
             if sender not in self.states:  # a stranger: refused, and no reason to end a session that is not its own
                 self.ignored += 1
                 return told
+            self.states[sender] = NodeState.FAULTED  # heard once; what it says after that is out of turn
             return [*told, *self._fail(refusal.text)]
         if isinstance(hello, NodeHello):
             self.states[sender] = NodeState.WELCOMED
             self._endpoints.update({(sender, peer): endpoint for peer, endpoint in hello.endpoints.items()})
         out: list[Instruction] = [Send(sender, Welcome())]
         if all(state is NodeState.WELCOMED for state in self.states.values()):
+            self.states = dict.fromkeys(self.states, NodeState.CONNECTED)
             for node in self.graph.nodes:
                 binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
                 out.append(Send(node, Connect({b: self._endpoints.get((b, node), "") for b in binders})))
@@ -242,7 +248,8 @@ class Conductor:
 
     def _greet_observer(self, sender: str, hello: NodeHello | ForeignHello) -> list[Instruction]:
         """Tell an observer where it is served; the session goes on as if it were not there."""
-        refusal = check_node_hello(hello, self.certificate, self.session, self._roles, sender)
+        roles = {**self.graph.nodes, **dict.fromkeys(self.observers, Role.OBSERVER)}
+        refusal = check_node_hello(hello, self.certificate, self.session, roles, sender)
         if refusal is not None:
             self.ignored += 1
             return [Send(sender, refusal), Release(sender)]
@@ -250,7 +257,7 @@ class Conductor:
         return [Send(sender, Welcome()), Send(sender, Connect(endpoints)), Release(sender)]
 
     def _start_if_all_ready(self, now: int) -> list[Instruction]:
-        if any(state is not NodeState.READY for state in self.states.values()):
+        if self.phase is not Phase.STARTING or any(state is not NodeState.READY for state in self.states.values()):
             return []
         self.phase = Phase.RUNNING
         self.states = dict.fromkeys(self.states, NodeState.RUNNING)
@@ -271,6 +278,14 @@ class Conductor:
             self.states[node] = NodeState.ENDED  # nobody to wait for
         self._over_if_all_ended()
         return [Terminate(), *farewell]
+
+
+def signal_name(number: int) -> str:
+    """A signal's name; the realtime signals between the first and the last have none."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 EPOCH_DELAY_NS = 20_000_000

@@ -20,6 +20,7 @@ import msgpack
 from manyhands.protocol import fields
 from manyhands.protocol.fields import Field, NotFinite, Unfit
 from manyhands.protocol.limits import (
+    MAX_CONTAINERS,
     MAX_CONTROL_BYTES,
     MAX_ENTRIES,
     MAX_PORTS,
@@ -50,7 +51,7 @@ from manyhands.protocol.messages import (
     Tool,
     Welcome,
 )
-from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, UINT64, USUAL
+from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, UINT64, USUAL, type_and_next
 
 
 class Flaw(StrEnum):
@@ -186,7 +187,8 @@ def _decode_any(frame: bytes) -> Received:
     if version is not None and version != PROTOCOL_VERSION:
         return ForeignHello(version)
     try:
-        plain = msgpack.unpackb(frame, **_UNPACKING)
+        containers = _Containers()
+        plain = msgpack.unpackb(frame, list_hook=containers.array, object_pairs_hook=containers.mapping, **_UNPACKING)
     except (ValueError, msgpack.UnpackException) as error:
         return Malformed(f"found no single MessagePack value within the limits ({error})", Flaw.SYNTAX)
     if type(plain) is not list or not plain:
@@ -212,25 +214,33 @@ def _decode_any(frame: bytes) -> Received:
 
 def _version_of_hello(frame: bytes) -> int | None:
     """The version that a hello states, read without reading on; None if the frame begins otherwise."""
-    unpacker = msgpack.Unpacker(max_buffer_size=MAX_CONTROL_BYTES, **_UNPACKING)
-    try:
-        unpacker.feed(frame)
-        if unpacker.read_array_header() < 2:
-            return None
-        number = unpacker.unpack()
-        if type(number) is not int or number not in _HELLOS:
-            return None
-        version = unpacker.unpack()
-    except (ValueError, msgpack.UnpackException):
-        return None
-    return version if type(version) is int and 0 <= version <= MAX_VERSION else None
+    number, version = type_and_next(frame) or (0, -1)
+    return version if number in _HELLOS and 0 <= version <= MAX_VERSION else None
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    mapping = dict(pairs)
-    if len(mapping) != len(pairs):
-        raise ValueError("a key occurs twice in a map")
-    return mapping
+class _Containers:
+    """Counts the arrays and maps of one frame while it is read, and refuses keys that occur twice."""
+
+    __slots__ = ("_left",)
+
+    def __init__(self) -> None:
+        self._left = MAX_CONTAINERS
+
+    def array(self, items: list[Any]) -> list[Any]:
+        self._count()
+        return items
+
+    def mapping(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        self._count()
+        mapping = dict(pairs)
+        if len(mapping) != len(pairs):
+            raise ValueError("a key occurs twice in a map")
+        return mapping
+
+    def _count(self) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError(f"more than {MAX_CONTAINERS} arrays and maps")
 
 
 # msgpack gives memory to an array as soon as its length is read, at every level of nesting: hence the small
@@ -238,7 +248,6 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 _UNPACKING: Final[dict[str, Any]] = {
     "raw": False,
     "strict_map_key": True,
-    "object_pairs_hook": _without_duplicates,
     "max_array_len": MAX_PORTS,
     "max_map_len": MAX_ENTRIES,
     "max_str_len": 4 * MAX_TEXT,

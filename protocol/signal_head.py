@@ -57,6 +57,16 @@ def type_of(frame: bytes) -> int | None:
     return number
 
 
+def type_and_next(frame: bytes) -> tuple[int, int] | None:
+    """The type id that a frame states and the integer behind it; None if it begins otherwise."""
+    try:
+        entries, number, at = _start(frame)
+        following, _ = _integer(frame, at)
+    except (IndexError, KeyError, struct.error):
+        return None
+    return (number, following) if entries > 1 else None
+
+
 def read_head(frame: bytes) -> Head | None:
     """The head of a signal, of whatever type; None if this is no signal's frame. Never raises."""
     try:

@@ -137,7 +137,7 @@ class Watch:
             said = [one.message for one in out if isinstance(one, Send) and one.node == sender]
             assert len(said) == len(out) <= 1, f"{sender}, a stranger, brought about {out}"
             assert all(isinstance(message, Refusal) for message in said), f"{sender}, a stranger, was told {said}"
-        elif not any(isinstance(one, Send) and isinstance(one.message, Start) for one in out):
+        elif not any(isinstance(one, Send) and isinstance(one.message, Connect | Start) for one in out):
             self._others_stay(sender, before[0], ending=Terminate() in out)
         assert len(self.conductor.reports) <= len(self.started)
         self.look(out)

@@ -14,7 +14,7 @@ from forger import Forger
 
 from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS, Bounds, Gate
-from manyhands.protocol.limits import MAX_FRAME_BYTES
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Fault,
@@ -112,7 +112,7 @@ def _beyond(bounded: str, values: Values, last: Values | None) -> float:
 
 def _awaited(frame: bytes, kind: type[SignalMessage], tick: int, width: int) -> SignalMessage | None:
     """The message in ``frame``, if it is the one to admit. That of the codec, which has a harness of its own."""
-    message = decode(frame, MAX_FRAME_BYTES)
+    message = decode(frame, MAX_CONTROL_BYTES)
     if not isinstance(message, kind) or message.tick != tick or message.values.size != width:
         return None
     return message if all(map(math.isfinite, message.values)) else None

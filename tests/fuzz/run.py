@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +27,12 @@ CORPUS: Final = FOLDER / "corpus"
 LONGEST: Final = {"codec": 8192, "handshake": 1024, "gate": 1024, "conductor": 1024}
 """The longest input of each harness, bytes."""
 
-MOST_FILES, MOST_BYTES = 22, 40 * 1024
+MOST_FILES, MOST_BYTES = 20, 40 * 1024
 """How much a merge takes into the corpus of one harness, besides the seeds made by hand."""
 
 FOUND: Final = ("crash-", "oom-", "timeout-")
 _BY_HAND: Final = re.compile(r"[0-9]{2}-|found-")
 _STATUS: Final = re.compile(r"^#(\d+)\s+\w+\s+cov: (\d+) ft: (\d+) corp: (\d+)", re.MULTILINE)
-_SECONDS: Final = re.compile(r"^Done \d+ runs in (\d+) second", re.MULTILINE)
 _PEAK: Final = re.compile(r"^stat::peak_rss_mb:\s+(\d+)", re.MULTILINE)
 
 
@@ -70,6 +70,7 @@ def run(harness: str, seconds: int, work: Path) -> Ran:
         folder.mkdir(parents=True, exist_ok=True)
     before = set(kept.iterdir())
     log = work / harness / "log"
+    began = time.monotonic()
     code = _atheris(
         harness, log, str(kept), str(CORPUS / harness), f"-max_total_time={seconds}", f"-max_len={LONGEST[harness]}",
         f"-artifact_prefix={found}/", "-timeout=20", "-rss_limit_mb=1024", "-print_final_stats=1",
@@ -79,8 +80,8 @@ def run(harness: str, seconds: int, work: Path) -> Ran:
     findings = tuple(sorted(path for path in found.iterdir() if path.name.startswith(FOUND)))
     if code and not findings:
         raise SystemExit(f"{harness}: found exit code {code} and no input that made it fail; see {log}")
-    return Ran(harness, executions, _last(_SECONDS, told, seconds), edges, features, corpus,
-               len(set(kept.iterdir()) - before), _last(_PEAK, told, 0), findings)  # fmt: skip
+    return Ran(harness, executions, round(time.monotonic() - began), edges, features, corpus,
+               len(set(kept.iterdir()) - before), int((_PEAK.findall(told) or [0])[-1]), findings)  # fmt: skip
 
 
 def merge(harness: str, work: Path) -> int:
@@ -126,11 +127,6 @@ def _atheris(harness: str, log: Path, *arguments: str) -> int:
     command = [sys.executable, str(FOLDER / "under_atheris.py"), harness, *arguments]
     with log.open("wb") as output:
         return subprocess.run(command, stdout=output, stderr=subprocess.STDOUT, check=False).returncode
-
-
-def _last(pattern: re.Pattern[str], text: str, otherwise: int) -> int:
-    found = pattern.findall(text)
-    return int(found[-1]) if found else otherwise
 
 
 def main() -> int:

@@ -110,7 +110,7 @@ def test_another_messagepack_encoder_is_understood(kind: type[Any], data: st.Dat
 @pytest.mark.parametrize("kind", SIGNALS)
 @given(tick=counts, stamp=counts, sent=values)
 def test_bits_of_a_signal_are_kept(kind: type[Any], tick: int, stamp: int, sent: np.ndarray) -> None:
-    received = decode(encode(kind(tick, stamp, sent)), limits.MAX_FRAME_BYTES)
+    received = decode(encode(kind(tick, stamp, sent)), limits.MAX_CONTROL_BYTES)
     assert isinstance(received, kind)
     assert received.values.dtype == np.float64
     assert received.values.tobytes() == sent.tobytes()  # the sign of zero too
@@ -119,7 +119,7 @@ def test_bits_of_a_signal_are_kept(kind: type[Any], tick: int, stamp: int, sent:
 
 def test_a_signal_that_is_not_contiguous_is_sent_as_it_reads() -> None:
     every_second = np.arange(6.0)[::2]
-    received = decode(encode(Sample(0, 0, every_second)), limits.MAX_FRAME_BYTES)
+    received = decode(encode(Sample(0, 0, every_second)), limits.MAX_CONTROL_BYTES)
     assert received == Sample(0, 0, np.array([0.0, 2.0, 4.0]))
 
 
@@ -148,7 +148,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
     sent = Report(np.int64(3), {"a": np.float32(0.5), "b": 1}, {"c": np.int32(4)}, {})  # type: ignore[arg-type]
     assert decode(encode(sent), limits.MAX_CONTROL_BYTES) == Report(3, {"a": 0.5, "b": 1.0}, {"c": 4}, {})
     tick = np.int64(7)
-    assert decode(encode(Sample(tick, 0, np.ones(1))), limits.MAX_FRAME_BYTES) == Sample(7, 0, np.ones(1))  # type: ignore[arg-type]
+    assert decode(encode(Sample(tick, 0, np.ones(1))), limits.MAX_CONTROL_BYTES) == Sample(7, 0, np.ones(1))  # type: ignore[arg-type]
 
 
 def test_the_greatest_link_fits_its_limits() -> None:
@@ -158,7 +158,7 @@ def test_the_greatest_link_fits_its_limits() -> None:
     assert len(encode(hello)) <= limits.MAX_CONTROL_BYTES
     assert decode(encode(hello), limits.MAX_CONTROL_BYTES) == hello
     signal = encode(Tool(limits.MAX_COUNT, limits.MAX_COUNT, np.ones(limits.MAX_PORTS)))
-    assert len(signal) == 2071 <= limits.MAX_FRAME_BYTES
+    assert len(signal) == 2071 <= limits.MAX_CONTROL_BYTES
 
 
 ONE = np.ones(1)

@@ -267,7 +267,7 @@ def filled(leaf: bytes, limit: int) -> bytes:
     return b"\x92\x08\xdc" + (blocks + rows).to_bytes(2, "big") + blocks * block + rows * row
 
 
-SMALL, LARGE = limits.MAX_FRAME_BYTES, limits.MAX_CONTROL_BYTES
+SMALL, LARGE = 64 * 1024, limits.MAX_CONTROL_BYTES
 BOMBS = {
     "arrays in arrays, each said to hold a million": b"\xdd\x00\x0f\xff\xff" * 2000,
     "as many as fit": b"\xdd\x00\x0f\xff\xff" * 200_000,
