@@ -69,13 +69,16 @@ def _object(session: Session, folder: Path, made: Made, states: dict[str, KeySta
 
 def _say_next(session: Session, folder: Path, made: Made, err: Console) -> None:
     private = folder / PRIVATE
-    say(err, f"to every machine of the session: {folder / PUBLIC}")
+    say(err, f"to machines that launch the session: {folder / PUBLIC}")
     say(
         err,
-        f"to the machine that runs NAME, and to no other: {private}/NAME{SUFFIX} (mode 0600; over a secure channel)",
+        f"to the machine that runs NAME, and to no other: {private}/NAME{SUFFIX} (mode 0600; over a secure channel), "
+        "with its bundle (manyhands invite)",
     )
     if made.new or made.renewed:
-        say(err, f"the public keys have changed: machines that have an older {PUBLIC} need this one")
+        say(
+            err, f"the public keys have changed: an older {PUBLIC} elsewhere, and older bundles, are of no use any more"
+        )
     for name in made.elsewhere:
         say(err, f"{name}: its private key is not here: on its own machine, or lost; then make it anew: --renew {name}")
     if made.stale:

@@ -7,9 +7,6 @@ drop is an error where it is made. SPEC.md states them, and a test compares the 
 
 from typing import Final
 
-MAX_FRAME_BYTES: Final = 64 * 1024
-"""Longest signal frame, bytes. A signal of :data:`MAX_PORTS` values needs 2071."""
-
 MAX_CONTROL_BYTES: Final = 1024 * 1024
 """Longest frame of any kind, bytes.
 
@@ -30,6 +27,9 @@ MAX_ENDPOINT: Final = 256
 
 MAX_ENTRIES: Final = 2048
 """Most entries of one mapping (endpoints, figures, counts, traces)."""
+
+MAX_CONTAINERS: Final = 5000
+"""Most arrays and maps in one frame: empty ones cost a hundred times their length. A report of all maps needs 4100."""
 
 MAX_TRACE_SIDE: Final = MAX_CONTROL_BYTES // 8
 """Most rows, and most columns, of one trace; the frame's length bounds their product."""
@@ -52,7 +52,13 @@ LINK_QUEUE_FRAMES: Final = 256
 ZeroMQ learns of what was read only now and then: half as many are sure to find room."""
 
 HUB_QUEUE_FRAMES: Final = 1000
-"""The same between a node and the supervisor, where the reader is a slower one."""
+"""The same at a node, towards the supervisor, where the reader is a slower one."""
+
+HUB_INBOX_FRAMES: Final = 64
+"""The same at the hub, from one member: of those it may have thousands, and a frame may be a mebibyte."""
+
+DEAF_BYTES: Final = 1024
+"""Longest frame that an end takes which only speaks, bytes: room for the handshake; it reads none, and keeps one."""
 
 MAX_STRAY_FRAMES: Final = 512
 """Frames that a loop reads from one link without admitting one, while it waits for the signal of one tick.

@@ -136,6 +136,24 @@ class Transport(Protocol):
         """
         ...
 
+    def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        """A link on which this end speaks and is never spoken to: as :meth:`bind`, but for a peer that comes and goes.
+
+        To receive on it raises TransportError, and what a peer writes to it nevertheless is neither read nor kept.
+
+        Raises:
+            TransportError: as :meth:`bind`.
+        """
+        ...
+
+    def connect_outlet(self, endpoint: str, peer: str) -> Link:
+        """The other end of an outlet that ``peer`` has bound; to send on it raises TransportError.
+
+        Raises:
+            TransportError: as :meth:`connect`.
+        """
+        ...
+
     def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
         """A hub that ``members`` may join, and the endpoint to tell them. ``name`` is used once.
 

@@ -24,6 +24,7 @@ from zmq.utils import z85
 
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import DOOR_BURST, DOOR_SHUT_MS, HANDSHAKE_MS
+from manyhands.protocol.transport.monitor import close_monitor, monitor_of
 
 
 class Refused(StrEnum):
@@ -84,14 +85,9 @@ class _Door:
     _WINDOW: Final = 100_000_000  # ns, in which DOOR_BURST counts
     _ROOM: Final = 4 * DOOR_BURST  # connections open at a time, which are file descriptors of this process
 
-    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", socket: "zmq.Socket[bytes]", admits: int) -> None:
+    def __init__(self, socket: "zmq.Socket[bytes]", admits: int) -> None:
         self._socket, self._admits = socket, admits
-        address = f"inproc://door-{id(self)}"
-        socket.monitor(address, self._EVENTS)
-        self.monitor = context.socket(zmq.PAIR)
-        # ZeroMQ's own thread writes here and would wait for room, with every connection of the process
-        self.monitor.setsockopt(zmq.RCVHWM, 0)
-        self.monitor.connect(address)
+        self.monitor = monitor_of(socket, self._EVENTS)
         self._listener: int | None = None
         self._open: dict[int, bool] = {}  # connections by descriptor, the newest last: whether they are established
         self._window, self._came = 0, 0  # monotonic ns, and connections opened since
@@ -193,9 +189,7 @@ class _Door:
         return True
 
     def close(self) -> None:
-        if not self._socket.closed:
-            self._socket.disable_monitor()  # before its other end closes: ZeroMQ says goodbye to it
-        self.monitor.close(linger=0)
+        close_monitor(self._socket, self.monitor)
 
 
 _SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h
@@ -216,7 +210,7 @@ class Doorkeeper:
         self, context: "zmq.Context[zmq.Socket[bytes]]", ring: KeyRing, now: Callable[[], int] = time.monotonic_ns
     ) -> None:
         """To be made before any socket of ``context`` is bound; ``now``: monotonic ns."""
-        self._context, self._ring, self._now = context, ring, now
+        self._ring, self._now = ring, now
         self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[_Door] = []
@@ -244,7 +238,7 @@ class Doorkeeper:
         socket.setsockopt(zmq.CURVE_SECRETKEY, self._ring.pair.secret.encode("ascii"))
         socket.setsockopt_string(zmq.ZAP_DOMAIN, domain)
         socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
-        self._doors.append(_Door(self._context, socket, len(admits)))
+        self._doors.append(_Door(socket, len(admits)))
 
     def introduce(self, socket: "zmq.Socket[bytes]", peer: str) -> None:
         """Make ``socket``, which is to be connected, prove our key and ask for ``peer``'s.

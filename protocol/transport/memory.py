@@ -78,33 +78,39 @@ class _Mailbox:
 
 
 class _Boxes:
-    """The mailboxes of one endpoint: its own, and one for each peer that connected or joined, by identity."""
+    """The mailboxes of one endpoint: its own, and one for each peer that connected or joined.
+
+    Attributes:
+        own: of the bound end.
+        peers: of those who have an identity, by it.
+        all: those of peers that were forgotten among them.
+    """
 
     def __init__(self, limit: int) -> None:
         self.own = _Mailbox(limit)
         self.peers: dict[str, _Mailbox] = {}
+        self.all = [self.own]
 
     def close(self) -> None:
-        for box in (self.own, *self.peers.values()):
+        for box in self.all:
             box.close()
 
 
 class MemoryLink:
     """One end of a link; ``identity`` names this end to the other."""
 
-    def __init__(self, boxes: _Boxes, identity: str | None) -> None:
-        self._boxes = boxes
+    def __init__(
+        self, boxes: _Boxes, inbox: _Mailbox, identity: str | None, sends: bool = True, receives: bool = True
+    ) -> None:
+        self._boxes, self._inbox = boxes, inbox
+        self._sends, self._receives = sends, receives
         self._identity = identity  # None: the bound end
-
-    @property
-    def _inbox(self) -> _Mailbox:
-        return self._boxes.own if self._identity is None else self._boxes.peers[self._identity]
 
     def send(self, frame: bytes) -> bool:
         """Queue a frame; see :class:`~manyhands.protocol.transport.Link`."""
         require_sendable(frame)
-        if self._inbox.closed:
-            raise TransportError("cannot send on a link: it is closed")
+        if self._inbox.closed or not self._sends:
+            raise TransportError(f"cannot send on a link: it is {'closed' if self._sends else 'for receiving'}")
         if self._identity is not None:
             return self._boxes.own.put(self._identity, frame)
         peer = self._boxes.peers.get(_PEER)
@@ -112,6 +118,8 @@ class MemoryLink:
 
     def recv(self, timeout: Duration | None) -> bytes | None:
         """The next frame; see :class:`~manyhands.protocol.transport.Link`."""
+        if not self._receives:
+            raise TransportError("cannot receive from a link: it is for sending")
         item = self._inbox.take()
         if item is None and milliseconds(timeout) != 0:
             self._inbox.wait(timeout)
@@ -179,11 +187,20 @@ class MemoryTransport:
     def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link to connect to; see :class:`~manyhands.protocol.transport.Transport`."""
         boxes, endpoint = self._bind(name, LINK_QUEUE_FRAMES)
-        return MemoryLink(boxes, None), endpoint
+        return MemoryLink(boxes, boxes.own, None), endpoint
 
     def connect(self, endpoint: str, peer: str) -> Link:
         """The other end of a bound link; see :class:`~manyhands.protocol.transport.Transport`."""
         return self._enter(endpoint, _PEER, LINK_QUEUE_FRAMES)
+
+    def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        """A link one way; see :class:`~manyhands.protocol.transport.Transport`."""
+        boxes, endpoint = self._bind(name, LINK_QUEUE_FRAMES)
+        return MemoryLink(boxes, boxes.own, None, receives=False), endpoint
+
+    def connect_outlet(self, endpoint: str, peer: str) -> Link:
+        """Its other end; see :class:`~manyhands.protocol.transport.Transport`."""
+        return self._enter(endpoint, _PEER, LINK_QUEUE_FRAMES, outlet=True)
 
     def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
         """A hub to join; see :class:`~manyhands.protocol.transport.Transport`."""
@@ -222,16 +239,18 @@ class MemoryTransport:
             boxes = self._endpoints[endpoint] = _Boxes(limit)
         return boxes, endpoint
 
-    def _enter(self, endpoint: str, identity: str, limit: int) -> Link:
+    def _enter(self, endpoint: str, identity: str, limit: int, outlet: bool = False) -> Link:
         with self._lock:
             self._require_open()
             boxes = self._endpoints.get(endpoint)
             if boxes is None:
                 raise TransportError(f"found the endpoint {endpoint!r:.300}; expected one that was bound here")
-            if identity in boxes.peers:
+            there = boxes.peers.get(identity)
+            if there is not None and not (outlet and there.closed):
                 raise TransportError(f"found {identity} at {endpoint} already; expected it once")
-            boxes.peers[identity] = _Mailbox(limit)
-        return MemoryLink(boxes, identity)
+            inbox = boxes.peers[identity] = _Mailbox(limit)
+            boxes.all.append(inbox)
+        return MemoryLink(boxes, inbox, identity, sends=not outlet)
 
     def _require_open(self) -> None:
         if self._closed:

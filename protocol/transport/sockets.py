@@ -19,6 +19,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINGER_MS
 from manyhands.protocol.transport import TransportError, Trouble, milliseconds, require_name, require_sendable
 from manyhands.protocol.transport.doorkeeper import Doorkeeper
+from manyhands.protocol.transport.monitor import close_monitor, monitor_of
 
 HUB_DROPS: Final = (
     "not_a_frame",  # not one frame from somebody with a proper name
@@ -34,7 +35,7 @@ class ZmqLink:
         """Take over ``socket``; ``watched``: its connection's fate is wanted (before it connects)."""
         self._socket, self._door = socket, door
         self._timeout_ms = -1  # ZeroMQ's default of RCVTIMEO
-        self._monitor = socket.get_monitor_socket(_FATES) if watched else None
+        self._monitor = monitor_of(socket, _FATES) if watched else None
         self._trouble: Trouble | None = None
 
     def send(self, frame: bytes) -> bool:
@@ -62,6 +63,8 @@ class ZmqLink:
                 self._timeout_ms = wait_ms
             return self._socket.recv()
         except zmq.Again:
+            if wait_ms and door is not None:  # in vain: the peer may have lost its connection and be at the door
+                door.attend()
             return None
         except zmq.ZMQError as error:
             raise failed("receive from a link", error) from error
@@ -92,9 +95,8 @@ class ZmqLink:
 
     def close(self) -> None:
         """Close this end."""
-        if self._monitor is not None and not self._socket.closed:
-            self._socket.disable_monitor()
-            self._monitor.close(linger=0)
+        if self._monitor is not None:
+            close_monitor(self._socket, self._monitor)
         self._socket.close(linger=LINGER_MS)
 
 
@@ -112,8 +114,8 @@ _DROPS_AT_ONCE: Final = 32  # then the caller is asked again: a flood must not k
 class ZmqHub:
     """A ROUTER socket.
 
-    Without keys a node is who it says it is. With keys its name is that of the key which its connection has proved,
-    and the first connection of a name keeps it until :meth:`forget`.
+    Without keys a node is who it says it is, and ZeroMQ leaves the name to the first connection while that lasts. With
+    keys its name is that of the key which its connection has proved, and the first keeps it until :meth:`forget`.
 
     Attributes:
         dropped: messages not passed on, by reason; the keys are :data:`HUB_DROPS`.
@@ -145,7 +147,7 @@ class ZmqHub:
                 continue
             if len(parts) != 2:
                 self.dropped["not_a_frame"] += 1
-            elif self._routes.setdefault(name, route) != route:
+            elif self._door is not None and self._routes.setdefault(name, route) != route:
                 self.dropped["second_route"] += 1
             else:
                 return name, parts[1].bytes
@@ -155,7 +157,8 @@ class ZmqHub:
         """Queue a frame for a node; see :class:`~manyhands.protocol.transport.Hub`."""
         require_name(identity)
         require_sendable(frame)
-        route = self._routes.get(identity, b"\x00")  # nobody's: ZeroMQ makes up longer ones, a name has no zero
+        # with keys, of somebody unheard of: nobody's, for ZeroMQ makes up longer ones
+        route = identity.encode("ascii") if self._door is None else self._routes.get(identity, b"\x00")
         try:
             self._socket.send_multipart([route, frame], zmq.NOBLOCK)
         except zmq.Again:

@@ -12,7 +12,9 @@ import zmq
 
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import (
+    DEAF_BYTES,
     HEARTBEAT_MS,
+    HUB_INBOX_FRAMES,
     HUB_QUEUE_FRAMES,
     LINGER_MS,
     LINK_QUEUE_FRAMES,
@@ -85,9 +87,27 @@ class ZmqTransport:
         self._connect(socket, endpoint, peer)
         return self._link(socket)
 
+    def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        """A link to ``peer`` alone, one way; see :class:`~manyhands.protocol.transport.Transport`.
+
+        A PUSH socket, for a PAIR whose peer has left does not notice before it is used, and is mute to the next one.
+        """
+        socket = self._socket(zmq.PUSH, LINK_QUEUE_FRAMES)
+        socket.setsockopt(zmq.RCVHWM, 1)  # nobody reads here
+        socket.setsockopt(zmq.MAXMSGSIZE, DEAF_BYTES)
+        endpoint = self._bind(socket, name, (peer,), address)
+        return self._link(socket), endpoint
+
+    def connect_outlet(self, endpoint: str, peer: str) -> Link:
+        """The other end of an outlet; see :class:`~manyhands.protocol.transport.Transport`."""
+        socket = self._socket(zmq.PULL, LINK_QUEUE_FRAMES)
+        self._connect(socket, endpoint, peer)
+        return self._link(socket)
+
     def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
         """A hub for ``members`` to join; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.ROUTER, HUB_QUEUE_FRAMES)
+        socket.setsockopt(zmq.RCVHWM, HUB_INBOX_FRAMES)
         socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # otherwise a frame for an unknown identity vanishes in silence
         endpoint = self._bind(socket, name, members, address)
         return ZmqHub(socket, self._door), endpoint

@@ -479,7 +479,7 @@ def test_the_command_tells_who_got_what(folder: Path) -> None:
     assert "s: keys" in out
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
     assert rows == [[name, role.value, "new"] for name, role in roster(TWO).items()]
-    assert f"to every machine of the session: {folder}/public.json\n" in err
+    assert f"to machines that launch the session: {folder}/public.json\n" in err
     assert f"{folder}/private/NAME.key" in err
     assert "the public keys have changed" in err
     key(folder, "cdx").unlink()

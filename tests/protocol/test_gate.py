@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS, ROUNDING, Bounds, Gate
-from manyhands.protocol.limits import MAX_COUNT, MAX_FRAME_BYTES
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
 from manyhands.protocol.signal_head import LONGEST, read_head, type_of
 
@@ -79,7 +79,7 @@ REFUSED = [
     (SHORT[:-1], "malformed"),
     (SHORT + b"\x00", "malformed"),
     (usual(TICK, *range(20)), "malformed"),  # longer than two values can be
-    (encode(Sample(TICK, 0, PAIR)) + bytes(MAX_FRAME_BYTES), "malformed"),
+    (encode(Sample(TICK, 0, PAIR)) + bytes(MAX_CONTROL_BYTES), "malformed"),
     (encode(Tool(TICK, 0, PAIR)), "wrong_kind"),
     (usual(TICK, math.nan, 2.0, number=17), "wrong_kind"),
     (encode(Ready()), "wrong_kind"),
@@ -160,7 +160,7 @@ def signals(draw: st.DrawFn) -> bytes:
 def test_a_gate_and_the_codec_agree_on_what_a_signal_is(frame: bytes) -> None:
     gate = Gate(Sample, 2)
     admitted = gate.admit(frame, TICK)
-    message = decode(frame, MAX_FRAME_BYTES)
+    message = decode(frame, MAX_CONTROL_BYTES)
     awaited = isinstance(message, Sample) and message.values.size == 2 and message.tick == TICK
     assert (admitted is not None) == awaited
     if isinstance(message, Sample) and admitted is not None:
@@ -185,7 +185,7 @@ def test_every_byte_of_the_usual_head_replaced(at: int) -> None:
     frame = usual(TICK, 1.0, 2.0, stamp=5)
     for byte in range(256):
         changed = frame[:at] + bytes([byte]) + frame[at + 1 :]
-        message = decode(changed, MAX_FRAME_BYTES)
+        message = decode(changed, MAX_CONTROL_BYTES)
         admitted = Gate(Sample, 2).admit(changed, TICK)
         assert (admitted is not None) == (isinstance(message, Sample) and message.tick == TICK)
 

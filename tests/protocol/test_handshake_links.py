@@ -17,7 +17,7 @@ from manyhands.protocol.handshake import (
     LinkHandshake,
     shake_hands,
 )
-from manyhands.protocol.limits import MAX_FRAME_BYTES
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Role, Tool
 from manyhands.protocol.transport import Link
 
@@ -68,7 +68,7 @@ def test_an_established_link_carries_signals_at_once(ends: "Ends") -> None:
     assert connected.send(encode(signal))
     frame = bound.recv(None)
     assert frame is not None
-    assert decode(frame, MAX_FRAME_BYTES) == signal
+    assert decode(frame, MAX_CONTROL_BYTES) == signal
 
 
 @pytest.mark.parametrize(
@@ -189,6 +189,6 @@ def test_a_refusal_leaves_though_the_process_ends_at_once(ends: "Ends") -> None:
         ended.result()
     frame = connected.recv(None)
     assert frame is not None
-    unfit.receive(decode(frame, MAX_FRAME_BYTES))
+    unfit.receive(decode(frame, MAX_CONTROL_BYTES))
     assert unfit.refusal is not None
     assert "found the certificate bad1dea; expected c0ffee" in unfit.refusal

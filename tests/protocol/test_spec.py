@@ -2,34 +2,29 @@
 
 import dataclasses
 import re
-from pathlib import Path
 from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
 
-import manyhands.protocol
 from manyhands.protocol import limits, messages
+from manyhands.protocol.admission import Expected, check_link_hello, check_node_hello
 from manyhands.protocol.channels import CHANNELS
+from manyhands.protocol.clock_offset import Exchange
 from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS
-from manyhands.protocol.messages import PROTOCOL_VERSION, RefusalCode, Role, Telemetry
+from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
+from manyhands.protocol.transport.doorkeeper import Refused
 
-SPEC = (Path(manyhands.protocol.__file__).parent / "SPEC.md").read_text(encoding="utf-8")
+from .spec_text import SPEC, table
+
 NAMESPACE = {kind.__name__: kind for kind in LAYOUTS} | {"Role": Role, "array": np.array}
 EXAMPLES = [
     (eval(message, dict(NAMESPACE)), bytes.fromhex(frame))
     for message, frame in re.findall(r"^\| `([A-Z].*?)` \| `([0-9a-f ]+)` \|$", SPEC, re.MULTILINE)
 ]
-
-
-def table(header: str) -> list[list[str]]:
-    """The cells of the table that begins with ``header``, without the backticks."""
-    below = SPEC.split(header + "\n")[1].split("\n")[1:]
-    rows = below[: next(i for i, line in enumerate(below) if not line.startswith("|"))]
-    return [[cell.strip().strip("`") for cell in row.strip("|").split("|")] for row in rows]
 
 
 @pytest.mark.parametrize(("message", "frame"), EXAMPLES, ids=[type(message).__name__ for message, _ in EXAMPLES])
@@ -96,10 +91,67 @@ def test_limits() -> None:
     assert {row[0]: int(row[1]) for row in table("| limit | value | of |")} == expected
 
 
-def test_what_is_dropped() -> None:
-    assert {row[0] for row in table("| count | is |")} == set(DROP_REASONS)
+def test_what_is_dropped_in_the_order_in_which_it_is_seen() -> None:
+    assert [row[0] for row in table("| count | is |")] == list(DROP_REASONS)
 
 
 def test_messages_that_are_declared_can_be_sent() -> None:
     declared = {kind for kind in vars(messages).values() if dataclasses.is_dataclass(kind)} - {messages.Signal}
     assert declared == set(LAYOUTS)
+
+
+def test_enumerations() -> None:
+    assert table("| role | bytes | is |")
+    for choices, header in ((Role, "| role | bytes | is |"), (RefusalCode, "| code | bytes | refuses a hello for |")):
+        rows = table(header)
+        assert [row[0] for row in rows] == list(choices)
+        assert [bytes.fromhex(row[1]) for row in rows] == [msgpack.packb(choice.value) for choice in choices]
+
+
+def test_of_several_codes_the_first() -> None:
+    """A hello that is wrong in every way, put right one thing after the other."""
+    right = NodeHello(PROTOCOL_VERSION, "id", "s", "dx", Role.DEVICE, 1, {})
+    wrong = NodeHello(PROTOCOL_VERSION + 1, "other", "t", "dz", Role.OBSERVER, 1, {"cx": "ipc:///x"})
+    found = []
+    for field in ("version", "certificate", "session", "name", "role", "endpoints"):
+        refusal = check_node_hello(wrong, "id", "s", {"dx": Role.DEVICE}, "dx")
+        assert refusal is not None
+        found.append(refusal.code)
+        wrong = dataclasses.replace(wrong, **{field: getattr(right, field)})
+    own = LinkHello(PROTOCOL_VERSION, "id", "s", "environment", Role.ENVIRONMENT, ("p",))
+    good = LinkHello(PROTOCOL_VERSION, "id", "s", "cx", Role.COUPLING, ("p",), ((0.5,),))
+    bad = LinkHello(PROTOCOL_VERSION + 1, "other", "t", "cz", Role.DEVICE, ("q",), None)
+    on_links = []
+    for field in ("version", "certificate", "session", "name", "role", "ports", "feedthrough"):
+        refusal = check_link_hello(bad, own, Expected("cx", Role.COUPLING, ("p",)))
+        assert refusal is not None
+        on_links.append(refusal.code)
+        bad = dataclasses.replace(bad, **{field: getattr(good, field)})
+    codes = [row[0] for row in table("| code | bytes | refuses a hello for |")]
+    for order in (found, on_links):
+        assert order == sorted(order, key=codes.index)
+    assert {*found, *on_links, RefusalCode.MALFORMED} == set(codes)
+
+
+def test_what_is_counted_at_a_door() -> None:
+    assert [row[0] for row in table("| count at a door | is |")] == list(Refused)
+
+
+def test_what_is_said_to_be_new_is_there() -> None:
+    new = SPEC.split("Version 2, against version 1:")[1]
+    for name, number in re.findall(r"(\w+) \((\d+)\)", new.split("the code")[0]):
+        if name != "section":
+            assert LAYOUTS[getattr(messages, name)][0] == int(number)
+    for name in re.findall(r"`(\w+)`", new):
+        assert name in {*Role, *CHANNELS, *RefusalCode, *DROP_REASONS}, name
+    for name in re.findall(r"\b[A-Z]{2,}(?:_[A-Z]+)+\b", new):
+        assert hasattr(limits, name), name
+
+
+def test_clock_offset() -> None:
+    formulas = re.findall(r"(offset|round trip) = (.*?)(?:   |\n)", SPEC)
+    assert [name for name, _ in formulas] == ["offset", "round trip"]
+    exchange = Exchange(sent=100, heard=1700, answered=1750, received=230)
+    stamps = dataclasses.asdict(exchange)
+    offset, round_trip = (eval(formula.replace("−", "-"), dict(stamps)) for _, formula in formulas)
+    assert (offset, round_trip) == (exchange.offset, exchange.round_trip)

@@ -98,6 +98,10 @@ class Recorder(MemoryTransport):
         self.bound[name] = peer
         return super().bind(name, peer, address)
 
+    def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        self.bound[name] = peer
+        return super().bind_outlet(name, peer, address)
+
 
 def test_who_listens_and_who_connects(prepared: Prepared) -> None:
     session = prepared.session
