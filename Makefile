@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign pictures benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood pictures benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,6 +30,16 @@ campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
 		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
 	done
+
+# coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md
+FUZZ_SECONDS ?= 600
+fuzz: $(VENV)/.installed
+	$(BIN)/pip install --quiet 'atheris>=2.3'
+	$(BIN)/python tests/fuzz/run.py $(FUZZ_SECONDS)
+
+# what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
+flood: $(VENV)/.installed
+	$(BIN)/python benchmarks/flood.py --json docs/flood.json
 
 # what docs/images/ shows of the design; the linear couplings' search takes about half a minute
 pictures: $(VENV)/.installed
