@@ -1,0 +1,80 @@
+"""What an observer is told: the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.audience import Audience, visible
+from manyhands.launch.reach import IPC
+from manyhands.launch.session import Session, load_session
+from manyhands.launch.topology import topology
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.codec import decode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Observation, Telemetry
+from manyhands.protocol.transport.memory import MemoryTransport
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+X, F, P = (np.arange(4.0).reshape(4, 1) + offset for offset in (0.0, 10.0, 20.0))
+OF_DEVICE = Telemetry(7, {"speed": 0.5, "late": 1.0}, {"x": X, "f_v": F})
+OF_COUPLING = Telemetry(8, {"ledger": 0.1}, {"p": P, "f_v": F})
+
+
+def session(observers: str) -> Session:
+    return load_session(SESSIONS / "example1.yaml", [f"observers={observers}"])
+
+
+@pytest.mark.parametrize(
+    ("telemetry", "channels", "figures", "traces"),
+    [
+        (OF_DEVICE, ("telemetry",), OF_DEVICE.figures, {}),
+        (OF_DEVICE, ("sample",), {}, {"x": X}),
+        (OF_DEVICE, ("force",), {}, {"f_v": F}),
+        (OF_DEVICE, ("sample", "force", "telemetry"), OF_DEVICE.figures, {"x": X, "f_v": F}),
+        (OF_COUPLING, ("tool",), {}, {"p": P}),
+        (OF_COUPLING, ("reaction",), {}, {"f_v": F}),
+    ],
+)
+def test_only_what_may_be_read_is_visible(
+    telemetry: Telemetry, channels: tuple[str, ...], figures: dict[str, float], traces: dict[str, np.ndarray]
+) -> None:
+    assert visible("n", telemetry, channels) == Observation("n", telemetry.tick, figures, traces)
+
+
+def test_nothing_is_said_where_nothing_may_be_read() -> None:
+    assert visible("dx", OF_DEVICE, ()) is None
+    assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
+
+
+def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
+    told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
+    audience, transport = Audience(told), MemoryTransport()
+    endpoints = audience.serve(transport, IPC, topology(told))
+    links = {name: transport.connect_outlet(endpoint, "supervisor") for name, endpoint in endpoints.items()}
+    audience.tell("dx", OF_DEVICE)
+    heard = {name: link.recv(Duration(0)) for name, link in links.items()}
+    transport.close()
+    assert heard.pop("other") is None
+    assert {name: decode(frame or b"", MAX_CONTROL_BYTES) for name, frame in heard.items()} == {
+        "watch": Observation("dx", 7, OF_DEVICE.figures, {}),
+        "scope": Observation("dx", 7, {}, {"x": X}),
+    }
+    assert audience.wants_traces
+
+
+def test_telemetry_alone_needs_no_traces() -> None:
+    assert not Audience(session("{watch: {reads: [telemetry, dx/telemetry]}}")).wants_traces
+    assert not Audience(session("{}")).wants_traces
+
+
+def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
+    told = session("{watch: {reads: [telemetry]}}")
+    audience, transport = Audience(told), MemoryTransport()
+    audience.serve(transport, IPC, topology(told))
+    for _ in range(3):
+        audience.tell("dx", OF_DEVICE)
+    transport.close()
+    assert audience.missed == 3

@@ -1,0 +1,178 @@
+"""The commands about who may take part: what they refuse, in which words, and what they leave."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from manyhands.launch.cli import app
+from manyhands.launch.keys import make_keys
+from manyhands.launch.session import load_session
+from manyhands.nodes import bundle as bundle_files
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, ObserverBundle
+from manyhands.protocol.messages import Role
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+WATCH = "observers={watch: {reads: [telemetry]}}"
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def manyhands_command(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session's keys and certificate."""
+    made = tmp_path_factory.mktemp("network")
+    make_keys(load_session(SESSIONS / "example1.yaml", [WATCH]), made / "keys")
+    done = manyhands_command("design", "example1.yaml", "-o", made / "c.json")
+    assert done.exit_code == 0, done.stderr
+    return made
+
+
+def invited(folder: Path, node: str, *more: object) -> Result:
+    return manyhands_command(
+        "invite", "example1.yaml", node, "--set", WATCH, "--keys", folder / "keys",
+        "--certificate", folder / "c.json", "-o", folder / f"{node}.bundle", *more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["graph", "keys", "invite", "node", "launch"])
+def test_help_ends_with_an_example(command: str) -> None:
+    done = manyhands_command(command, "--help")
+    assert done.exit_code == 0
+    lines = " ".join(done.stdout.split())
+    assert re.search(rf"Example: manyhands {command} \S+", lines)
+
+
+def test_an_invitation_is_one_nodes_part_and_its_owners_alone(folder: Path) -> None:
+    done = invited(folder, "dx")
+    assert done.exit_code == 0, done.stderr
+    path = folder / "dx.bundle"
+    assert f"{path}: the bundle of dx, under the certificate " in done.stderr
+    assert "on its machine: manyhands node dx --session dx.bundle --key dx.key --connect tcp://HOST:PORT" in done.stderr
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    bundle = bundle_files.load(path, DeviceBundle)
+    assert bundle.common.role is Role.DEVICE
+    assert bundle.common.public.keys() == {"dx", "cx", "supervisor"}
+    assert (bundle.common.private, bundle.common.directory, bundle.common.control) == ("", "", "")
+
+
+def test_a_second_invitation_takes_the_place_of_the_first(folder: Path) -> None:
+    for clock in ("simulated", "realtime"):
+        assert invited(folder, "cy", "--clock", clock).exit_code == 0
+        assert bundle_files.load(folder / "cy.bundle", CouplingBundle).common.clock == clock
+
+
+def test_an_observers_invitation_holds_nothing_of_the_session(folder: Path) -> None:
+    assert invited(folder, "watch").exit_code == 0
+    data = json.loads((folder / "watch.bundle").read_text())
+    assert data.keys() == {"common"}
+    common = bundle_files.load(folder / "watch.bundle", ObserverBundle).common
+    assert (common.role, common.ports, common.peers) == (Role.OBSERVER, (), ())
+    assert common.public.keys() == {"watch", "supervisor"}
+
+
+def test_invitations_that_cannot_be(folder: Path) -> None:
+    stranger = invited(folder, "dw")
+    assert (stranger.exit_code, stranger.stdout) == (2, "")
+    assert "found no node or observer 'dw'; expected one of dx, dy, dz" in stranger.stderr
+    base = ("invite", "example1.yaml", "dx", "-o", folder / "x.bundle")
+    for arguments, found in (
+        (("--certificate", folder / "c.json"), "found neither --keys nor --insecure, or both"),
+        (("--certificate", folder / "c.json", "--keys", folder / "keys", "--insecure"), "or both"),
+        (("--keys", folder / "keys"), "found no --certificate"),
+        (("--insecure", "--certificate", folder / "c.json", "--clock", "sundial"), "--clock: found 'sundial'"),
+    ):
+        done = manyhands_command(*base, *arguments)
+        assert done.exit_code == 2, done.stderr
+        assert found in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert not (folder / "x.bundle").exists()
+
+
+def test_an_invitation_needs_a_folder_that_exists(folder: Path) -> None:
+    done = manyhands_command(
+        "invite", "example1.yaml", "dx", "--insecure", "--certificate", folder / "c.json", "-o", folder / "no" / "x"
+    )
+    assert done.exit_code == 2
+    assert "found no folder" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("--listen", "127.0.0.1:7400"), "--transport: found ipc; expected tcp"),
+        (("--insecure",), "--transport: found ipc; expected tcp"),
+        (("--transport", "tcp", "--listen", "0.0.0.0:7400"), "found 0.0.0.0; expected the one address"),
+        (("--transport", "tcp", "--remote", "dx"), "--remote: found no --listen"),
+        (("--transport", "tcp", "--remote", "dx", "--listen", "127.0.0.1:7400"), "--remote: found no --keys"),
+        (("--transport", "udp"), "--transport: found 'udp'; expected ipc or tcp"),
+    ],
+)
+def test_launches_that_cannot_be(arguments: tuple[str, ...], found: str) -> None:
+    done = manyhands_command("launch", "example1.yaml", "--duration", "1", *arguments)
+    assert done.exit_code == 2
+    assert found in done.stderr
+    assert (done.stderr.count("\n"), done.stdout) == (1, "")
+
+
+def test_keys_of_another_session_are_refused(folder: Path) -> None:
+    done = manyhands_command("launch", "example2.yaml", "--transport", "tcp", "--keys", folder / "keys")
+    assert done.exit_code == 2
+    assert "found the keys of session 'example-1'; expected those of 'example-2'" in done.stderr
+
+
+def test_plain_tcp_says_so(folder: Path) -> None:
+    done = manyhands_command(
+        "launch", "example1.yaml", "--certificate", folder / "c.json", "--duration", "0.01", "--clock", "simulated",
+        "--transport", "tcp", "--insecure",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    assert "warning: --insecure: nothing is encrypted and nobody proves who they are" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("dy", "--session", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "found the bundle of dx; expected"),
+        (("dx", "--session", "{}/none.bundle", "--connect", "tcp://127.0.0.1:1"), "none.bundle"),
+        (("dx", "--session", "{}/c.json", "--connect", "tcp://127.0.0.1:1"), "c.json: not a bundle"),
+        (("dx", "--session", "{}/dx.bundle", "--connect", "localhost"), "--connect: found 'localhost'; expected tcp://HOST:PORT"),
+        (("dx", "--session", "{}/dx.bundle", "--connect", "ipc:///x"), "for this bundle has keys"),
+        (("dx", "--session", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "dx.key"),
+        (
+            ("dx", "--session", "{}/dx.bundle", "--key", "{}/keys/private/dy.key", "--connect", "tcp://127.0.0.1:1"),
+            "dy.key",
+        ),
+    ],
+)  # fmt: skip
+def test_nodes_that_cannot_join(arguments: tuple[str, ...], found: str, folder: Path) -> None:
+    """In a process of its own, for a node takes over the signals."""
+    invited(folder, "dx")
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "manyhands", "node", *(a.format(folder) for a in arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert found in done.stderr
+    assert (done.stderr.count("\n"), done.stdout) == (1, "")

@@ -1,0 +1,109 @@
+"""How a run's processes reach each other: what goes together, where is listened, and who gets which public keys."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from manyhands.launch.access import peers
+from manyhands.launch.keys import ephemeral, roster
+from manyhands.launch.reach import Listen, ReachError, reach
+from manyhands.launch.session import Session, load_session
+from manyhands.launch.topology import topology
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+OBSERVERS = "observers={watch: {reads: [telemetry]}}"
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return load_session(SESSIONS / "example1.yaml", [OBSERVERS])
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("7400", "found '7400'; expected HOST:PORT"),
+        (":7400", "expected HOST:PORT"),
+        ("192.0.2.7:", "expected HOST:PORT"),
+        ("192.0.2.7:0", "expected HOST:PORT"),
+        ("192.0.2.7:65536", "expected HOST:PORT"),
+        ("192.0.2.7:x", "expected HOST:PORT"),
+        ("host:7400", "found the host 'host'; expected an IPv4 address"),
+        ("::1:7400", "expected an IPv4 address"),
+        ("0.0.0.0:7400", "found 0.0.0.0; expected the one address that others reach this machine at"),
+    ],
+)
+def test_an_address_that_is_none_is_told(text: str, found: str) -> None:
+    with pytest.raises(ReachError) as error:
+        Listen.parse(text)
+    assert str(error.value).startswith("--listen: ")
+    assert found in str(error.value)
+
+
+def test_an_address() -> None:
+    assert Listen.parse("192.0.2.7:7400") == Listen("192.0.2.7", 7400)
+
+
+@pytest.mark.parametrize(
+    ("transport", "wishes", "found"),
+    [
+        ("ipc", {"insecure": True}, "--transport: found ipc; expected tcp"),
+        ("ipc", {"listen": Listen("127.0.0.1", 1)}, "--transport: found ipc; expected tcp"),
+        ("tcp", {"remote": frozenset({"dw"})}, "--remote: found 'dw'; expected one of"),
+        ("tcp", {"remote": frozenset({"dx"}), "insecure": True}, "--remote: found no --listen"),
+        (
+            "tcp",
+            {"remote": frozenset({"dx"}), "listen": Listen("127.0.0.1", 7400)},
+            "--remote: found no --keys",
+        ),
+        ("tcp", {"listen": Listen("127.0.0.1", 65530)}, "after which 7 more are used; expected at most 65528"),
+    ],
+)
+def test_wishes_that_do_not_go_together(session: Session, transport: str, wishes: dict[str, Any], found: str) -> None:
+    with pytest.raises(ReachError) as error:
+        reach(session, transport, **wishes)
+    assert found in str(error.value)
+
+
+def test_keys_and_no_encryption_do_not_go_together(session: Session) -> None:
+    with pytest.raises(ReachError, match="found both --insecure and --keys"):
+        reach(session, "tcp", insecure=True, keys=ephemeral(roster(session), session.name))
+
+
+def test_tcp_is_encrypted_unless_the_user_says_otherwise(session: Session) -> None:
+    assert reach(session, "tcp").ring() is not None
+    assert reach(session, "tcp", insecure=True).ring() is None
+    assert reach(session, "ipc").ring() is None
+
+
+def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
+    ways = reach(session, "tcp")
+    assert ways.keys is not None
+    for name, allowed in peers(session).items():
+        assert ways.public(name).keys() == {name, *allowed}
+        assert all(ways.keys.public.keys[other] == key for other, key in ways.public(name).items())
+    assert ways.public("dx").keys() == {"dx", "cx", "supervisor"}
+    assert ways.public("watch").keys() == {"watch", "supervisor"}
+
+
+def test_every_listener_has_a_port_of_its_own_and_only_what_is_remote_leaves_the_loopback(session: Session) -> None:
+    graph = topology(session)
+    listen = Listen("192.0.2.7", 7400)
+    ways = reach(session, "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))
+    links = [ways.address(graph, i) for i in range(len(graph.links))]
+    everything = [ways.hub_address(), *links, ways.observer_address(graph, 0)]
+    assert [int(address.rpartition(":")[2]) for address in everything] == list(range(7400, 7400 + len(everything)))
+    hosts = {link.connector: address.partition(":")[0] for link, address in zip(graph.links, links, strict=True)}
+    assert hosts.pop("dy") == "192.0.2.7"
+    assert set(hosts.values()) == {"127.0.0.1"}
+    assert ways.hub_address().startswith("192.0.2.7:")
+    assert ways.observer_address(graph, 0).startswith("192.0.2.7:")
+
+
+def test_without_a_port_any_will_do_and_ipc_needs_none(session: Session) -> None:
+    graph = topology(session)
+    assert reach(session, "tcp", insecure=True).address(graph, 0) == "127.0.0.1:*"
+    assert reach(session, "ipc").hub_address() == reach(session, "ipc").address(graph, 0) == ""
