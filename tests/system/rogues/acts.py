@@ -1,0 +1,221 @@
+"""A node that is not what it should be: run in an honest one's place, with its bundle and its real key.
+
+    python -m rogues.acts ACT BUNDLE SUPERVISOR_PID [LEAVES DONE]
+
+Each act is the honest node and something more, so that what it does wrong is all that differs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.life import Life
+from manyhands.nodes.process import key_ring, main
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Connect,
+    Echo,
+    Force,
+    LinkHello,
+    NodeHello,
+    Observation,
+    Ready,
+    Refusal,
+    Role,
+    Start,
+    Stop,
+    Telemetry,
+    Welcome,
+)
+from manyhands.protocol.transport import Link
+from manyhands.protocol.transport.zeromq import ZmqTransport
+
+from .links import Babbling, Flooding, Forceful, Lapsing, Oversized, Wrapped
+
+LEAVE: Final = 10
+"""Ticks that a held device does at each leave."""
+
+
+class Held:
+    """A driver that samples only by leave, so that a test knows what happens between which ticks.
+
+    Reads a byte for every :data:`LEAVE` ticks and writes one when they are done; the end of the file is leave for ever.
+    """
+
+    def __init__(self, driver: Driver, leaves: int, done: int) -> None:
+        self._driver, self._leaves, self._done = driver, leaves, done
+        self._free = False
+
+    @property
+    def axes(self) -> int:
+        return self._driver.axes
+
+    def sample(self, tick: int) -> NDArray[np.float64]:
+        if tick % LEAVE == 0 and not self._free:
+            if tick > 0:
+                os.write(self._done, b".")
+            self._free = os.read(self._leaves, 1) == b""
+        return self._driver.sample(tick)
+
+    def apply(self, f: NDArray[np.float64]) -> None:
+        self._driver.apply(f)
+
+    def release(self) -> None:
+        self._driver.release()
+
+    def idle(self) -> None:
+        self._driver.idle()
+
+    def intended_work(self) -> float:
+        return self._driver.intended_work()
+
+
+OUT_OF_TURN: Final = (
+    encode(NodeHello(PROTOCOL_VERSION, "0" * 64, "another", "dz", Role.DEVICE, 1, {})),
+    encode(Ready()),
+    encode(Welcome()),
+    encode(Refusal("name", "go away")),
+    encode(Connect({"cx": "tcp://127.0.0.1:1"})),
+    encode(Start(0, 1)),
+    encode(Stop("enough")),
+    encode(Echo(1, 2, 3)),
+    encode(Observation("dx", 1, {"speed": 1.0}, {})),
+    encode(Force(1, 1, np.array([1.0]))),
+    b"",
+    b"junk",
+    bytes([0x97, 2, 99]),  # a hello of another version, which breaks off
+    bytes(MAX_CONTROL_BYTES),
+)
+"""What no running node may say to its supervisor."""
+
+_COLUMN: Final = np.zeros((3, 1))
+MISFITS: Final = (
+    Telemetry(3, {}, {names.DISPLACEMENT: np.zeros((3, 2)), names.FORCE: np.zeros((3, 2))}),  # too wide
+    Telemetry(3, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: np.zeros((2, 1))}),  # of two lengths
+    Telemetry(2, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from before the first tick
+    Telemetry(2**62, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from long after the last
+)
+"""Telemetry of a device with one port that no recording can take."""
+
+
+class BabblingDevice(DeviceNode):
+    """Babbles towards its couplings and its supervisor."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        super().establish({name: Babbling(Oversized(link), bounded=True) for name, link in links.items()})
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        line = Wrapped(control._link)
+        for frame in (*OUT_OF_TURN, *map(encode, MISFITS)):
+            line.insist(frame)
+        super().loop(start, life, control)
+
+
+class BabblingCoupling(CouplingNode):
+    """Babbles towards its devices and the environment, which alone bounds what it admits of it."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        super().establish({name: Babbling(link, name == "environment") for name, link in links.items()})
+
+
+class BabblingEnvironment(EnvironmentNode):
+    """Babbles towards one coupling, the last."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        last = list(links)[-1]
+        super().establish({**links, last: Babbling(links[last], bounded=False)})
+
+
+class FloodingDevice(DeviceNode):
+    """Sends too much."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        super().establish({name: Flooding(link) for name, link in links.items()})
+
+
+class ForcefulCoupling(CouplingNode):
+    """Honest towards the environment, and not towards its devices."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        super().establish({name: link if name == "environment" else Forceful(link) for name, link in links.items()})
+
+
+class HalfwayDevice(DeviceNode):
+    """Says hello on its link, hears the answer, and never says that it is welcome."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        common = self._common
+        for peer in common.peers:
+            hello = LinkHello(
+                PROTOCOL_VERSION, common.certificate, common.session, common.name, common.role, peer.ports
+            )
+            links[peer.name].send(encode(hello))
+            links[peer.name].recv(None)
+            links[peer.name].recv(None)  # until it is told to end
+
+
+class HurriedCoupling(CouplingNode):
+    """Gives its devices no time after their first frame."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        super().establish({name: link if name == "environment" else Lapsing(link) for name, link in links.items()})
+
+
+def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
+    """Say a hello that is a lie; returns 0 if the supervisor refuses it."""
+    common = load(Path(sys.argv[1]), ObserverBundle).common  # of whatever role
+    transport = ZmqTransport.tcp(key_ring(common, Path(common.private)))
+    try:
+        hello = NodeHello(
+            PROTOCOL_VERSION, common.certificate, common.session, common.name, common.role, os.getpid(), {}
+        )
+        line = transport.join(common.control, common.name)
+        line.send(encode(lie(hello)))
+        answer = line.recv(None)
+        return 0 if answer is not None and isinstance(decode(answer, MAX_CONTROL_BYTES), Refusal) else 1
+    finally:
+        transport.close()
+
+
+def held() -> int:
+    """An honest device in a test's hand."""
+    done, leaves = int(sys.argv.pop()), int(sys.argv.pop())
+    return main(DeviceBundle, lambda bundle: DeviceNode(bundle, Held(simulated_driver(bundle), leaves, done)))
+
+
+ACTS: Final[Mapping[str, Callable[[], int]]] = {
+    "held": held,
+    "babbling device": lambda: main(DeviceBundle, lambda b: BabblingDevice(b, simulated_driver(b))),
+    "babbling coupling": lambda: main(CouplingBundle, BabblingCoupling),
+    "babbling environment": lambda: main(EnvironmentBundle, BabblingEnvironment),
+    "flooding device": lambda: main(DeviceBundle, lambda b: FloodingDevice(b, simulated_driver(b))),
+    "forceful coupling": lambda: main(CouplingBundle, ForcefulCoupling),
+    "halfway device": lambda: main(DeviceBundle, lambda b: HalfwayDevice(b, simulated_driver(b))),
+    "hurried coupling": lambda: main(CouplingBundle, HurriedCoupling),
+    "under another's name": lambda: impostor(lambda hello: replace(hello, name="dz")),
+    "with another's link": lambda: impostor(
+        lambda hello: replace(hello, endpoints=dict.fromkeys(("dy", "dz"), "tcp://127.0.0.1:1"))
+    ),
+}
+
+if __name__ == "__main__":
+    act = sys.argv.pop(1)
+    sys.exit(ACTS[act]())

@@ -1,0 +1,250 @@
+"""Runs of a session with rogues in it or around it, and what became of them.
+
+The session is Example 1 with limits and an observer, over keyed TCP under the simulated clock: real processes, sockets
+and keys, and values that are the same to the last bit whenever nothing has moved them.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from manyhands.launch import supervisor as supervisor_module
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.conductor import Conductor, Instruction, Phase
+from manyhands.launch.keys import Keys, ephemeral, roster
+from manyhands.launch.outcome import Outcome, Progress
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import reach
+from manyhands.launch.session import load_session
+from manyhands.launch.supervisor import Supervisor
+from manyhands.nodes.bundle import Bundle
+from manyhands.protocol.codec import Received
+from manyhands.protocol.messages import NodeHello
+
+from .acts import LEAVE
+from .links import DEADLINE_MS
+
+HERE: Final = Path(__file__).parent
+SESSION: Final = HERE.parents[2] / "launch" / "sessions" / "example1.yaml"
+SUPERVISOR: Final = "supervisor"
+OBSERVER: Final = "watch"
+HELD: Final = "dx"
+FORCE_LIMIT: Final = 5.0  # N; the environment's own force stays below 4
+OVERRIDES: Final = (
+    f"observers={{{OBSERVER}: {{reads: [telemetry]}}}}",
+    *(f"devices.{name}.limits={{force: {FORCE_LIMIT}, displacement: 0.2, speed: 2}}" for name in ("dx", "dy", "dz")),
+)
+TICKS: Final = 800  # the hands push from 100 to 350
+ATTENTIVE: Final = 10  # ticks between two telemetry messages, when a process also looks at who is at its door
+DEADLINE: Final = DEADLINE_MS / 1000  # s
+STANDSTILL: Final = 2 * DEADLINE  # an attack may wait for once a deadline while the session waits for it
+
+Forge = Callable[[dict[str, Bundle]], dict[str, Bundle]]
+
+
+@cache
+def prepared() -> Prepared:
+    """The session, designed once."""
+    return prepare(load_session(SESSION, list(OVERRIDES)))
+
+
+class Ended(Exception):
+    """The session was over before the attack was."""
+
+
+@dataclass
+class Stage:
+    """What an attack knows of a session, and how it goes on with it.
+
+    Attributes:
+        keys: all keys: an attack can play any part with the real one.
+        hub: endpoint of the supervisor's hub.
+        links: endpoint of each link, by who binds it and who connects to it.
+        observer: where the observer is served.
+        ticks: how many the session has done by leave.
+    """
+
+    keys: Keys
+    hub: str = ""
+    links: dict[tuple[str, str], str] = field(default_factory=dict)
+    observer: str = ""
+    ticks: int = 0
+    _changed: threading.Condition = field(default_factory=threading.Condition)
+    _progress: Progress | None = None
+    _over: bool = False
+    _seen: tuple[int, float] = field(
+        default_factory=lambda: (-1, time.monotonic())
+    )  # ticks of all nodes, and since when
+    _leaves: int = -1  # to be written
+    _done: int = -1  # to be read
+
+    def go_on(self, leaves: int = 1) -> None:
+        """Let the session do some ticks, and wait until it has."""
+        for _ in range(leaves):
+            os.write(self._leaves, b".")
+            ready, _, _ = select.select([self._done], [], [], DEADLINE)
+            if not ready or not os.read(self._done, 1):
+                raise Ended(f"the session did not go on after {self.ticks} ticks")
+            self.ticks += LEAVE
+
+    def wait_for(self, what: Callable[[Progress], bool]) -> Progress:
+        """Wait until the supervisor tells of a progress like this."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._over or (self._progress is not None and what(self._progress)), DEADLINE
+            )
+            if self._progress is None or not what(self._progress):
+                raise Ended(f"it never came to what was waited for, but to {self._progress}")
+            return self._progress
+
+    def show(self, progress: Progress) -> None:
+        """For the supervisor: how it goes. A session that stands still is interrupted, or its test would do so, too."""
+        done = sum(telemetry.tick for telemetry in progress.telemetry.values())
+        if done != self._seen[0]:
+            self._seen = done, time.monotonic()
+        elif progress.phase is Phase.RUNNING and time.monotonic() > self._seen[1] + STANDSTILL:
+            os.kill(os.getpid(), signal.SIGINT)
+        with self._changed:
+            self._progress = progress
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """For the supervisor: it is over."""
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
+
+
+Attack = Callable[[Stage], Any]
+
+
+@dataclass(frozen=True)
+class Played:
+    """A run and the attack on it.
+
+    Attributes:
+        outcome: the run's.
+        told: what the attack returned; None without one.
+        during: ticks that were done when the attack was over.
+    """
+
+    outcome: Outcome
+    told: Any
+    during: int
+
+    @property
+    def nodes(self) -> Mapping[str, Any]:
+        """Each node's part of the report."""
+        nodes: Mapping[str, Any] = self.outcome.report["nodes"]
+        return nodes
+
+
+def play(
+    ticks: int = TICKS,
+    acts: Mapping[str, str] | None = None,
+    forge: Forge | None = None,
+    attack: Attack | None = None,
+) -> Played:
+    """Run the session, and leave nothing behind.
+
+    Args:
+        ticks: how many.
+        acts: nodes that are not what they should be, and what they are instead (:mod:`.acts`).
+        forge: what becomes of the bundles after they were cut.
+        attack: what happens meanwhile, in a thread of its own. While it lasts, the session goes on by leave alone.
+    """
+    session = prepared().session
+    stage = Stage(ephemeral(roster(session), session.name))
+    acts = {**(acts or {}), **({HELD: "held"} if attack else {})}
+    supervisor = Supervisor(
+        prepared(),
+        clock="simulated",
+        reach=reach(session, "tcp", keys=stage.keys),
+        ticks=ticks,
+        record=True,
+        show=stage.show,
+    )
+    with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
+        given: tuple[int, ...] = ()
+        if attack:
+            leaves, stage._leaves = os.pipe()
+            stage._done, done = os.pipe()
+            given = (leaves, done)
+            stack.callback(os.close, stage._done)
+        _cast(patch, acts, given)
+        _overhear(patch, stage, forge or (lambda bundles: bundles))
+        if attack is None:
+            return Played(supervisor.run(), None, 0)
+        with ThreadPoolExecutor(1) as pool:
+            told = pool.submit(_carry_out, attack, stage)
+            try:
+                outcome = supervisor.run()
+            finally:
+                stage.end()
+                for descriptor in given:  # an attack that still waits for the session learns that it is over
+                    os.close(descriptor)
+            return Played(outcome, told.result(), stage.ticks)
+
+
+def _carry_out(attack: Attack, stage: Stage) -> Any:
+    try:
+        stage.wait_for(lambda progress: progress.phase is Phase.RUNNING)
+        return attack(stage)
+    finally:
+        os.close(stage._leaves)  # the rest of the ticks need no leave
+
+
+def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, ...]) -> None:
+    """Have the supervisor start other programs for some nodes."""
+    popen = subprocess.Popen
+
+    def start(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        bundle, pid = command[-2:]
+        act = acts.get(Path(bundle).stem)
+        if act is None:
+            return popen(command, **options)
+        path = [str(HERE.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+        options["env"] = {**options["env"], "PYTHONPATH": os.pathsep.join(path)}
+        descriptors = given if act == "held" else ()
+        script = [sys.executable, "-P", "-m", "rogues.acts", act, bundle, pid, *map(str, descriptors)]
+        return popen(script, pass_fds=descriptors, **options)
+
+    patch.setattr(subprocess, "Popen", start)
+
+
+def _overhear(patch: pytest.MonkeyPatch, stage: Stage, forge: Forge) -> None:
+    """Tell the stage where everybody is, as somebody who reads along would know it."""
+
+    def cut_and_forge(prepared: Prepared, run: Run) -> dict[str, Bundle]:
+        stage.hub = run.control
+        bundles = {
+            name: replace(bundle, common=replace(bundle.common, telemetry_ticks=ATTENTIVE))
+            for name, bundle in cut(prepared, run).items()
+        }
+        return forge(bundles)
+
+    hear = Conductor.hear
+
+    def overhear(self: Conductor, sender: str, received: Received, now: int) -> list[Instruction]:
+        if isinstance(received, NodeHello):
+            stage.links.update({(sender, peer): endpoint for peer, endpoint in received.endpoints.items()})
+            stage.observer = self.observers[OBSERVER]
+        return hear(self, sender, received, now)
+
+    patch.setattr(supervisor_module, "cut", cut_and_forge)
+    patch.setattr(Conductor, "hear", overhear)
