@@ -38,7 +38,8 @@ class Audience:
 
     Attributes:
         wants_traces: whether one of them may read what is exchanged once a tick.
-        missed: observations that nobody was there to take, or that were not taken fast enough.
+        missed: observations that nobody was there to take, that were not taken fast enough, or that are too long, with
+            the name of their node, to be sent on.
     """
 
     def __init__(self, session: Session) -> None:
@@ -52,12 +53,21 @@ class Audience:
         endpoints = {}
         for index, observer in enumerate(self._channels):
             address = reach.observer_address(graph, index)
-            self._links[observer], endpoints[observer] = transport.bind(f"{SUPERVISOR}-{observer}", observer, address)
+            self._links[observer], endpoints[observer] = transport.bind_outlet(
+                f"{SUPERVISOR}-{observer}", observer, address
+            )
         return endpoints
 
     def tell(self, node: str, telemetry: Telemetry) -> None:
         """Pass on to each observer what it may know; who does not keep up misses it, and nobody waits."""
         for observer, link in self._links.items():
             observation = visible(node, telemetry, self._channels[observer].get(node, ()))
-            if observation is not None and not link.send(encode(observation)):
+            if observation is not None and not _send(link, observation):
                 self.missed += 1
+
+
+def _send(link: Link, observation: Observation) -> bool:
+    try:
+        return link.send(encode(observation))
+    except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+        return False

@@ -19,6 +19,7 @@ from manyhands.launch.reach import IPC, Reach
 from manyhands.launch.session import Device, TraceData
 from manyhands.launch.topology import ENVIRONMENT, Topology, topology
 from manyhands.nodes.bundle import (
+    MAX_TELEMETRY_TICKS,
     Bundle,
     Common,
     CouplingBundle,
@@ -34,7 +35,6 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
 
 TELEMETRY_PERIOD = 0.1  # s, ten a second (the channel table's rate)
-MOST_TELEMETRY_TICKS = 1000
 MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # of all traces in a message: what its frame has room for
 
 
@@ -129,7 +129,7 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
 def _telemetry_ticks(period: float, ports: int) -> int:
     """Ticks between two telemetry messages: as the channel table says, but no more than two traces have room for."""
     room = MOST_TRACE_VALUES // (2 * max(1, ports))  # an observer has none
-    return max(1, min(MOST_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
+    return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
 
 
 def _device(common: Common, device: Device, level: Matrix, share: DeviceShare, limits: Limits) -> DeviceBundle:

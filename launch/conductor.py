@@ -58,6 +58,7 @@ TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
     (NodeState.WELCOMED, Probe): NodeState.WELCOMED,
     (NodeState.CONNECTED, Probe): NodeState.CONNECTED,
     (NodeState.CONNECTED, Ready): NodeState.READY,
+    (NodeState.RUNNING, Probe): NodeState.RUNNING,
     (NodeState.RUNNING, Telemetry): NodeState.RUNNING,
     (NodeState.RUNNING, Report): NodeState.REPORTED,
     (NodeState.STARTING, Fault): NodeState.FAULTED,

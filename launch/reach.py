@@ -11,11 +11,12 @@ from manyhands.launch.access import peers
 from manyhands.launch.keys import Keys, ephemeral, roster
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.error import one_of
-from manyhands.launch.topology import Topology
+from manyhands.launch.topology import Topology, topology
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.transport.zeromq import LOOPBACK
 
 HUB_NAME = "control"
+_MAX_PORT: Final = 65535
 
 
 class ReachError(Exception):
@@ -37,7 +38,7 @@ class Listen:
             ReachError: it is none, or names every address of the machine, which is no address to tell others.
         """
         host, colon, port = text.rpartition(":")
-        if not colon or not port.isdecimal() or not 0 < int(port) < 65536 or not host:
+        if not colon or not port.isdecimal() or not 0 < int(port) <= _MAX_PORT or not host:
             raise ReachError(f"--listen: found {text!r:.100}; expected HOST:PORT, such as 192.0.2.7:7400")
         try:
             address = ipaddress.IPv4Address(host)
@@ -139,6 +140,13 @@ def reach(
     for name in remote:
         if name not in nodes:
             raise ReachError(f"--remote: found {name!r:.100}; expected {one_of(nodes, name)}")
+    if listen is not None and listen.port:
+        most = len(topology(session).links) + len(session.observers)
+        if listen.port + most > _MAX_PORT:
+            raise ReachError(
+                f"--listen: found the port {listen.port}, after which {most} more are used; expected at most "
+                f"{_MAX_PORT - most}"
+            )
     if remote and listen is None:
         raise ReachError("--remote: found no --listen; expected the address HOST:PORT that the remote node can reach")
     if remote and not insecure and keys is None:

@@ -19,7 +19,7 @@ from manyhands.launch.files import replacing, require_target
 Array = NDArray[np.float64]
 
 SUFFIXES = (".npz", ".csv")
-MOST_MISSING_TICKS = 10_000_000  # in one gap; more would be a nonsensical tick, not a loss
+MOST_MISSING_TICKS = 1_000_000  # of one device in all; more would be nonsensical ticks, and memory for them, not a loss
 
 
 class RecordingError(Exception):
@@ -129,7 +129,7 @@ class Collector:
             self.refused += 1
             return
         gap = tick - x.shape[0] - self._next[device]
-        if not 0 <= gap <= MOST_MISSING_TICKS:
+        if not 0 <= gap <= MOST_MISSING_TICKS - self.lost[device]:
             self.refused += 1
             return
         if gap > 0:

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from manyhands.launch.files import replacing
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.distribution import PERCENTILES
 from manyhands.protocol.messages import Report, Role
 
 
 def node_entry(role: Role, report: Report) -> dict[str, Any]:
-    """A node's part of the report; keys that its role does not have are absent."""
-    figures, counts = report.figures, report.counts
+    """A node's part of the report; keys that its role does not have, or that it did not tell properly, are absent."""
+    figures = {name: value for name, value in report.figures.items() if math.isfinite(value)}  # JSON has no other
+    counts = report.counts
     entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks}
     if names.LATE in counts:
         entry["late"] = counts[names.LATE]
     for quantity in (names.TAU, names.PERIOD):
-        if quantity in report.percentiles:
-            entry[quantity] = dict(report.percentiles[quantity])
-    if names.LEDGER in figures:
+        told = report.percentiles.get(quantity, {})
+        percentiles = {name: told[name] for name in PERCENTILES if math.isfinite(told.get(name, math.nan))}
+        if percentiles:
+            entry[quantity] = percentiles
+    if {names.LEDGER, names.LEDGER_MIN} <= figures.keys():
         entry["ledger"] = {"min": figures[names.LEDGER_MIN], "final": figures[names.LEDGER]}
-    for speed in (names.PEAK_SPEED, names.FINAL_SPEED):
-        if speed in figures:
-            entry[speed] = figures[speed]
+    if {names.PEAK_SPEED, names.FINAL_SPEED} <= figures.keys():
+        entry |= {speed: figures[speed] for speed in (names.PEAK_SPEED, names.FINAL_SPEED)}
     if names.TAU_BREACHES in counts:
         entry[names.TAU_BREACHES] = counts[names.TAU_BREACHES]
     for clips in (names.CLIPPED, names.SATURATED):

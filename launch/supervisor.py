@@ -41,7 +41,8 @@ from manyhands.protocol.transport.zeromq import ZmqTransport
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 REFRESH = from_seconds(0.2)
-REMOTE_SILENCE = from_seconds(3.0)  # thirty telemetry messages that did not come
+READING_TIME = from_seconds(0.05)  # at most, before there is a look at processes, signals and deadlines
+REMOTE_SILENCE = from_seconds(3.0)  # a node says something every second
 FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest one sends a telemetry in a hundred ticks
 
 
@@ -128,7 +129,8 @@ class Supervisor:
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
                 self._carry_out(conductor.interrupt(), hub, processes)
-            while allowance.pause(clock.now()) == 0:
+            until = clock.now() + READING_TIME
+            while allowance.pause(clock.now()) == 0 and clock.now() < until:
                 before = hub.handled
                 received = hub.recv()
                 allowance.spend(hub.handled - before, clock.now())  # what it dropped counts, too
@@ -144,6 +146,7 @@ class Supervisor:
                 deadline = Instant(clock.now() + ENDING_TIME if phase is Phase.ENDING else 2**62)
                 if phase is Phase.RUNNING:
                     self._began = clock.now()
+                    self._heard = dict.fromkeys(self._reach.remote, self._began)  # who was ready first has waited
             elif conductor.phase is Phase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
             elif clock.now() >= deadline:
@@ -171,10 +174,11 @@ class Supervisor:
         self._refused = {kind: count for kind, count in counts.items() if count > 0}
 
     def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
-        self._heard[sender] = self._clock.now()
+        if sender in self._reach.remote:
+            self._heard[sender] = self._clock.now()
         message = decode(frame, MAX_CONTROL_BYTES)
         self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
-        if isinstance(message, Telemetry) and sender in self._graph.nodes:
+        if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._check_assumptions(sender, message)
             self._audience.tell(sender, message)

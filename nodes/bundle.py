@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +25,10 @@ MAX_FILE_BYTES = 256 * 2**20
 SIMULATED = "simulated"
 REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
+
+
+MAX_TELEMETRY_TICKS = 1000
+"""Most ticks between two telemetry messages: a node keeps the traces of as many."""
 
 
 class BundleError(Exception):
@@ -147,6 +151,10 @@ class DeviceBundle:
     hand: SimulatedHand
     limits: Limits
 
+    def __post_init__(self) -> None:
+        if self.level is None:
+            raise ValueError("found no level; expected that of the device")
+
 
 @dataclass(frozen=True, eq=False)
 class CouplingBundle:
@@ -218,8 +226,11 @@ def load(path: Path, kind: type[_B]) -> _B:
             raise BundleError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
         data = json.loads(path.read_text())
         return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {error!r}") from error
+    except OSError as error:
+        raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        # not its repr, which may quote the whole file
+        raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}") from error
 
 
 def _plain(value: Any) -> Any:
@@ -248,21 +259,53 @@ def _system(data: Any) -> StateSpace:
 
 def _common(data: Any) -> Common:
     peers = tuple(Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"]) for p in data["peers"])
-    return Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
+    common = Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
+    for name, fits in _FITS.items():
+        if not fits(getattr(common, name)):
+            raise ValueError(f"found {getattr(common, name)!r:.40} as {name}; expected it as manyhands writes it")
+    return common
 
 
 def _hand(data: Any) -> SimulatedHand:
-    vectors = {name: tuple(data[name]) for name in data if name != "operator"}
-    return SimulatedHand(operator=_system(data["operator"]), **vectors)
+    vectors = {name: _floats(data[name]) for name in ("mass", "damping", "hand_damping", "hand_stiffness")}
+    intentions = {name: tuple(data[name]) for name in ("force", "motion")}
+    return SimulatedHand(operator=_system(data["operator"]), **vectors, **intentions)
 
 
 def _limits(data: Any) -> Limits:
-    return Limits(**{name: tuple(float(limit) for limit in data[name]) for name in data})
+    return Limits(**{name: _floats(data[name]) for name in data})
+
+
+def _floats(data: Any) -> tuple[float, ...]:
+    return tuple(float(value) for value in data)
 
 
 def _bounds(data: Any) -> tuple[float | None, ...]:
     return tuple(None if bound is None else float(bound) for bound in data)
 
+
+def _is_time(value: Any) -> bool:
+    return type(value) in (float, int) and 0.0 <= value < 1e9
+
+
+def _are_texts(values: Any) -> bool:
+    return all(type(value) is str for value in values)
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(
+        ("session", "name", "certificate", "private", "directory", "control"), lambda text: _are_texts([text])
+    ),
+    "period": lambda period: _is_time(period) and period > 0.0,
+    "tau": _is_time,
+    "clock": lambda clock: clock in CLOCKS,
+    "public": lambda keys: type(keys) is dict and _are_texts(keys.values()),
+    "ports": _are_texts,
+    "peers": lambda peers: all(_are_texts((p.name, p.address, *p.ports)) and type(p.binds) is bool for p in peers),
+    "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
+    "traces": lambda traces: type(traces) is bool,
+}
+"""Of what type a node takes these to be, without looking again."""
 
 _READ: dict[str, Any] = {
     "common": _common,

@@ -9,7 +9,7 @@ from typing import TypeVar
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, Common
 from manyhands.nodes.life import Life, Sight, Stopped
-from manyhands.protocol.clock import Clock, Duration, from_seconds
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.clock_offset import Exchange, offset_of
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -36,6 +36,7 @@ _PATIENCE = from_seconds(0.2)
 _LAST_WORD_WAITS = 10
 _JOINING_WAITS = 300  # a minute for a supervisor that is not there yet
 _PROBES = 32
+_ALIVE_EVERY = from_seconds(1.0)
 
 _M = TypeVar("_M", bound=Message)
 
@@ -65,6 +66,7 @@ class ControlLine:
         self._transport, self._common = transport, common
         self._link: Link = transport.join(common.control, common.name)
         self._lossless = common.clock == SIMULATED and common.traces
+        self._due = Instant(0)
         self.dropped = 0
         self.malformed = 0
 
@@ -119,17 +121,23 @@ class ControlLine:
         while len(exchanges) < _PROBES:
             sent = clock.now()
             self._send(Probe(sent))
-            echo = self._await(Echo, life)
-            if echo.sent == sent:
-                exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
+            while (echo := self._await(Echo, life)).sent != sent:
+                self.malformed += 1  # the answer to nothing
+            exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
         return offset_of(exchanges)
 
     def connection(self) -> Sight:
         """Whether the supervisor can still be reached, for a node on another machine that is not in its loop."""
         return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
 
-    def sight(self) -> Sight:
-        """The same within the loop, where a Stop is all that the supervisor may still say."""
+    def sight(self, now: Instant) -> Sight:
+        """The same within the loop, where a Stop is all that the supervisor may still say besides Echo.
+
+        A Probe now and then tells the supervisor that this node is there, however long its ticks take.
+        """
+        if now >= self._due:
+            self._due = Instant(now + _ALIVE_EVERY)
+            self._send(Probe(now))
         frame = self._link.recv(Duration(0))
         if frame is not None and isinstance(decode(frame, MAX_CONTROL_BYTES), Stop):
             return Sight.ENDING
@@ -154,7 +162,7 @@ class ControlLine:
             answer = self._link.recv(_PATIENCE)
             life.check()
             if answer is None:
-                if life.orphaned:
+                if life.orphaned or self._link.trouble() is not None:  # nobody hears it
                     return
             elif isinstance(decode(answer, MAX_CONTROL_BYTES), Stop):
                 return

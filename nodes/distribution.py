@@ -15,6 +15,9 @@ _GROWTH = 0.01
 _BUCKETS = 2 + int(math.log(1e10) / math.log1p(_GROWTH))  # up to 1e9 us, a quarter of an hour
 _PER_LOG = 1.0 / math.log1p(_GROWTH)
 
+PERCENTILES = ("p50", "p99", "p999", "max")
+"""What is told of a distribution."""
+
 
 class Distribution:
     """Counts durations, us."""
@@ -42,9 +45,5 @@ class Distribution:
 
     def percentiles(self) -> dict[str, float]:
         """p50, p99, p999 and max, us."""
-        return {
-            "p50": self.quantile(0.5),
-            "p99": self.quantile(0.99),
-            "p999": self.quantile(0.999),
-            "max": self._maximum,
-        }
+        values = (self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self._maximum)
+        return dict(zip(PERCENTILES, values, strict=True))

@@ -65,7 +65,9 @@ class Joint:
             False when the node should end.
         """
         strays = 0
-        remaining, due = patience, Instant(self.clock.now() + patience)
+        now = self.clock.now()
+        life.look(now)
+        remaining, due = patience, Instant(now + patience)
         while not life.stopping:
             frame = self.link.recv(remaining)
             if frame is not None:

@@ -41,7 +41,7 @@ MAKERS: dict[Role, tuple[type[Any], Callable[[Any], Node]]] = {
 
 
 def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
-    """Run one node of a session whose supervisor is at ``endpoint``; returns the exit code.
+    """Run one node of a session whose supervisor is at ``endpoint``; returns the exit code (130 on Ctrl-C).
 
     Args:
         name: the node's name, which must be the bundle's.
@@ -50,8 +50,16 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
         endpoint: ``tcp://HOST:PORT`` of the supervisor (or an ``ipc://`` path).
         host: the address of this machine that others reach; needed only by a node that others connect to.
     """
+    life = Life(None)
     try:
-        life = Life(None)
+        code = _join(life, name, bundle_path, private, endpoint, host)
+    except Stopped:
+        code = EXIT_OK
+    return code if life.signal is None or code != EXIT_OK else 128 + life.signal
+
+
+def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
+    try:
         role = role_of(bundle_path)
         kind, make = MAKERS.get(role, (ObserverBundle, None))
         bundle = load(bundle_path, kind)
@@ -61,9 +69,7 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
         if make is None:
             return observe(bundle, life, ring)
         node = make(bundle)
-    except Stopped:
-        return EXIT_OK
-    except (BundleError, KeyFileError, ValueError) as error:
+    except (BundleError, KeyFileError, ValueError, OverflowError) as error:
         print(f"error: {error}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_BAD_INPUT
     return run(common, node, life, ring, remote=True)
@@ -73,12 +79,18 @@ def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | No
     """The bundle's common part, with what only the guest knows: where the supervisor is, and where the guest."""
     if common.name != name:
         raise BundleError(f"{path}: found the bundle of {common.name}; expected that of {name}")
-    scheme = endpoint.partition("://")[0]
-    if scheme not in SCHEMES or not endpoint.partition("://")[2]:
-        raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT")
+    scheme, _, place = endpoint.partition("://")
+    if scheme not in SCHEMES or not place or (scheme == "tcp" and not _is_address(place)):
+        raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT, such as tcp://192.0.2.7:7400")
     if common.public and scheme != "tcp":
         raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT, for this bundle has keys")
     others = common.peers
     if host is not None:
         others = tuple(dataclasses.replace(p, address=f"{host}:*") if p.binds else p for p in others)
     return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others)
+
+
+def _is_address(place: str) -> bool:
+    """Whether this is HOST:PORT; of a port, ZeroMQ would read as much as it can."""
+    host, _, port = place.rpartition(":")
+    return bool(host) and port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536

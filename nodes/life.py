@@ -19,7 +19,10 @@ from collections.abc import Callable
 from enum import Enum
 from types import FrameType
 
+from manyhands.protocol.clock import Instant, from_seconds
+
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LOOK_EVERY = from_seconds(0.1)
 
 
 class Stopped(Exception):
@@ -45,6 +48,7 @@ class Life:
         stopping: becomes true when it should end at the next tick.
         orphaned: becomes true when its supervisor is gone.
         failure: why it ends, if that is a failure.
+        signal: the signal that asked it to end, if one did.
         watch: for a node without a parent: looks after the supervisor some other way, and says what it saw.
     """
 
@@ -52,9 +56,11 @@ class Life:
         """Watch over the process whose supervisor has the process id ``parent``, or is on another machine."""
         self.stopping = self.orphaned = False
         self.failure: str | None = None
+        self.signal: int | None = None
         self.watch: Callable[[], Sight] = lambda: Sight.PRESENT
         self._parent = parent
         self._raises = True
+        self._due = Instant(0)
         signal.signal(signal.SIGTERM, self._asked_to_stop)
         if parent is None:
             signal.signal(signal.SIGINT, self._asked_to_stop)
@@ -65,8 +71,14 @@ class Life:
             prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
         self.check()
 
+    def look(self, now: Instant) -> None:
+        """:meth:`check`, if that was not done lately; for a loop that is kept busy, cheap enough for every signal."""
+        if now >= self._due:
+            self._due = Instant(now + _LOOK_EVERY)
+            self.check()
+
     def check(self) -> None:
-        """Compare the parent's id; to be called wherever the node has waited in vain."""
+        """Look after the supervisor; to be called wherever the node has waited in vain."""
         sight = self.watch() if self._parent is None else _sight_of(self._parent)
         if sight is not Sight.PRESENT:
             self.stopping = True
@@ -92,7 +104,7 @@ class Life:
         gc.enable()
         gc.unfreeze()
 
-    def _asked_to_stop(self, _signum: int, _frame: FrameType | None) -> None:
-        self.stopping = True
+    def _asked_to_stop(self, signum: int, _frame: FrameType | None) -> None:
+        self.stopping, self.signal = True, signum
         if self._raises:
             raise Stopped

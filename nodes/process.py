@@ -71,7 +71,7 @@ def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
         node = make(bundle)
     except Stopped:
         return EXIT_OK
-    except (BundleError, KeyFileError, ValueError) as error:
+    except (BundleError, KeyFileError, ValueError, OverflowError) as error:
         print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
         return EXIT_BAD_INPUT
     return run(bundle.common, node, life, ring)
@@ -104,19 +104,23 @@ def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bo
     """
     transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
     try:
-        control = ControlLine(transport, common)
+        try:
+            control = ControlLine(transport, common)
+        except TransportError as error:
+            print(f"error: {common.name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
+            return EXIT_BAD_INPUT
         if remote:
             life.watch = control.connection
         try:
             return _converse(common, node, life, transport, control, remote)
         except Stopped:
-            return EXIT_OK
+            return _stopped(common, life, control) if remote else EXIT_OK
         except (HandshakeRefused, Refused) as error:
             control.fault(str(error), life)
             print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
             return EXIT_REFUSED
         except (HandshakeTimeout, TransportError, ValueError) as error:
-            control.fault(f"{common.name}: {error}", life)
+            control.fault(str(error) if isinstance(error, HandshakeTimeout) else f"{common.name}: {error}", life)
             print(error, file=sys.stderr)  # noqa: T201
             return EXIT_FAILED
     except Stopped:
@@ -128,15 +132,21 @@ def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bo
 def _converse(common: Common, node: Node, life: Life, transport: Transport, control: ControlLine, remote: bool) -> int:
     links, endpoints = bind_links(common, transport)
     control.hello(endpoints, os.getpid())
-    for name, endpoint in control.peers_endpoints(life).items():
+    told, wanted = control.peers_endpoints(life), {peer.name for peer in common.peers if not peer.binds}
+    if told.keys() != wanted:
+        raise ValueError(
+            f"found endpoints of {sorted(told)}; expected those of {sorted(wanted)}; see what listens there"
+        )
+    for name, endpoint in told.items():
         links[name] = transport.connect(endpoint, name)
     node.establish(links)
-    ahead = control.clock_offset(RealtimeClock(), life) if remote else 0
+    clock = RealtimeClock()
+    ahead = control.clock_offset(clock, life) if remote else 0
     control.ready()
     start = control.start(life)
     if remote:
         start = Start(start.epoch - ahead, start.ticks)
-        life.watch = control.sight
+        life.watch = lambda: control.sight(clock.now())
     transport.settle()
     life.enter_loop()
     try:
@@ -147,7 +157,23 @@ def _converse(common: Common, node: Node, life: Life, transport: Transport, cont
         control.fault(life.failure, life)
         print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_FAILED
+    if remote and life.orphaned:
+        return _lost(common)
     report = node.report()
     refused = {f"{names.REFUSED}{kind}": count for kind, count in transport.refused().items()}
     control.report(Report(report.ticks, report.figures, {**report.counts, **refused}, report.percentiles), life)
     return EXIT_OK
+
+
+def _stopped(common: Common, life: Life, control: ControlLine) -> int:
+    """The end of a guest before its loop; a supervisor elsewhere cannot see the process end, and is told."""
+    if life.orphaned:
+        return _lost(common)
+    if life.stopping:  # and not because the supervisor said so
+        control.fault(f"{common.name}: its user ended it before the first tick", life)
+    return EXIT_OK
+
+
+def _lost(common: Common) -> int:
+    print(f"{common.name}: lost the supervisor at {common.control}", file=sys.stderr)  # noqa: T201
+    return EXIT_FAILED

@@ -96,6 +96,9 @@ TRANSITIONS: Final[Mapping[tuple[State, Event], tuple[State, Answer]]] = {
 }
 """The whole handshake. States without a row are final: whatever comes then changes nothing and is not answered."""
 
+_SLICE: Final = 200_000_000
+"""At most so long is waited at once, ns: a signal that comes just before a wait is heard only after it."""
+
 _FINAL: Final = frozenset(State) - {state for state, _ in TRANSITIONS}
 
 
@@ -186,7 +189,9 @@ def shake_hands(link: Link, handshake: LinkHandshake, clock: Clock, deadline: In
     _send_all(link, handshake, handshake.start())
     while not handshake.finished:
         remaining = deadline - clock.now()
-        frame = link.recv(Duration(remaining)) if remaining > 0 else None
+        frame = link.recv(Duration(min(remaining, _SLICE))) if remaining > 0 else None
+        if frame is None and remaining > _SLICE:
+            continue
         if frame is None:
             expects = handshake.expects
             raise HandshakeTimeout(

@@ -23,6 +23,7 @@ from manyhands.launch.topology import LinkTooWide
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.device.guard import LimitExceeded
 from manyhands.protocol.key_files import KeyFileError
+from manyhands.protocol.transport import TransportError
 
 MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
 
@@ -134,6 +135,7 @@ _BAD_INPUT = (
     RecordingError,
     SessionError,
     TargetError,
+    TransportError,  # an address to listen at that is not there, or not free
 )
 
 
@@ -146,15 +148,7 @@ def errors() -> Iterator[None]:
         finally:
             if ctrl_c:
                 raise SystemExit(EXIT_INTERRUPTED) from None
-    except (
-        SessionError,
-        CertificateError,
-        KeyFileError,
-        LinkTooWide,
-        ReachError,
-        RecordingError,
-        TargetError,
-    ) as error:
+    except _BAD_INPUT as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_BAD_INPUT) from error
     except (NotCertified, DesignError) as error:

@@ -13,7 +13,7 @@ from manyhands.nodes.bundle import ObserverBundle
 from manyhands.nodes.control import ControlLine, Refused
 from manyhands.nodes.life import Life, Stopped
 from manyhands.nodes.observer.core import ObserverCore
-from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
+from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.transport import TransportError
@@ -30,7 +30,7 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
         control = ControlLine(transport, common)
         life.watch = control.connection
         control.hello({}, os.getpid())
-        link = transport.connect(control.peers_endpoints(life)[HUB], HUB)
+        link = transport.connect_outlet(control.peers_endpoints(life).get(HUB, ""), HUB)
         while not life.stopping:
             frame = link.recv(_PATIENCE)
             if frame is None:
@@ -43,9 +43,9 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
     except Refused as error:
         print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_REFUSED
-    except (TransportError, KeyError, ValueError) as error:
-        print(f"{common.name}: {error}", file=sys.stderr)  # noqa: T201
-        return EXIT_FAILED
+    except (TransportError, ValueError) as error:
+        print(f"error: {common.name}: {error}", file=sys.stderr)  # noqa: T201
+        return EXIT_BAD_INPUT
     except BrokenPipeError:  # whoever read the lines has had enough
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 -- the interpreter flushes it once more at its end
         return EXIT_OK

@@ -12,6 +12,7 @@ whoever knocks, which costs the process nothing and leaves the connections that 
 """
 
 import ctypes
+import resource
 import socket as sockets
 import struct
 import time
@@ -196,6 +197,17 @@ _SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h
 _SO_DETACH_FILTER: Final = 27
 
 
+def _allow_descriptors() -> None:
+    """Let this process have more file descriptors, if it may: once they are used up, ZeroMQ's thread only spins."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_DESCRIPTORS, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+_DESCRIPTORS: Final = 65536  # far more than all doors of a process hold before they shut
+
+
 class Doorkeeper:
     """Guards the sockets of one context with one process's keys.
 
@@ -211,6 +223,7 @@ class Doorkeeper:
     ) -> None:
         """To be made before any socket of ``context`` is bound; ``now``: monotonic ns."""
         self._ring, self._now = ring, now
+        _allow_descriptors()
         self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[_Door] = []
@@ -279,11 +292,17 @@ class Doorkeeper:
             if refused is not None:
                 self._refused[refused] += 1
             self._desk.send_multipart(reply)
+        self._look()
+
+    def _look(self) -> None:
+        now = self._now()
         for door in self._doors:
-            door.look(self._now())
+            door.look(now)
 
     def refused(self) -> dict[str, int]:
         """Connections not admitted so far, by :class:`Refused`; reasons that never occurred are absent."""
+        if not self._desk.closed:
+            self._look()  # one that has come about since the last look is not unfinished any more
         total = dict(self._refused)
         for door in self._doors:
             for kind, count in door.refused().items():

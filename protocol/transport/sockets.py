@@ -1,9 +1,9 @@
 """ZeroMQ's sockets as links and hubs.
 
 PAIR for a link: it admits one peer and is, with a blocking receive, the fastest of ZeroMQ's patterns; ROUTER
-and DEALER for the hub. Receiving blocks in the kernel with RCVTIMEO rather than in a poller (5 % faster, and
-busy waiting is ruinous on few cores), but for the time before a process has its peers, when it has to answer those
-who want to be let in; sending never blocks.
+and DEALER for the hub; PUSH and PULL for an outlet. Receiving blocks in the kernel with RCVTIMEO rather than in a
+poller (5 % faster, and busy waiting is ruinous on few cores), but for the time before a process has its peers, when it
+has to answer those who want to be let in; sending never blocks.
 """
 
 import time
@@ -29,7 +29,7 @@ HUB_DROPS: Final = (
 
 
 class ZmqLink:
-    """A PAIR socket, or the DEALER end of a hub."""
+    """A PAIR socket, the DEALER end of a hub, or either end of an outlet."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", door: Doorkeeper | None, watched: bool = False) -> None:
         """Take over ``socket``; ``watched``: its connection's fate is wanted (before it connects)."""

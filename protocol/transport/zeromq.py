@@ -90,7 +90,7 @@ class ZmqTransport:
     def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link to ``peer`` alone, one way; see :class:`~manyhands.protocol.transport.Transport`.
 
-        A PUSH socket, for a PAIR whose peer has left does not notice before it is used, and is mute to the next one.
+        A PUSH socket: a PAIR learns late that its peer has left, and is mute for ever to one who came before that.
         """
         socket = self._socket(zmq.PUSH, LINK_QUEUE_FRAMES)
         socket.setsockopt(zmq.RCVHWM, 1)  # nobody reads here

@@ -12,7 +12,7 @@ from manyhands.launch.reach import IPC
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.topology import topology
 from manyhands.protocol.clock import Duration
-from manyhands.protocol.codec import decode
+from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Telemetry
 from manyhands.protocol.transport.memory import MemoryTransport
@@ -78,3 +78,30 @@ def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
         audience.tell("dx", OF_DEVICE)
     transport.close()
     assert audience.missed == 3
+
+
+def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
+    """An observation is longer by its node's name: a node could otherwise send what the supervisor cannot pass on."""
+    told = session("{watch: {reads: [telemetry, dx/sample]}}")
+    rows = (MAX_CONTROL_BYTES - 40) // 8
+    longest = Telemetry(1, {}, {"x": np.zeros((rows, 1))})
+    while True:
+        try:
+            frame = encode(Telemetry(1, {"s" * (MAX_CONTROL_BYTES - len(encode(longest)) - 10): 0.0}, longest.traces))
+        except ValueError:
+            longest = Telemetry(1, {}, {"x": longest.traces["x"][:-1]})
+            continue
+        break
+    full = decode(frame, MAX_CONTROL_BYTES)
+    assert isinstance(full, Telemetry)
+    with pytest.raises(ValueError, match="found a frame of"):
+        encode(Observation("dx", full.tick, full.figures, full.traces))
+    audience, transport = Audience(told), MemoryTransport()
+    endpoints = audience.serve(transport, IPC, topology(told))
+    link = transport.connect_outlet(endpoints["watch"], "supervisor")
+    audience.tell("dx", full)
+    assert link.recv(Duration(0)) is None
+    assert audience.missed == 1
+    audience.tell("dx", OF_DEVICE)
+    assert link.recv(Duration(0)) is not None
+    transport.close()

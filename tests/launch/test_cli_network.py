@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -176,3 +177,21 @@ def test_nodes_that_cannot_join(arguments: tuple[str, ...], found: str, folder: 
     assert done.returncode == 2
     assert found in done.stderr
     assert (done.stderr.count("\n"), done.stdout) == (1, "")
+
+
+def test_an_address_in_use_or_of_another_machine_is_told(folder: Path) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        for address, found in (
+            (f"127.0.0.1:{port}", "Address already in use"),
+            ("203.0.113.9:7400", "Cannot assign requested address"),  # of a network for examples
+        ):
+            done = manyhands_command(
+                "launch", "example1.yaml", "--set", WATCH, "--certificate", folder / "c.json", "--duration", "1",
+                "--transport", "tcp", "--listen", address,
+            )  # fmt: skip
+            assert done.exit_code == 2, done.stderr
+            assert f"error: cannot bind tcp://{address}: {found}" in done.stderr
+            assert "Traceback" not in done.stderr

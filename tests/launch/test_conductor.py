@@ -6,17 +6,20 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.conductor import Conductor, Kill, NodeState, Phase, Send, Terminate
+from manyhands.launch.conductor import Conductor, Kill, NodeState, Phase, Release, Send, Terminate
 from manyhands.launch.session import load_session
 from manyhands.launch.topology import Topology, topology
 from manyhands.protocol.codec import ForeignHello, Malformed
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
+    Echo,
     Fault,
     NodeHello,
+    Probe,
     Ready,
     Refusal,
+    RefusalCode,
     Report,
     Role,
     Start,
@@ -37,12 +40,13 @@ def hello(sender: str, **changes: object) -> NodeHello:
     return NodeHello(**{**fields, **changes})  # type: ignore[arg-type]
 
 
-def conductor() -> Conductor:
-    return Conductor(GRAPH, "c", "example-1", 5)
+def conductor(*remote: str, ticks: int = 5) -> Conductor:
+    observers = {"watch": "ipc:///s/watch", "scope": "ipc:///s/scope"}
+    return Conductor(GRAPH, "c", "example-1", ticks, frozenset(remote), observers)
 
 
-def running() -> Conductor:
-    c = conductor()
+def running(*remote: str, ticks: int = 5) -> Conductor:
+    c = conductor(*remote, ticks=ticks)
     for name in GRAPH.nodes:
         c.hear(name, hello(name), 0)
     for name in GRAPH.nodes:
@@ -102,11 +106,15 @@ def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"version": 2}, "found protocol version 2; expected 1"),
+        ({"version": 1}, f"found protocol version 1; expected {PROTOCOL_VERSION}"),
         ({"certificate": "other"}, "found the certificate other; expected c"),
         ({"session": "else"}, "found the session else"),
         ({"role": Role.DEVICE}, "found the role device; expected coupling"),
-        ({"name": "cz"}, "cx calls itself cz"),
+        ({"name": "cz"}, "supervisor refused cx: found the name cz from cx; expected its own"),
+        ({"name": "dx", "role": Role.DEVICE}, "supervisor refused cx: found the name dx from cx; expected its own"),
+        ({"endpoints": {}}, "found endpoints for none; expected them for dx"),
+        ({"endpoints": {"dx": "ipc://a", "dy": "ipc://b"}}, "found endpoints for dx, dy; expected them for dx"),
+        ({"endpoints": {"dy": "ipc://b"}}, "found endpoints for dy; expected them for dx"),
     ],
 )
 def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, object], words: str) -> None:
@@ -122,7 +130,7 @@ def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, obje
 def test_a_node_of_another_protocol_is_refused() -> None:
     c = conductor()
     assert Terminate() in c.hear("cx", ForeignHello(7), 0)
-    assert "found protocol version 7; expected 1" in c.faults[0]
+    assert f"found protocol version 7; expected {PROTOCOL_VERSION}" in c.faults[0]
 
 
 def test_what_is_out_of_turn_is_counted_and_changes_nothing() -> None:
@@ -176,3 +184,214 @@ def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
     assert c.states["cx"] is NodeState.FAULTED
     assert c.exited("cx", 4) == []
     assert c.faults == ["cx: no more"]
+
+
+def test_a_clock_may_be_asked_for_until_a_node_is_ready_and_while_it_runs() -> None:
+    c = conductor("dx")
+    assert c.hear("dx", Probe(7), 100) == []  # a stranger as yet
+    for name in GRAPH.nodes:
+        c.hear(name, hello(name), 0)
+    assert c.hear("dx", Probe(7), 100) == [Send("dx", Echo(7, 100, 100))]
+    assert c.hear("dx", Probe(8), 200) == [Send("dx", Echo(8, 200, 200))]
+    c.hear("dx", Ready(), 0)
+    assert c.hear("dx", Probe(9), 300) == []
+    assert c.ignored == 2
+    c = running("dx")
+    assert c.hear("dx", Probe(9), 300) == [Send("dx", Echo(9, 300, 300))]
+    c.hear("dx", REPORT, 0)
+    assert c.hear("dx", Probe(9), 300) == []
+    assert c.ignored == 1
+
+
+@pytest.mark.parametrize("ticks", [5, 0])
+def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
+    """The others would wait for its next signal for ever."""
+    c = running(ticks=ticks)
+    report = Report(4, {}, {}, {})
+    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), Terminate()]
+    assert c.phase is Phase.ENDING
+    assert c.faults == ["dx left after 4 ticks, before the session was over"]
+    for name in GRAPH.nodes:
+        assert c.exited(name, 0) == []
+    assert c.phase is Phase.OVER
+    assert len(c.faults) == 1
+    assert c.reports == {"dx": report}
+
+
+def test_a_node_that_leaves_early_once_the_session_ends_is_no_fault() -> None:
+    c = running(ticks=0)
+    c.interrupt()
+    for name in GRAPH.nodes:
+        assert c.hear(name, Report(3, {}, {}, {}), 0) == [Send(name, Stop("reported"))]
+    assert c.faults == []
+
+
+def refused(instructions: list[object]) -> RefusalCode | None:
+    first = instructions[0]
+    assert isinstance(first, Send)
+    return RefusalCode(first.message.code) if isinstance(first.message, Refusal) else None
+
+
+class Test_nodes_that_are_started_elsewhere:
+    def test_one_is_awaited_until_it_has_said_hello(self) -> None:
+        c = conductor("dx", "dz")
+        assert c.awaited == ("dx", "dz")
+        c.hear("dx", hello("dx"), 0)
+        assert c.awaited == ("dz",)
+
+    def test_its_last_word_is_all_that_is_seen_of_its_end(self) -> None:
+        c = running("dx")
+        for name in GRAPH.nodes:
+            c.hear(name, REPORT, 0)
+            if name != "dx":
+                assert c.phase is Phase.RUNNING
+                c.exited(name, 0)
+        assert c.states["dx"] is NodeState.ENDED
+        assert c.phase is Phase.OVER
+        assert c.faults == []
+
+    def test_its_fault_ends_the_session(self) -> None:
+        c = running("dx")
+        assert c.hear("dx", Fault("dx: broken"), 0) == [
+            Send("dx", Stop("heard")),
+            Terminate(),
+            Send("dx", Stop("the session ends")),
+        ]
+        assert c.states["dx"] is NodeState.ENDED
+        assert c.faults == ["dx: broken"]
+
+    def test_its_silence_ends_the_session_once(self) -> None:
+        c = running("dx")
+        out = c.silent("dx")
+        assert out == [Terminate(), Send("dx", Stop("the session ends"))]
+        assert c.faults == ["dx fell silent while running"]
+        assert c.silent("dx") == []
+        for name in GRAPH.nodes:
+            if name != "dx":
+                c.exited(name, 0)
+        assert c.phase is Phase.OVER
+        assert len(c.faults) == 1
+
+    def test_one_that_went_silent_may_not_come_back(self) -> None:
+        c = running("dx")
+        c.silent("dx")
+        for message in (Telemetry(1, {}, {}), REPORT, hello("dx"), Ready()):
+            assert c.hear("dx", message, 0) == []
+        assert c.states["dx"] is NodeState.ENDED
+        assert c.reports == {}
+
+    def test_an_end_is_told_to_those_who_hear_no_signal_of_ours(self) -> None:
+        c = running("dx", "cy")
+        assert c.interrupt() == [
+            Terminate(),
+            Send("dx", Stop("the session ends")),
+            Send("cy", Stop("the session ends")),
+        ]
+
+    def test_those_who_never_came_are_not_waited_for_at_the_end(self) -> None:
+        c = conductor("dx")
+        for name in GRAPH.nodes:
+            if name != "dx":
+                c.hear(name, hello(name), 0)
+        c.interrupt()
+        for name in GRAPH.nodes:
+            if name != "dx":
+                assert c.phase is Phase.ENDING
+                c.exited(name, 0)
+        assert c.phase is Phase.OVER
+
+    def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
+        c = running("dx")
+        c.interrupt()
+        for name in GRAPH.nodes:
+            if name != "dx":
+                c.exited(name, 0)
+        assert c.phase is Phase.ENDING
+        assert c.too_late() == [Kill()]
+        assert c.phase is Phase.OVER
+        assert c.faults == []
+
+    def test_all_of_them_may_be_elsewhere(self) -> None:
+        c = running(*GRAPH.nodes)
+        for name in GRAPH.nodes:
+            c.hear(name, REPORT, 0)
+        assert c.phase is Phase.OVER
+        never = conductor(*GRAPH.nodes)
+        never.interrupt()
+        assert never.phase is Phase.OVER
+
+    @pytest.mark.parametrize("changes", [{"certificate": "other"}, {"session": "else"}, {"version": 1}])
+    def test_one_that_does_not_belong_is_refused_and_ends_the_session(self, changes: dict[str, object]) -> None:
+        c = conductor("dx")
+        out = c.hear("dx", hello("dx", **changes), 0)
+        assert refused(list(out)) is not None
+        assert Terminate() in out
+        assert len(c.faults) == 1
+        assert c.awaited == ()
+
+
+def observer(sender: str, **changes: object) -> NodeHello:
+    return NodeHello(**{**vars_of(hello("dx")), "name": sender, "role": Role.OBSERVER, **changes})  # type: ignore[arg-type]
+
+
+def vars_of(message: NodeHello) -> dict[str, object]:
+    return {name: getattr(message, name) for name in message.__dataclass_fields__}
+
+
+class Test_observers:
+    @pytest.mark.parametrize("c", [conductor(), running(), running("dx")], ids=["starting", "running", "with a guest"])
+    def test_one_is_told_its_own_place_whenever_it_comes_and_changes_nothing(self, c: Conductor) -> None:
+        before = dict(c.states), c.phase
+        for _ in range(3):
+            assert c.hear("watch", observer("watch"), 0) == [
+                Send("watch", Welcome()),
+                Send("watch", Connect({"supervisor": "ipc:///s/watch"})),
+                Release("watch"),
+            ]
+        assert c.hear("scope", observer("scope"), 0)[1] == Send("scope", Connect({"supervisor": "ipc:///s/scope"}))
+        assert (dict(c.states), c.phase) == before
+        assert (c.faults, c.ignored) == ([], 0)
+
+    def test_places_that_are_known_only_later_are_told_as_well(self) -> None:
+        """The supervisor binds them after it has made its conductor."""
+        c = Conductor(GRAPH, "c", "example-1", 5)
+        c.observers = {"watch": "ipc:///late"}
+        assert c.hear("watch", observer("watch"), 0)[1] == Send("watch", Connect({"supervisor": "ipc:///late"}))
+
+    @pytest.mark.parametrize(
+        ("changes", "code"),
+        [
+            ({"version": 1}, RefusalCode.VERSION),
+            ({"certificate": "other"}, RefusalCode.CERTIFICATE),
+            ({"session": "else"}, RefusalCode.SESSION),
+            ({"role": Role.DEVICE}, RefusalCode.ROLE),
+            ({"name": "scope"}, RefusalCode.NAME),
+            ({"name": "dx", "role": Role.DEVICE}, RefusalCode.NAME),
+            ({"endpoints": {"dx": "tcp://192.0.2.1:1"}}, RefusalCode.ENDPOINTS),
+        ],
+    )
+    def test_one_that_does_not_belong_is_refused_and_the_session_goes_on(
+        self, changes: dict[str, object], code: RefusalCode
+    ) -> None:
+        c = running()
+        out = c.hear("watch", observer("watch", **changes), 0)
+        assert refused(list(out)) is code
+        assert out[1:] == [Release("watch")]
+        assert (c.phase, c.faults, c.ignored) == (Phase.RUNNING, [], 1)
+
+    def test_whatever_else_it_says_is_counted_and_not_heard(self) -> None:
+        c = running()
+        c.hear("watch", observer("watch"), 0)
+        before = dict(c.states)
+        said = (Ready(), REPORT, Fault("I end you"), Telemetry(1, {}, {}), Probe(1), Stop("now"), Malformed("junk"))
+        for message in said:
+            assert c.hear("watch", message, 0) == []
+        assert c.ignored == len(said)
+        assert (dict(c.states), c.phase, c.faults, c.reports) == (before, Phase.RUNNING, [], {})
+
+    def test_a_name_that_is_no_observers_is_refused_as_a_stranger(self) -> None:
+        c = running()
+        (out,) = c.hear("peeper", observer("peeper"), 0)
+        assert isinstance(out, Send)
+        assert isinstance(out.message, Refusal)
+        assert c.ignored == 1

@@ -14,6 +14,9 @@ class Running:
     def __init__(self) -> None:
         self.stopping, self.failure = False, ""
 
+    def look(self, _now: int) -> None:
+        """Nothing to look after."""
+
     def check(self) -> None:
         """Nothing to look after."""
 

@@ -72,6 +72,10 @@ class Watched:
         self._time, self._looks = time, looks
         self.stopping, self.failure = False, ""
         self.looked: list[int] = []
+        self.glances: list[int] = []
+
+    def look(self, now: int) -> None:
+        self.glances.append(now)
 
     def check(self) -> None:
         self.looked.append(self._time.ns)
@@ -108,6 +112,14 @@ def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
     assert values[0] == 0.5
     assert link.reads == MAX_STRAY_FRAMES + 1
     assert not life.stopping
+
+
+def test_a_life_is_looked_after_at_every_signal_however_busy_the_loop_is() -> None:
+    wait, _, life, _, _ = waiting((MS, HONEST) for _ in range(3))
+    assert [wait(), wait(), wait()] == [True] * 3
+    begin = Time().ns
+    assert life.glances == [begin, begin + MS, begin + 2 * MS]
+    assert life.looked == []
 
 
 def test_one_stray_more_is_a_failure_that_names_the_peer() -> None:

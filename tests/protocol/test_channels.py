@@ -4,7 +4,7 @@ import pytest
 
 from manyhands.protocol.channels import CHANNELS, Rate, channel_name
 from manyhands.protocol.codec import LAYOUTS
-from manyhands.protocol.messages import Force, Reaction, Role, Sample, Tool
+from manyhands.protocol.messages import Force, Observation, Reaction, Role, Sample, Tool
 
 
 def test_every_message_has_a_channel_and_every_channel_a_message() -> None:
@@ -39,3 +39,10 @@ def test_names_follow_ros() -> None:
     assert channel_name("example-1", "dx", "sample") == "/example-1/dx/sample"
     with pytest.raises(ValueError, match="found channel 'smaple'; expected one of sample, tool"):
         channel_name("example-1", "dx", "smaple")
+
+
+def test_an_observer_writes_to_nobody_and_reads_observations_alone() -> None:
+    assert {c.name for c in CHANNELS.values() if Role.OBSERVER in c.senders} == {"control"}  # to join
+    assert {c.name for c in CHANNELS.values() if Role.OBSERVER in c.receivers} == {"control", "observation"}
+    assert CHANNELS["observation"].senders == (Role.SUPERVISOR,)
+    assert CHANNELS["observation"].messages == (Observation,)

@@ -16,11 +16,14 @@ from manyhands.protocol.codec import LAYOUTS, ForeignHello, decode, encode
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
+    Echo,
     Fault,
     Force,
     LinkHello,
     Message,
     NodeHello,
+    Observation,
+    Probe,
     Reaction,
     Ready,
     Refusal,
@@ -78,6 +81,9 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
         Report, counts, figures, st.dictionaries(names, counts, max_size=3), st.dictionaries(names, figures, max_size=3)
     ),
     Fault: st.builds(Fault, texts),
+    Probe: st.builds(Probe, counts),
+    Echo: st.builds(Echo, counts, counts, counts),
+    Observation: st.builds(Observation, names, counts, figures, st.dictionaries(names, traces, max_size=3)),
 }
 SIGNALS = (Sample, Tool, Reaction, Force)
 
@@ -135,6 +141,19 @@ def test_signals_of_different_kind_or_content_differ() -> None:
     assert Telemetry(1, {}, {}) != Ready()
 
 
+def test_observations_of_different_nodes_or_content_differ() -> None:
+    one = Observation("dx", 1, {"speed": 0.5}, {"x": np.eye(1)})
+    assert one == Observation("dx", 1, {"speed": 0.5}, {"x": np.eye(1)})
+    for other in (
+        Observation("dy", 1, {"speed": 0.5}, {"x": np.eye(1)}),
+        Observation("dx", 2, {"speed": 0.5}, {"x": np.eye(1)}),
+        Observation("dx", 1, {"speed": 0.6}, {"x": np.eye(1)}),
+        Observation("dx", 1, {"speed": 0.5}, {"x": np.zeros((1, 1))}),
+        Telemetry(1, {"speed": 0.5}, {"x": np.eye(1)}),
+    ):
+        assert one != other
+
+
 def test_telemetry_tells_of_what_is_not_finite() -> None:
     sent = Telemetry(3, {"peak": math.inf, "ratio": math.nan}, {"x": np.array([[math.nan, -math.inf]])})
     received = decode(encode(sent), limits.MAX_CONTROL_BYTES)
@@ -154,7 +173,8 @@ def test_numbers_of_numpy_are_numbers() -> None:
 def test_the_greatest_link_fits_its_limits() -> None:
     ports = tuple(f"{i:0{limits.MAX_NAME}}" for i in range(limits.MAX_PORTS))
     row = (1 / 3,) * limits.MAX_PORTS
-    hello = LinkHello(1, "c" * limits.MAX_NAME, "s", "n", Role.COUPLING, ports, (row,) * limits.MAX_PORTS)
+    certificate = "c" * limits.MAX_NAME
+    hello = LinkHello(PROTOCOL_VERSION, certificate, "s", "n", Role.COUPLING, ports, (row,) * limits.MAX_PORTS)
     assert len(encode(hello)) <= limits.MAX_CONTROL_BYTES
     assert decode(encode(hello), limits.MAX_CONTROL_BYTES) == hello
     signal = encode(Tool(limits.MAX_COUNT, limits.MAX_COUNT, np.ones(limits.MAX_PORTS)))
@@ -196,6 +216,10 @@ HELLO = LinkHello(1, "c", "s", "n", Role.DEVICE, ("p",))
         (Stop("x" * 4097), "Stop.reason: found str of length 4097"),
         (Fault("a\x00b"), "Fault.text: found"),
         (Fault("\ud800"), "Fault.text: found"),
+        (Probe(-1), "Probe.sent: found -1; expected an integer from 0"),
+        (Echo(0, 2**63, 0), "Echo.heard: found 9223372036854775808"),
+        (Observation("", 1, {}, {}), "Observation.node: found ''"),
+        (Observation("dx", 1, {}, {"x": np.ones(3)}), "Observation.traces: found .*expected a 2-D array of float64"),
         (Report(1, {}, {"late": -1}, {}), "Report.counts: found -1"),
         (Report(1, {"a": 10**400}, {}, {}), "Report.figures"),
         (Telemetry(1, {}, {"x": np.ones(3)}), "Telemetry.traces: found .*expected a 2-D array of float64"),

@@ -227,7 +227,9 @@ SESSION_NODES = {"dx": Role.DEVICE, "cx": Role.COUPLING}
 
 
 def test_the_supervisor_admits_a_node_of_its_session() -> None:
-    assert check_node_hello(over_the_wire(NODE), "c0ffee", "example-1", SESSION_NODES) is None
+    assert check_node_hello(over_the_wire(NODE), "c0ffee", "example-1", SESSION_NODES, "dx") is None
+    bound = dataclasses.replace(NODE, name="cx", role=Role.COUPLING, endpoints={"dx": "ipc:///s/cx-dx"})
+    assert check_node_hello(over_the_wire(bound), "c0ffee", "example-1", SESSION_NODES, "cx", ["dx"]) is None
 
 
 @pytest.mark.parametrize(
@@ -246,23 +248,44 @@ def test_the_supervisor_admits_a_node_of_its_session() -> None:
         (dataclasses.replace(NODE, certificate="bad1dea"), RefusalCode.CERTIFICATE, "found the certificate bad1dea"),
         (dataclasses.replace(NODE, session="other"), RefusalCode.SESSION, "found the session other"),
         (dataclasses.replace(NODE, name="dz"), RefusalCode.NAME, "refused dz: found this name; expected one of dx, cx"),
-        (dataclasses.replace(NODE, name="cx"), RefusalCode.ROLE, "found the role device; expected coupling"),
+        (
+            dataclasses.replace(NODE, name="cx", role=Role.COUPLING),
+            RefusalCode.NAME,
+            "supervisor refused dx: found the name cx from dx; expected its own; start it from its own bundle",
+        ),
+        (dataclasses.replace(NODE, role=Role.COUPLING), RefusalCode.ROLE, "found the role coupling; expected device"),
+        (dataclasses.replace(NODE, role=Role.OBSERVER), RefusalCode.ROLE, "found the role observer; expected device"),
+        (
+            dataclasses.replace(NODE, endpoints={"cx": "tcp://192.0.2.1:1", "environment": "tcp://192.0.2.1:2"}),
+            RefusalCode.ENDPOINTS,
+            "found endpoints for cx, environment; expected them for none; start it from the bundle of this session",
+        ),
         (Ready(), RefusalCode.MALFORMED, "found a Ready; expected the hello of a node"),
         (COUPLING, RefusalCode.MALFORMED, "found a LinkHello; expected the hello of a node"),
         (Malformed("rubbish"), RefusalCode.MALFORMED, "found a malformed frame (rubbish)"),
     ],
 )
 def test_the_supervisor_says_why_it_refuses(hello: Received, code: RefusalCode, what: str) -> None:
-    refusal = check_node_hello(hello, "c0ffee", "example-1", SESSION_NODES)
+    refusal = check_node_hello(hello, "c0ffee", "example-1", SESSION_NODES, "dx")
     assert refusal is not None
     assert refusal.code == code
     assert what in refusal.text
     assert over_the_wire(refusal) == refusal
 
 
+@pytest.mark.parametrize("endpoints", [{}, {"dy": "ipc:///s/cx-dy"}, {"dx": "ipc:///a", "dy": "ipc:///b"}])
+def test_a_node_has_endpoints_of_exactly_the_links_that_it_binds(endpoints: dict[str, str]) -> None:
+    """Else it could have peers connect to it that are not its own, or wait for ever."""
+    hello = dataclasses.replace(NODE, name="cx", role=Role.COUPLING, endpoints=endpoints)
+    refusal = check_node_hello(hello, "c0ffee", "example-1", SESSION_NODES, "cx", ["dx"])
+    assert refusal is not None
+    assert refusal.code == RefusalCode.ENDPOINTS
+    assert "expected them for dx; " in refusal.text
+
+
 def test_a_refusal_of_a_large_session_can_be_sent() -> None:
     nodes = {f"{'d' * 90}{i}": Role.DEVICE for i in range(1024)}
-    refusal = check_node_hello(NODE, "c0ffee", "example-1", nodes)
+    refusal = check_node_hello(NODE, "c0ffee", "example-1", nodes, "dx")
     assert refusal is not None
     assert "and 1016 more" in refusal.text
     assert over_the_wire(refusal) == refusal

@@ -238,6 +238,135 @@ def test_a_hub_waits_for_frames_descriptors_and_time(joined: tuple[Hub, Link, Li
             os.close(writer)
 
 
+def test_a_hub_may_wait_for_everything_but_frames(joined: tuple[Hub, Link, Link]) -> None:
+    hub, dx, _ = joined
+    reader, writer = os.pipe()
+    try:
+        assert dx.send(b"frame")
+        hub.wait(LONG)  # it has arrived
+        before = time.monotonic_ns()
+        assert hub.wait(Duration(10 * MS), [reader], frames=False) == set()
+        assert time.monotonic_ns() - before >= 10 * MS
+        os.write(writer, b"!")
+        assert hub.wait(LONG, [reader], frames=False) == {reader}
+        assert hub.recv() == ("dx", b"frame")
+    finally:
+        os.close(reader)
+        os.close(writer)
+
+
+def test_a_hub_says_how_much_it_has_read(joined: tuple[Hub, Link, Link]) -> None:
+    hub, dx, _ = joined
+    before = hub.handled
+    assert hub.recv() is None
+    for _ in range(5):
+        assert dx.send(b"frame")
+    for done in range(1, 6):
+        receive(hub)
+        assert hub.handled == before + done
+
+
+def test_a_name_that_was_forgotten_is_free_for_the_next_and_the_first_may_stay(ends: "Ends") -> None:
+    """An observer's visits: each joins anew, and the one before may still be about to leave."""
+    hub, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
+    first = ends.join(endpoint, "dy")
+    assert first.send(b"first")
+    assert receive(hub) == ("dy", b"first")
+    hub.forget("dy")
+    hub.forget("nobody")
+    if ends.scheme not in {"memory", "tcp with keys"}:  # ZeroMQ leaves a routing id to whoever has it
+        ends.others.pop().close()
+        while hub.send("dy", b"still there?"):
+            hub.wait(Duration(MS))
+    second = ends.join(endpoint, "dy")
+    assert second.send(b"second")
+    assert receive(hub) == ("dy", b"second")
+    assert hub.send("dy", b"to the second")
+    assert second.recv(LONG) == b"to the second"
+    if ends.scheme in {"memory", "tcp with keys"}:
+        assert first.recv(Duration(0)) is None
+
+
+def test_a_settled_process_admits_when_it_attends(ends: "Ends") -> None:
+    """Before, receiving is enough; afterwards a loop attends in its slack, and who is inside need not wait for it."""
+    first, first_endpoint = ends.binder.bind("cx", "dx")
+    late, late_endpoint = ends.binder.bind("cy", "dx")
+    connected = ends.connector.connect(first_endpoint, "supervisor")
+    assert connected.send(b"here")
+    assert first.recv(LONG) == b"here"
+    for transport in (ends.binder, ends.connector):
+        transport.settle()
+        transport.settle()
+    newcomer = ends.connector.connect(late_endpoint, "supervisor")
+    assert newcomer.send(b"let me in")
+    if ends.scheme == "tcp with keys":
+        assert late.recv(Duration(30 * MS)) is None
+    assert connected.send(b"not disturbed")
+    assert first.recv(LONG) == b"not disturbed"
+    while (frame := late.recv(Duration(MS))) is None:
+        ends.binder.attend()
+    assert frame == b"let me in"
+
+
+def test_nobody_is_refused_and_nothing_is_in_trouble_among_friends(
+    ends: "Ends", joined: tuple[Hub, Link, Link], linked: tuple[Link, Link]
+) -> None:
+    for transport in (ends.binder, ends.connector):
+        assert transport.refused() == {}
+    for link in (*linked, *joined[1:]):
+        assert link.trouble() is None
+        link.close()
+        assert link.trouble() is None
+    ends.close()
+    for transport in (ends.binder, ends.connector):
+        transport.settle()
+        transport.attend()
+        assert transport.refused() == {}
+
+
+@pytest.fixture
+def outlet(ends: "Ends") -> tuple[Link, str]:
+    return ends.binder.bind_outlet("supervisor-dx", "dx")
+
+
+def hear(ends: "Ends", outlet: Link, endpoint: str, frame: bytes) -> Link:
+    """Come, and be told ``frame``, which is offered until somebody takes it."""
+    link = ends.connector.connect_outlet(endpoint, "supervisor")
+    while (heard := link.recv(Duration(MS))) is None:
+        ends.binder.attend()
+        outlet.send(frame)
+    assert heard == frame
+    return link
+
+
+def test_an_outlet_is_heard_by_one_who_comes_and_goes(ends: "Ends", outlet: tuple[Link, str]) -> None:
+    bound, endpoint = outlet
+    assert bound.send(b"anybody?") is False
+    for visit in range(3):
+        link = hear(ends, bound, endpoint, f"visit {visit}".encode())
+        link.close()
+
+
+def test_an_outlet_goes_one_way(ends: "Ends", outlet: tuple[Link, str]) -> None:
+    bound, endpoint = outlet
+    link = hear(ends, bound, endpoint, b"hear")
+    with pytest.raises(TransportError, match="cannot receive from a link"):
+        bound.recv(Duration(0))
+    with pytest.raises(TransportError, match="cannot send on a link"):
+        link.send(b"I say")
+
+
+def test_who_does_not_read_an_outlet_does_not_block_it(ends: "Ends", outlet: tuple[Link, str]) -> None:
+    bound, endpoint = outlet
+    link = hear(ends, bound, endpoint, bytes(60_000))
+    sent = 0
+    while bound.send(bytes(60_000)):
+        sent += 1
+        assert sent < 20 * LINK_QUEUE_FRAMES
+    while link.recv(Duration(20 * MS)) is not None:
+        pass
+
+
 def test_no_frame_is_overlooked_by_waiting(joined: tuple[Hub, Link, Link]) -> None:
     """Frames that are there need no new arrival to be noticed (ZeroMQ's own descriptor is edge-triggered)."""
     hub, dx, _ = joined
@@ -253,6 +382,7 @@ def test_what_is_no_name_is_refused(ends: "Ends", name: str) -> None:
     _, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
     for use in (
         lambda name: ends.binder.bind(name, "dx"),
+        lambda name: ends.binder.bind_outlet(name, "dx"),
         lambda name: ends.binder.bind_hub(name, ("dx",)),
         lambda name: ends.connector.join(endpoint, name),
     ):
@@ -271,6 +401,7 @@ def test_a_name_is_bound_once(ends: "Ends") -> None:
 def test_an_endpoint_of_another_transport_is_refused(ends: "Ends", endpoint: str) -> None:
     for use in (
         lambda endpoint: ends.connector.connect(endpoint, "supervisor"),
+        lambda endpoint: ends.connector.connect_outlet(endpoint, "supervisor"),
         lambda endpoint: ends.connector.join(endpoint, "dx"),
     ):
         with pytest.raises(TransportError, match=r"found the endpoint .*; expected"):
@@ -284,6 +415,10 @@ def test_closing_leaves_nothing(ends: "Ends", joined: tuple[Hub, Link, Link], li
     for link in (*linked, *joined[1:]):
         with pytest.raises(TransportError):
             link.recv(None)
-    for make in (lambda: ends.binder.bind("late", "dx"), lambda: ends.binder.bind_hub("late", ("dx", "dy"))):
+    for make in (
+        lambda: ends.binder.bind("late", "dx"),
+        lambda: ends.binder.bind_outlet("late", "dx"),
+        lambda: ends.binder.bind_hub("late", ("dx", "dy")),
+    ):
         with pytest.raises(TransportError, match="the transport is closed"):
             make()

@@ -1,0 +1,104 @@
+"""The report of a run: what nodes say at their end goes in, one JSON object comes out, whatever they say."""
+
+from __future__ import annotations
+
+import json
+import math
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from manyhands.launch.report import node_entry, run_report, save_json
+from manyhands.launch.summary import print_report
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
+from manyhands.protocol.messages import Report, Role
+
+HONEST = Report(
+    100,
+    {names.LEDGER: 0.5, names.LEDGER_MIN: 0.0, names.PEAK_SPEED: 0.25, names.FINAL_SPEED: 0.125},
+    {
+        **{names.LATE: 3, names.TAU_BREACHES: 0, names.CLIPPED: 2, names.STALE: 1},
+        **{"dropped_old_tick": 4, "dropped_malformed": 0, f"{names.REFUSED}no_key": 5, f"{names.REFUSED}shut": 0},
+    },
+    {names.TAU: {"p50": 1.0, "p99": 2.0, "p999": 3.0, "max": 4.0}},
+)
+KEYS = [
+    *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
+    *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
+]
+some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
+numbers = st.floats() | st.sampled_from([math.inf, -math.inf, math.nan])
+figures = st.dictionaries(some_names, numbers, max_size=8)
+counts = st.integers(0, MAX_COUNT)
+reports = st.builds(
+    Report,
+    counts,
+    figures,
+    st.dictionaries(some_names, counts, max_size=8),
+    st.dictionaries(some_names, figures, max_size=4),
+)
+
+
+def test_an_honest_nodes_entry() -> None:
+    assert node_entry(Role.DEVICE, HONEST) == {
+        "role": "device",
+        "ticks": 100,
+        "late": 3,
+        "tau_us": {"p50": 1.0, "p99": 2.0, "p999": 3.0, "max": 4.0},
+        "ledger": {"min": 0.0, "final": 0.5},
+        "peak_speed": 0.25,
+        "final_speed": 0.125,
+        "tau_breaches": 0,
+        "clipped": 2,
+        "refused": {"no_key": 5},
+        "dropped": {"old_tick": 4},
+    }
+
+
+def test_what_a_role_does_not_have_is_absent() -> None:
+    assert node_entry(Role.ENVIRONMENT, Report(7, {}, {}, {})) == {"role": "environment", "ticks": 7}
+
+
+@pytest.mark.parametrize("left_out", [names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED])
+@pytest.mark.parametrize("instead", [None, math.nan, math.inf])
+def test_half_of_a_pair_is_as_good_as_none(left_out: str, instead: float | None) -> None:
+    told = {name: value for name, value in HONEST.figures.items() if name != left_out}
+    if instead is not None:
+        told[left_out] = instead
+    entry = node_entry(Role.DEVICE, Report(1, told, {}, {}))
+    assert ("ledger" in entry) == (left_out not in (names.LEDGER, names.LEDGER_MIN))
+    assert ("peak_speed" in entry) == ("final_speed" in entry)
+    assert ("peak_speed" in entry) == (left_out not in (names.PEAK_SPEED, names.FINAL_SPEED))
+
+
+def whole(nodes: dict[str, Report], refused: dict[str, int] | None = None) -> dict[str, Any]:
+    roles = dict.fromkeys((*nodes, "silent"), Role.DEVICE)
+    return run_report("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {})
+
+
+@given(reports)
+def test_whatever_a_node_says_there_is_a_report_that_can_be_written_and_shown(report: Report) -> None:
+    received = decode(encode(report), MAX_CONTROL_BYTES)
+    assert isinstance(received, Report)
+    made = whole({"dx": received})
+    assert json.loads(json.dumps(made, allow_nan=False)) == made
+    shown = StringIO()
+    print_report(Console(file=shown, width=200), made)
+    assert "dx" in shown.getvalue()
+
+
+def test_the_whole_and_its_file(tmp_path: Path) -> None:
+    made = whole({"dx": HONEST})
+    assert made.keys() == {"session", "certificate", "clock", "duration", "nodes"}
+    assert made["nodes"].keys() == {"dx"}  # the other gave no last word
+    assert whole({}, {"no_key": 2})["refused"] == {"no_key": 2}
+    save_json(made, tmp_path / "run.json")
+    assert json.loads((tmp_path / "run.json").read_text()) == made
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]

@@ -1,0 +1,161 @@
+"""Whatever nodes, observers and strangers say, the supervisor hears it, shows it and reports it without an error."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rich.console import Console
+
+from manyhands.launch.conductor import Phase
+from manyhands.launch.display import LiveTable
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import IPC, Reach
+from manyhands.launch.session import load_session
+from manyhands.launch.summary import print_report
+from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.topology import topology
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.codec import encode
+from manyhands.protocol.limits import MAX_COUNT
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Fault,
+    Message,
+    NodeHello,
+    Probe,
+    Ready,
+    Report,
+    Role,
+    Telemetry,
+)
+from manyhands.protocol.transport.memory import MemoryTransport
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+OBSERVERS = "observers={watch: {reads: [telemetry, dx/sample, cx/tool]}}"
+KNOWN = [value for name, value in vars(names).items() if name.isupper() and isinstance(value, str)]
+counts = st.integers(0, MAX_COUNT) | st.integers(0, 300)
+numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, -1.0, 1e300])
+keys = st.sampled_from([*KNOWN, f"{names.TAU}_p50", f"{names.TAU}_p99", "dropped_x", "[bold]", "p50"])
+figures = st.dictionaries(keys, numbers, max_size=6)
+traces = st.dictionaries(
+    st.sampled_from([names.DISPLACEMENT, names.FORCE, names.FREE_POSITION]),
+    hnp.arrays(np.float64, st.tuples(st.integers(0, 3), st.integers(0, 3)), elements=numbers),
+    max_size=3,
+)
+said: st.SearchStrategy[Message | bytes] = st.one_of(
+    st.builds(Telemetry, counts, figures, traces),
+    st.builds(Report, counts, figures, st.dictionaries(keys, counts, max_size=6), st.dictionaries(keys, figures)),
+    st.builds(Fault, st.text("ab[/]\n", max_size=20)),
+    st.just(Ready()),
+    st.builds(Probe, counts),
+    st.binary(max_size=20),
+)
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml", [OBSERVERS]))
+
+
+class NoProcesses:
+    """Processes of a run that has none."""
+
+    def __init__(self) -> None:
+        self.sent: list[signal.Signals] = []
+        self.pids: dict[str, int] = {}
+
+    def send(self, which: signal.Signals) -> None:
+        self.sent.append(which)
+
+
+class Heard:
+    """A supervisor, its hub in memory, and its session brought to its first tick."""
+
+    def __init__(self, prepared: Prepared, run: bool) -> None:
+        self.supervisor = Supervisor(prepared, clock="realtime", reach=IPC, ticks=0, record=True)
+        self.graph = topology(prepared.session)
+        self.transport = MemoryTransport()
+        self.hub, _ = self.transport.bind_hub("control", [])
+        audience = self.supervisor._audience
+        self.supervisor._conductor.observers = audience.serve(self.transport, Reach("ipc"), self.graph)
+        self.processes = NoProcesses()
+        if run:
+            for name, role in self.graph.nodes.items():
+                binds = {link.connector: "ipc:///s" for link in self.graph.links_of(name) if link.binder == name}
+                self.say(name, NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, role, 1, binds))
+            for name in self.graph.nodes:
+                self.say(name, Ready())
+            assert self.supervisor._conductor.phase is Phase.RUNNING
+
+    def say(self, sender: str, what: Message | bytes) -> None:
+        frame = what if isinstance(what, bytes) else encode(what)
+        self.supervisor._hear(sender, frame, self.hub, self.processes)  # type: ignore[arg-type]
+
+
+@settings(max_examples=60)
+@given(
+    st.booleans(),
+    st.lists(st.tuples(st.sampled_from(["dx", "cx", "environment", "watch", "stranger"]), said), max_size=12),
+)
+def test_nothing_that_is_said_is_an_error(
+    prepared: Prepared, run: bool, conversation: list[tuple[str, Message | bytes]]
+) -> None:
+    heard = Heard(prepared, run)
+    shown = StringIO()
+    console = Console(file=shown, width=200, force_terminal=True)
+    table = LiveTable(console, "t", heard.graph, 0)
+    for sender, what in conversation:
+        heard.say(sender, what)
+        table(heard.supervisor._progress(heard.processes))  # type: ignore[arg-type]
+        console.print(table._render(heard.supervisor._progress(heard.processes)))  # type: ignore[arg-type]
+    outcome = heard.supervisor._outcome(None)
+    assert json.loads(json.dumps(outcome.report, allow_nan=False)) == outcome.report
+    print_report(console, outcome.report)
+    assert set(outcome.report["nodes"]) <= set(heard.graph.nodes)
+    assert set(heard.supervisor._telemetry) <= set(heard.graph.nodes)
+    heard.transport.close()
+
+
+def test_what_is_kept_of_strangers_does_not_grow(prepared: Prepared) -> None:
+    """Without keys anybody may invent names, and go on inventing."""
+    heard = Heard(prepared, run=True)
+
+    def kept() -> dict[str, int]:
+        inside: dict[str, Any] = {**vars(heard.supervisor), **vars(heard.supervisor._conductor)}
+        return {name: len(value) for name, value in inside.items() if hasattr(value, "__len__")}
+
+    before = kept()
+    hello = NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", "dx", Role.DEVICE, 1, {})
+    for number in range(200):
+        for what in (hello, Telemetry(1, {"speed": 0.5}, {}), Report(1, {}, {}, {}), Fault("f"), b"junk"):
+            heard.say(f"stranger{number}", what)
+    assert kept() == before
+    assert heard.supervisor._conductor.ignored == 1000
+    assert heard.processes.sent == []
+    heard.transport.close()
+
+
+@pytest.mark.parametrize("sender", ["dx", "cx"])
+def test_telemetry_out_of_turn_is_not_taken(prepared: Prepared, sender: str) -> None:
+    """Before its session runs, and after its last word."""
+    early = Heard(prepared, run=False)
+    early.say(sender, Telemetry(1, {"speed": 0.5}, {}))
+    assert early.supervisor._telemetry == {}
+    assert early.supervisor._conductor.ignored == 1
+    late = Heard(prepared, run=True)
+    late.say(sender, Telemetry(1, {"speed": 0.5}, {}))
+    late.say(sender, Report(1, {}, {}, {}))
+    late.say(sender, Telemetry(2, {"speed": 0.75}, {}))
+    assert late.supervisor._telemetry[sender].tick == 1
+    for heard in (early, late):
+        heard.transport.close()

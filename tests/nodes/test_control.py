@@ -1,0 +1,342 @@
+"""A node's line to the supervisor: the conversation, word by word, over a line that a test holds the other end of."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+
+import pytest
+
+from manyhands.nodes import control as control_module
+from manyhands.nodes.bundle import Common
+from manyhands.nodes.control import ControlLine, Refused, TelemetryLost
+from manyhands.nodes.life import Sight, Stopped
+from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_TEXT
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Connect,
+    Echo,
+    Fault,
+    Message,
+    NodeHello,
+    Probe,
+    Ready,
+    Refusal,
+    RefusalCode,
+    Report,
+    Role,
+    Start,
+    Stop,
+    Telemetry,
+    Welcome,
+)
+from manyhands.protocol.transport import Trouble
+from manyhands.protocol.transport.memory import MemoryTransport
+
+REPORT = Report(5, {}, {}, {})
+SECOND = 1_000_000_000
+
+
+def common(clock: str = "realtime", traces: bool = False, control: str = "memory://control") -> Common:
+    return Common(
+        session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=0.0, clock=clock, transport="tcp",
+        public={}, private="", directory="", control=control, ports=("dx",), peers=(), telemetry_ticks=100,
+        traces=traces,
+    )  # fmt: skip
+
+
+class Line:
+    """A link whose other end answers what it is told to; time passes for a reader by None, at once."""
+
+    def __init__(self) -> None:
+        self.said: list[Message] = []
+        self.coming: deque[bytes | None] = deque()
+        self.answer: Callable[[Message], list[Message]] = lambda _: []
+        self.room = 10**9
+        self.state: Trouble | None = None
+        self.waits = 0
+
+    def send(self, frame: bytes) -> bool:
+        if self.room == 0:
+            return False
+        self.room -= 1
+        message = decode(frame, MAX_CONTROL_BYTES)
+        self.said.append(message)  # type: ignore[arg-type]
+        self.say(*self.answer(message))  # type: ignore[arg-type]
+        return True
+
+    def say(self, *messages: Message) -> None:
+        self.coming.extend(map(encode, messages))
+
+    def recv(self, timeout: Duration | None) -> bytes | None:
+        if self.coming:
+            return self.coming.popleft()
+        assert timeout is not None
+        self.waits += timeout > 0
+        assert self.waits < 10_000, "it waits for ever"
+        return None
+
+    def trouble(self) -> Trouble | None:
+        return self.state
+
+    def close(self) -> None:
+        pass
+
+
+class Doors:
+    """A transport that makes one line, and notes how often its doors were attended to."""
+
+    def __init__(self, line: Line) -> None:
+        self.line, self.attended = line, 0
+        self.strangers: dict[str, int] = {}
+
+    def join(self, endpoint: str, identity: str) -> Line:
+        assert (endpoint, identity) == ("memory://control", "dx")
+        return self.line
+
+    def attend(self) -> None:
+        self.attended += 1
+
+    def refused(self) -> Mapping[str, int]:
+        return self.strangers
+
+
+class Life:
+    """Goes on until ``check`` was called so often, or as its watch says."""
+
+    def __init__(self, looks: int = 10**9, orphaned: bool = False) -> None:
+        self.stopping = self.orphaned = False
+        self._looks, self._orphaned = looks, orphaned
+
+    def check(self) -> None:
+        self._looks -= 1
+        if self._looks <= 0:
+            self.stopping, self.orphaned = True, self._orphaned
+
+
+@pytest.fixture
+def line() -> Line:
+    return Line()
+
+
+def control(line: Line, **changes: object) -> ControlLine:
+    return ControlLine(Doors(line), common(**changes))  # type: ignore[arg-type]
+
+
+def test_a_conversation_from_hello_to_the_last_word() -> None:
+    """Over the transport in memory, with the hub in the same hand."""
+    transport = MemoryTransport()
+    hub, endpoint = transport.bind_hub("control", ["dx"])
+
+    def heard() -> Message:
+        received = hub.recv()
+        assert received is not None
+        sender, frame = received
+        assert sender == "dx"
+        return decode(frame, MAX_CONTROL_BYTES)  # type: ignore[return-value]
+
+    def say(*messages: Message) -> None:
+        for message in messages:
+            assert hub.send("dx", encode(message))
+
+    one, life = ControlLine(transport, common(control=endpoint)), Life()
+    one.hello({"cx": "ipc:///s/dx-cx"}, 4321)
+    assert heard() == NodeHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, 4321, {"cx": "ipc:///s/dx-cx"})
+    say(Welcome(), Connect({"cx": "ipc:///s/cx-dx"}))
+    assert one.peers_endpoints(life) == {"cx": "ipc:///s/cx-dx"}  # type: ignore[arg-type]
+    one.ready()
+    assert heard() == Ready()
+    say(Start(10**9, 5))
+    assert one.start(life) == Start(10**9, 5)  # type: ignore[arg-type]
+    one.publish(Telemetry(3, {"speed": 0.5}, {}))
+    assert heard() == Telemetry(3, {"speed": 0.5}, {})
+    say(Stop("reported"))
+    one.report(REPORT, life)  # type: ignore[arg-type]
+    assert heard() == REPORT
+    assert (one.dropped, one.malformed) == (0, 0)
+    assert one.connection() is Sight.PRESENT
+    transport.close()
+
+
+def test_a_refusal_is_told_as_it_came(line: Line) -> None:
+    line.say(Refusal(RefusalCode.NAME, "supervisor refused dx: because"))
+    with pytest.raises(Refused, match=r"^supervisor refused dx: because$"):
+        control(line).peers_endpoints(Life())  # type: ignore[arg-type]
+
+
+def test_a_stop_ends_it(line: Line) -> None:
+    line.say(Welcome(), Stop("the session ends"))
+    with pytest.raises(Stopped):
+        control(line).peers_endpoints(Life())  # type: ignore[arg-type]
+
+
+def test_what_makes_no_sense_is_counted_and_waited_past(line: Line) -> None:
+    line.coming.extend([b"", b"\xc1", bytes(100)])
+    line.say(Ready(), Telemetry(1, {}, {}), Start(0, 1), Welcome(), Welcome(), Connect({"cx": "e"}))
+    one = control(line)
+    assert one.peers_endpoints(Life()) == {"cx": "e"}  # type: ignore[arg-type]
+    assert one.malformed == 7
+
+
+def test_a_life_that_ends_is_noticed_while_it_waits(line: Line) -> None:
+    with pytest.raises(Stopped):
+        control(line).start(Life(looks=3))  # type: ignore[arg-type]
+    assert line.waits == 3
+
+
+@pytest.mark.parametrize("trouble", [Trouble.NOT_ADMITTED, Trouble.NOT_PROVED])
+def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: Line, trouble: Trouble) -> None:
+    line.state = trouble
+    with pytest.raises(Refused) as error:
+        control(line).peers_endpoints(Life())  # type: ignore[arg-type]
+    assert str(error.value) == (
+        f"dx: cannot join the supervisor at memory://control: {trouble}; see that the session runs there, and that "
+        "bundle and key are of its present keys"
+    )
+    assert line.waits == 1
+
+
+def test_one_that_is_not_there_yet_is_given_a_minute(line: Line) -> None:
+    line.state = Trouble.NOBODY
+    with pytest.raises(Refused, match="nobody listens there"):
+        control(line).peers_endpoints(Life())  # type: ignore[arg-type]
+    assert line.waits * control_module._PATIENCE == 60 * SECOND
+    line.waits = 0
+    line.state = None
+    with pytest.raises(Stopped):  # one that is there, and takes its time, is waited for
+        control(line).peers_endpoints(Life(looks=2 * control_module._JOINING_WAITS))  # type: ignore[arg-type]
+
+
+class Test_telemetry:
+    @pytest.mark.parametrize(("clock", "traces"), [("realtime", True), ("realtime", False), ("simulated", False)])
+    def test_what_nobody_takes_is_dropped_and_counted(self, line: Line, clock: str, traces: bool) -> None:
+        line.room = 2
+        one = control(line, clock=clock, traces=traces)
+        for tick in range(5):
+            one.publish(Telemetry(tick, {}, {}))
+        assert one.dropped == 3
+        assert line.said == [Telemetry(0, {}, {}), Telemetry(1, {}, {})]
+
+    def test_a_recording_in_simulated_time_is_whole_or_an_error(self, line: Line) -> None:
+        line.room = 1
+        one = control(line, clock="simulated", traces=True)
+        one.publish(Telemetry(1, {}, {}))
+        with pytest.raises(TelemetryLost, match="record less"):
+            one.publish(Telemetry(2, {}, {}))
+
+    def test_whoever_knocks_is_attended_to(self, line: Line) -> None:
+        doors = Doors(line)
+        one = ControlLine(doors, common())  # type: ignore[arg-type]
+        for tick in range(3):
+            one.publish(Telemetry(tick, {}, {}))
+        assert doors.attended == 3
+        assert line.said[-1] == Telemetry(2, {}, {})
+        doors.strangers = {"no_key": 3, "shut": 1}
+        assert one.refused() == doors.strangers
+        one.publish(Telemetry(3, {"late": 1.0}, {}))
+        one.publish(Telemetry(4, {"not_admitted": 2.0}, {}))
+        assert line.said[-2:] == [
+            Telemetry(3, {"late": 1.0, "not_admitted": 4.0}, {}),
+            Telemetry(4, {"not_admitted": 6.0}, {}),
+        ]
+
+
+class Clock:
+    """Time that passes only with each look at it."""
+
+    def __init__(self, steps: Iterator[int]) -> None:
+        self._now, self._steps = 0, steps
+
+    def now(self) -> Instant:
+        self._now += next(self._steps)
+        return Instant(self._now)
+
+    def sleep_until(self, t: Instant) -> None:
+        raise AssertionError("nothing sleeps here")
+
+
+def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: Line) -> None:
+    """One way is 25 ns both ways; all others have 75 ns more on the way back, which would make 37 of error."""
+    ahead, quick = 5 * SECOND, 7
+    ways = [50 if k == quick else 125 for k in range(32)]
+    clock = Clock(step for way in ways for step in (1000, way))
+    line.answer = lambda probe: [Echo(probe.sent, probe.sent + ahead + 25, probe.sent + ahead + 25)]  # type: ignore[union-attr]
+    assert control(line).clock_offset(clock, Life()) == ahead  # type: ignore[arg-type]
+    assert len(line.said) == 32
+
+
+def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line: Line) -> None:
+    stray = Echo(0, 10**12, 10**12)
+    line.answer = lambda probe: [stray, Echo(probe.sent, probe.sent, probe.sent)]  # type: ignore[union-attr]
+    one = control(line)
+    assert one.clock_offset(Clock(iter([10] * 64)), Life()) == -5  # type: ignore[arg-type]
+    assert one.malformed == 32
+    assert len(line.said) == 32
+
+
+class Test_a_guest_in_its_loop:
+    def test_a_stop_is_heard_behind_other_words(self, line: Line) -> None:
+        one = control(line)
+        line.say(Echo(0, 0, 0))
+        line.coming.append(b"\xc1")
+        line.say(Stop("the session ends"))
+        assert [one.sight(Instant(0)) for _ in range(4)] == [
+            Sight.PRESENT,
+            Sight.PRESENT,
+            Sight.ENDING,
+            Sight.PRESENT,
+        ]
+        assert line.waits == 0
+
+    @pytest.mark.parametrize("trouble", [None, *Trouble])
+    def test_only_a_loss_is_an_end(self, line: Line, trouble: Trouble | None) -> None:
+        one = control(line)
+        line.state = trouble
+        expected = Sight.GONE if trouble is Trouble.LOST else Sight.PRESENT
+        assert one.sight(Instant(0)) is expected
+        assert one.connection() is expected
+
+    def test_it_says_every_second_that_it_is_there(self, line: Line) -> None:
+        one = control(line)
+        for tenth in range(31):
+            one.sight(Instant(SECOND + tenth * SECOND // 10))
+        assert line.said == [Probe(k * SECOND) for k in (1, 2, 3, 4)]
+
+
+class Test_the_last_word:
+    def test_it_stays_until_it_was_heard(self, line: Line) -> None:
+        line.say(Echo(0, 0, 0), Start(0, 0), Stop("reported"))
+        control(line).report(REPORT, Life())  # type: ignore[arg-type]
+        assert line.said == [REPORT]
+        assert (len(line.coming), line.waits) == (0, 0)
+
+    def test_it_waits_for_room_and_is_said_once(self, line: Line) -> None:
+        line.room = 0
+        life = Life()
+
+        def make_room() -> None:
+            line.room = 1
+
+        life.check = make_room  # type: ignore[method-assign]
+        control(line).report(REPORT, life)  # type: ignore[arg-type]
+        assert line.said == [REPORT]
+
+    def test_it_gives_up_in_the_end(self, line: Line) -> None:
+        control(line).report(REPORT, Life())  # type: ignore[arg-type]
+        assert line.waits * control_module._PATIENCE == 2 * SECOND
+
+    def test_nobody_there_is_not_waited_for(self, line: Line) -> None:
+        control(line).report(REPORT, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
+        assert line.waits == 1
+        line.state = Trouble.LOST
+        control(line).fault("dx: broken", Life())  # type: ignore[arg-type]
+        assert line.waits == 2
+
+    def test_a_fault_says_anything_in_a_presentable_way(self, line: Line) -> None:
+        control(line).fault("\x1b[2J" + "x" * 10_000, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
+        (fault,) = line.said
+        assert isinstance(fault, Fault)
+        assert len(fault.text) == MAX_TEXT
+        assert "\x1b" not in fault.text
