@@ -75,6 +75,9 @@ HANDSHAKE_MS: Final = 5000
 DOOR_BURST: Final = 64
 """Connections opened at a door within a tenth of a second, beyond those it is meant for, before it is shut."""
 
+DOOR_FAILURES: Final = 16
+"""Handshakes in a second that may fail for their key before a door is shut: each costs some tenths of a ms."""
+
 DOOR_SHUT_MS: Final = 1000
 """How long a door stays shut, ms: the kernel then drops whoever knocks, and connections that exist go on."""
 

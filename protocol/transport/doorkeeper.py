@@ -24,7 +24,7 @@ import zmq
 from zmq.utils import z85
 
 from manyhands.protocol.keys import KeyRing
-from manyhands.protocol.limits import DOOR_BURST, DOOR_SHUT_MS, HANDSHAKE_MS
+from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, HANDSHAKE_MS
 from manyhands.protocol.transport.monitor import close_monitor, monitor_of
 
 
@@ -84,6 +84,7 @@ class _Door:
     _EVENT: Final = struct.Struct("=HI")
     _EVENTS_AT_ONCE: Final = 2 * DOOR_BURST  # counted at one look, a few us each; the rest at the next
     _WINDOW: Final = 100_000_000  # ns, in which DOOR_BURST counts
+    _FAILURES_WINDOW: Final = 1_000_000_000  # ns, in which DOOR_FAILURES counts
     _ROOM: Final = 4 * DOOR_BURST  # connections open at a time, which are file descriptors of this process
 
     def __init__(self, socket: "zmq.Socket[bytes]", admits: int) -> None:
@@ -92,6 +93,7 @@ class _Door:
         self._listener: int | None = None
         self._open: dict[int, bool] = {}  # connections by descriptor, the newest last: whether they are established
         self._window, self._came = 0, 0  # monotonic ns, and connections opened since
+        self._failures_window, self._failed = 0, 0  # the same, and handshakes that failed for their key
         self.shut_until: int | None = None  # monotonic ns
         self.accepted = self.succeeded = self.no_key = self.not_proved = self.not_admitted = self.shut = 0
         self.second = 0
@@ -100,9 +102,12 @@ class _Door:
         """Count what happened, as much as a look allows for; shut the door if that was too much, or open it again."""
         if now - self._window >= self._WINDOW:
             self._window, self._came = now, 0
+        if now - self._failures_window >= self._FAILURES_WINDOW:
+            self._failures_window, self._failed = now, 0
         told_all = self._listen_to_monitor()
         if self.shut_until is None:
             crowd = self._came > DOOR_BURST + self._admits  # all who belong here may come at once
+            crowd |= self._failed > DOOR_FAILURES  # none of whom fails
             if (crowd or self._is_full()) and self._filter(True):
                 self.shut += 1
                 self.shut_until = now + DOOR_SHUT_MS * 1_000_000
@@ -110,6 +115,7 @@ class _Door:
             self._filter(False)
             self.shut_until = None
             self._window, self._came = now, 0
+            self._failures_window, self._failed = now, 0
 
     def _listen_to_monitor(self) -> bool:
         """Whether that was all it has to tell."""
@@ -138,10 +144,12 @@ class _Door:
                 self._establish()
             case zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL if value == self._CRYPTOGRAPHIC:
                 self.not_proved += 1
+                self._failed += 1
             case zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
                 self.no_key += 1
             case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
                 self.not_admitted += 1  # why, the answer to ZeroMQ's question has counted
+                self._failed += 1
             case zmq.EVENT_DISCONNECTED:
                 self._open.pop(value, None)
 

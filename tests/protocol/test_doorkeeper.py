@@ -17,7 +17,7 @@ from zmq.utils import z85
 
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyPair, KeyRing, new_pair
-from manyhands.protocol.limits import DOOR_BURST, DOOR_SHUT_MS, MAX_CONTROL_BYTES
+from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import Trouble
 from manyhands.protocol.transport.doorkeeper import Doorkeeper, Refused, judge
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -285,6 +285,30 @@ def test_as_many_as_are_allowed_do_not_shut_it_and_windows_are_counted_apart(hou
     house.pass_time(100)
     crowd(outside, house.port, DOOR_BURST)
     assert house.attend_until(lambda refused: refused["unfinished"] == 2 * DOOR_BURST) == {"unfinished": 2 * DOOR_BURST}
+
+
+def fail(house: House, so_far: int) -> None:
+    """One more handshake with a key that nobody knows, seen to its end."""
+    with ExitStack() as leaving:
+        visitor(leaving, house.port, "stranger", zmq.PAIR)
+        house.attend_until(lambda refused: {**refused, "shut": 1} == {"unknown_key": so_far + 1, "shut": 1})
+
+
+def test_those_who_fail_again_and_again_shut_it_before_they_are_a_crowd(house: House) -> None:
+    for count in range(DOOR_FAILURES + 1):
+        assert not house.keeper.shut
+        fail(house, count)
+    assert house.keeper.shut
+    assert house.keeper.refused()["shut"] == 1
+
+
+def test_failures_are_counted_by_the_second(house: House) -> None:
+    for count in range(DOOR_FAILURES):
+        fail(house, count)
+    house.pass_time(1000)
+    for count in range(DOOR_FAILURES, 2 * DOOR_FAILURES):
+        fail(house, count)
+    assert not house.keeper.shut
 
 
 def test_a_crowd_before_one_door_leaves_the_other_open(house: House, outside: ExitStack) -> None:
