@@ -153,6 +153,8 @@ def _converse(common: Common, node: Node, life: Life, transport: Transport, cont
         node.loop(start, life, control)
     finally:
         life.leave_loop()
+    if remote:
+        life.watch = control.connection  # a Stop is now the answer to the last word, and not to be taken from it
     if life.failure is not None:
         control.fault(life.failure, life)
         print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
