@@ -16,7 +16,7 @@ from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
-from manyhands.protocol.transport.doorkeeper import Refused
+from manyhands.protocol.transport.door import Refused
 
 from .spec_text import SPEC, table
 

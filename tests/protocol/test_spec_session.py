@@ -40,7 +40,7 @@ from manyhands.protocol.messages import (
     Telemetry,
 )
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.doorkeeper import Refused
+from manyhands.protocol.transport.door import Refused
 from manyhands.protocol.transport.memory import MemoryTransport
 from manyhands.protocol.transport.sockets import HUB_DROPS, ZmqHub
 from manyhands.protocol.transport.zeromq import ZmqTransport

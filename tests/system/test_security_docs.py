@@ -26,7 +26,7 @@ from manyhands.nodes import telemetry
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.transport import Trouble
-from manyhands.protocol.transport.doorkeeper import Refused
+from manyhands.protocol.transport.door import Refused
 from manyhands.protocol.transport.sockets import HUB_DROPS
 
 from .capture import free_ports
