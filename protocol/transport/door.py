@@ -58,6 +58,10 @@ class Door:
         self.accepted = self.succeeded = self.no_key = self.not_proved = self.not_admitted = self.shut = 0
         self.second = 0
 
+    def fail(self) -> None:
+        """Somebody was not admitted; who leaves before the answer is never told of by the monitor."""
+        self._failed += 1
+
     def look(self, now: int) -> None:
         """Count what happened, as much as a look allows for; shut the door if that was too much, or open it again."""
         if now - self._window >= self._WINDOW:
@@ -109,7 +113,6 @@ class Door:
                 self.no_key += 1
             case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
                 self.not_admitted += 1  # why, the answer to ZeroMQ's question has counted
-                self._failed += 1
             case zmq.EVENT_DISCONNECTED:
                 self._open.pop(value, None)
 

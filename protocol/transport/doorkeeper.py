@@ -78,6 +78,7 @@ class Doorkeeper:
         self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[Door] = []
+        self._by_domain: dict[bytes, Door] = {}
         self._refused = dict.fromkeys(Refused, 0)
         self._desk = context.socket(zmq.REP)
         self._desk.bind("inproc://zeromq.zap.01")
@@ -102,7 +103,8 @@ class Doorkeeper:
         socket.setsockopt(zmq.CURVE_SECRETKEY, self._ring.pair.secret.encode("ascii"))
         socket.setsockopt_string(zmq.ZAP_DOMAIN, domain)
         socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
-        self._doors.append(Door(socket, len(admits)))
+        door = self._by_domain[domain.encode("ascii")] = Door(socket, len(admits))
+        self._doors.append(door)
 
     def introduce(self, socket: "zmq.Socket[bytes]", peer: str) -> None:
         """Make ``socket``, which is to be connected, prove our key and ask for ``peer``'s.
@@ -142,6 +144,8 @@ class Doorkeeper:
             reply, refused = judge(request, self._admits, self._keys)
             if refused is not None:
                 self._refused[refused] += 1
+                if (door := self._by_domain.get(request[2] if len(request) > 2 else b"")) is not None:
+                    door.fail()
             self._desk.send_multipart(reply)
         self._look()
 
