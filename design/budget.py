@@ -34,6 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.delay import gain_for_share, greatest_share
 from manyhands.design.environment import Environment
 from manyhands.design.environment_level import lack_of_passivity
@@ -129,6 +130,8 @@ def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> fl
     """
     if environment.passive_network is not None:
         return 0.0
+    if isinstance(environment, DeclaredEnvironment):
+        return needed_share(Delta_D, environment.level)
     try:
         split = environment.split(T)
     except Infeasible:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from manyhands.design.certificate_parts import (
     aim_of,
@@ -26,8 +26,9 @@ from manyhands.design.certificate_parts import (
     environment_of,
     matrices_by_block,
     square,
+    storage_of,
 )
-from manyhands.design.contract import ENERGY, DeviceShare, Levels
+from manyhands.design.contract import DeviceShare, Levels
 from manyhands.design.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.errors import CertificateError
 from manyhands.design.partition import Partition
@@ -248,7 +249,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
             Phi_E=partition.embed(matrices_by_block(Phi_E, partition))
             if isinstance(Phi_E, Mapping)
             else matrix(Phi_E, m, m),
-            P_E=_storage_of(storage["E_hat"]),
+            P_E=storage_of(storage["E_hat"], loop.environment),
             P_V=tuple(square(storage["V_hat"][name]) if linear else None for name in partition.names),
         ),
         transparency=None
@@ -258,15 +259,6 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         method={str(k): v for k, v in data["method"].items()},
         id=str(data["id"]),
     )
-
-
-def _storage_of(value: Any) -> Matrix | Literal["energy"]:
-    """E_hat's storage."""
-    if value == ENERGY:
-        return ENERGY
-    if isinstance(value, str):
-        raise ValueError(f"storage.E_hat: found {value[:40]!r}, expected {ENERGY!r} or a matrix")
-    return square(value)
 
 
 def _finite(text: str) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from manyhands.design.contract import ENERGY, ENFORCED
 from manyhands.design.coupling import CouplingBlock, SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.discretisation import METHODS
 from manyhands.design.environment import (
     DelayedNetwork,
@@ -41,6 +43,8 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
         case TransferEnvironment(_, entries, method, delay):
             rows = [[{"num": list(num), "den": list(den)} for num, den in row] for row in entries]
             return {"type": "transfer-function", "entries": rows, "method": method, "delay": delay}
+        case DeclaredEnvironment():
+            return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
 
 
@@ -70,7 +74,11 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     Raises:
         KeyError, TypeError, ValueError: something is missing or makes no environment.
     """
-    kind, delay = data["type"], data["delay"]
+    kind = data["type"]
+    if kind == "declared":
+        m = len(ports)
+        return DeclaredEnvironment(ports, matrix(data["level"], m, m))
+    delay = data["delay"]
     if type(delay) is not int or not 0 <= delay <= MOST_DELAY:
         raise ValueError(f"environment.delay: found {delay!r}, expected a whole number from 0 to {MOST_DELAY}")
     if kind == "network":
@@ -92,7 +100,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
             raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
         rows = tuple(tuple(_rational(entry) for entry in row) for row in data["entries"])
         return TransferEnvironment(ports, rows, data["method"], delay)
-    raise ValueError(f"environment.type: found {kind!r}, expected 'network', 'state-space' or 'transfer-function'")
+    expected = "'network', 'state-space', 'transfer-function' or 'declared'"
+    raise ValueError(f"environment.type: found {kind!r}, expected {expected}")
 
 
 def _network_of(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Network:
@@ -154,6 +163,23 @@ def coupling_of(data: Mapping[str, Any], partition: Partition) -> tuple[Coupling
         if (system.outputs, system.inputs) != (m, m):
             raise ValueError(f"coupling.blocks.{name}: expected {m} inputs and outputs")
     return systems
+
+
+def storage_of(value: Any, environment: Environment) -> Matrix | Literal["energy", "enforced"]:
+    """E_hat's storage; a declared environment has none, and no other may do without.
+
+    Raises:
+        ValueError: another word, or not a matrix.
+    """
+    if isinstance(environment, DeclaredEnvironment):
+        if value != ENFORCED:
+            raise ValueError(f"storage.E_hat: expected {ENFORCED!r} for a declared environment")
+        return ENFORCED
+    if isinstance(value, str):
+        if value != ENERGY:
+            raise ValueError(f"storage.E_hat: found {value[:40]!r}, expected {ENERGY!r} or a matrix")
+        return ENERGY
+    return square(value)
 
 
 def matrices_by_block(data: Mapping[str, Any], partition: Partition) -> tuple[Matrix, ...]:

@@ -20,6 +20,9 @@ NO_DELAY_GAIN: Final = 0.5
 ENERGY: Final = "energy"
 """The storage of a network that needs no matrix: its mechanical energy."""
 
+ENFORCED: Final = "enforced"
+"""In place of a storage: nothing proves the level, a passivity controller keeps it at run time."""
+
 
 @dataclass(frozen=True)
 class DeviceShare:
@@ -52,7 +55,8 @@ class Levels:
         Delta_D: by block of V, m_i x m_i, N*s/m: the devices' level brought to the structure of V.
         Delta_V: by block of V, m_i x m_i, N*s/m: V_hat,i is Delta_V,i-OSP.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
-        P_E: storage matrix of Rest (:mod:`manyhands.design.split`), n x n, N*s/m in its units; or "energy".
+        P_E: storage matrix of Rest (:mod:`manyhands.design.split`), n x n, N*s/m in its units; or "energy";
+            or "enforced", where nothing is proved.
         P_V: storage matrix of each linear block, n_i x n_i, in the state zeta = (xi - xi_)/T; None for springs and
             dampers, whose level is in closed form.
     """
@@ -61,7 +65,7 @@ class Levels:
     Delta_D: tuple[Matrix, ...]
     Delta_V: tuple[Matrix, ...]
     Phi_E: Matrix
-    P_E: Matrix | Literal["energy"]
+    P_E: Matrix | Literal["energy", "enforced"]
     P_V: tuple[Matrix | None, ...]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from manyhands.design.contract import NO_DELAY_GAIN
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.environment import Environment
 from manyhands.design.partition import Partition
 from manyhands.design.split import Split
@@ -191,6 +192,12 @@ class HapticLoop:
                     if owners[a] == owners[b]:
                         out[place[p][0]][place[p][1], place[q][1]] = level[a, b]
         return tuple(matrix(M) for M in out)
+
+    @property
+    def enforced(self) -> tuple[str, ...]:
+        """The parties whose level nothing proves, and a passivity controller keeps at run time."""
+        declared = isinstance(self.environment, DeclaredEnvironment) and self.environment.enforced
+        return ("environment",) if declared else ()
 
     @cached_property
     def split(self) -> Split:

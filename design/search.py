@@ -18,11 +18,13 @@ from typing import Any
 
 import cvxpy
 import numpy as np
+from scipy.linalg import eigh
 
 from manyhands.design import transparency
 from manyhands.design.complementarity import Interrupted, StoppedShort
 from manyhands.design.contract import DeviceShare, least_coupling_level
 from manyhands.design.coupling import CouplingBlock, SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.delay import PIECES, device_share, gain_for_share, greatest_share
 from manyhands.design.environment import NetworkBox
 from manyhands.design.environment_level import lack_of_passivity
@@ -161,6 +163,8 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
         Infeasible: E_hat is passive at no level.
     """
     environment = loop.environment
+    if isinstance(environment, DeclaredEnvironment):
+        return float(eigh(environment.promised(), loop.Delta_D, eigvals_only=True)[-1])
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
         return 0.0  # its energy: no more is known, or cheap to know
@@ -232,7 +236,10 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         )
     wish, T, partition = wanted.wish, loop.period, loop.partition
-    E = _seen_environment(loop)
+    if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
+        E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, nothing is asked of it but its ports
+    else:
+        E = _seen_environment(loop)
     least = tuple(
         LEAST_LEVEL * Delta + least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks

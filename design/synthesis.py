@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, TransparencyClaim, content, seal
-from manyhands.design.contract import margin
+from manyhands.design.certificate import Certificate, TransparencyClaim, content, identity
+from manyhands.design.contract import Levels, margin
 from manyhands.design.coupling import CouplingBlock, realisations
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.hinfinity import bounded_real_storage, hinf_norm
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, NoCoupling, SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.search import Found, search
 from manyhands.design.statespace import StateSpace
-from manyhands.design.theorem3 import certify_given
+from manyhands.design.theorem3 import certify_beside, certify_given
 from manyhands.design.weighted_loop import Transparency, weighted
 
 Progress = Callable[[str], None]
@@ -61,21 +62,38 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     return Designed(certificate, found.history, found.watched, found.interrupted)
 
 
-def certificate_of(loop: HapticLoop, found: Found, progress: Progress | None = None) -> Certificate:
-    """Certify a coupling and prove the certificate."""
+def certificate_of(
+    loop: HapticLoop, found: Found, progress: Progress | None = None, environment: Levels | None = None
+) -> Certificate:
+    """Certify a coupling and prove the certificate.
+
+    Args:
+        loop: the haptic loop.
+        found: the coupling.
+        progress: told what is being done.
+        environment: levels whose Phi_E and storage are to be used instead of looking for better ones.
+
+    Raises:
+        DesignError: as :func:`design`.
+    """
     try:
         blocks = realisations(found.coupling, loop.period)
     except ValueError as error:
         raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
     _well_posed(loop, blocks)
-    levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
+    if environment is None:
+        levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
+    else:
+        levels = certify_beside(loop, found.coupling, environment, found.device)
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method)
-    certificate = seal(replace(draft, margins={"(10)": margin(loop.partition, levels)}))
+    draft = replace(draft, margins={"(10)": margin(loop.partition, levels)})
+    data = content(draft)
+    data["id"] = identity(data)
     if progress is not None:
         progress("proving the certificate")
     try:
-        failing = [finding for finding in prove(content(certificate) | {"id": certificate.id}) if not finding.holds]
+        failing = [finding for finding in prove(data) if not finding.holds]
     except ProofInputError as error:
         raise SolverFailure(f"the certificate cannot be proved: {error}") from error
     if failing:
@@ -84,7 +102,7 @@ def certificate_of(loop: HapticLoop, found: Found, progress: Progress | None = N
             f"the solver's answer does not survive the proof: {worst.condition}: found {worst.value:.3g}, "
             f"bound {worst.bound:.3g}"
         )
-    return certificate
+    return replace(draft, id=data["id"])
 
 
 def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
@@ -112,9 +130,10 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
 def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
     """The algebraic loop of D_E and D_V has one solution a tick.
 
-    Always so where V_hat is output strictly passive, D_V + D_V^T >= 2 K > 0, and D_E = D_E^T >= 0, as a network's is.
+    Always so where V_hat is output strictly passive, D_V + D_V^T >= 2 K > 0, and D_E = D_E^T >= 0, as a network's is. A
+    model is asked ahead of the tick, and what a controller makes of its answer is unique wherever D_V + D_V^T > 0.
     """
-    if loop.environment.passive_network is not None:
+    if loop.environment.passive_network is not None or isinstance(loop.environment, DeclaredEnvironment):
         return
     D_E = loop.environment.environment(loop.period).D
     D_V = loop.partition.embed([block.D for block in blocks])

@@ -20,8 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.contract import ENERGY, DeviceShare, Levels, margin
+from manyhands.design.contract import ENERGY, ENFORCED, DeviceShare, Levels, margin
 from manyhands.design.coupling import CouplingBlock, SpringDamper, realisations
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.delay import device_share, least_gain
 from manyhands.design.environment import NetworkBox
 from manyhands.design.errors import Infeasible, SolverFailure
@@ -87,6 +88,42 @@ def certify_given(
     return best
 
 
+def certify_beside(
+    loop: HapticLoop,
+    coupling: tuple[CouplingBlock, ...],
+    environment: Levels,
+    hint: DeviceShare | None = None,
+) -> Levels:
+    """Find levels beside an environment's level that is known already: no delay inside the tick changes it.
+
+    Args:
+        loop: the haptic loop.
+        coupling: V's blocks, as for :func:`certify_given`.
+        environment: whose Phi_E and storage are taken; proved for the same environment and period.
+        hint: a gain kappa to be tried first.
+
+    Returns:
+        The levels at the first gain at which (10) holds, the greatest share first: the quickest, not the best.
+
+    Raises:
+        Infeasible: there is no such gain.
+        SolverFailure: a solver gave no usable answer.
+    """
+    blocks = realisations(coupling, loop.period)
+    first: Infeasible | SolverFailure | None = None
+    for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
+        try:
+            own = _promises(loop, coupling, blocks, device, ())
+        except (Infeasible, SolverFailure) as error:
+            first = first or error
+            continue
+        Delta_V, P_V = tuple(level.Delta for level in own), tuple(level.P for level in own)
+        found = Levels(device, loop.Delta_D_blocks, Delta_V, environment.Phi_E, environment.P_E, P_V)
+        if margin(loop.partition, found) > 0.0:
+            return found
+    raise first or Infeasible("condition (10) fails beside the environment's level", RELAX)
+
+
 def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
     """The gains kappa to be tried, the most promising first: one without delay, a handful with one."""
     if loop.tau == 0.0:
@@ -112,6 +149,20 @@ def _levels(
     progress: Progress | None,
 ) -> Levels:
     """The levels for one gain kappa."""
+    own = _promises(loop, coupling, blocks, device, known)
+    Delta_V = tuple(level.Delta for level in own)
+    Phi_E, P_E = _environment(loop, device, Delta_V, progress)
+    return Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, P_E, tuple(level.P for level in own))
+
+
+def _promises(
+    loop: HapticLoop,
+    coupling: tuple[CouplingBlock, ...],
+    blocks: tuple[StateSpace, ...],
+    device: DeviceShare,
+    known: tuple[BlockLevel, ...],
+) -> tuple[BlockLevel, ...]:
+    """What each block promises for one gain kappa."""
     gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
@@ -119,14 +170,11 @@ def _levels(
         else:
             check_block(name, part, K, loop.period, device.kappa)
     try:
-        own = _block_levels(loop, coupling, blocks, device)
+        return _block_levels(loop, coupling, blocks, device)
     except SolverFailure:
         if not known:
             raise
-        own = known
-    Delta_V = tuple(level.Delta for level in own)
-    Phi_E, P_E = _environment(loop, device, Delta_V, progress)
-    return Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, P_E, tuple(level.P for level in own))
+        return known
 
 
 def _block_levels(
@@ -138,7 +186,7 @@ def _block_levels(
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period), None))
-        elif part.inputs == 1 or not _small(loop):
+        elif part.inputs == 1 or not _small(loop) or isinstance(loop.environment, DeclaredEnvironment):
             own.append(block_level(name, part, K, Delta_D, loop.period))
     if len(own) == len(blocks):
         return tuple(own)
@@ -165,9 +213,11 @@ def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) ->
 
 def _environment(
     loop: HapticLoop, device: DeviceShare, Delta_V: tuple[Matrix, ...], progress: Progress | None
-) -> tuple[Matrix, Matrix | Literal["energy"]]:
-    """Phi_E and what proves it."""
+) -> tuple[Matrix, Matrix | Literal["energy", "enforced"]]:
+    """Phi_E and what proves it, or keeps it."""
     environment, T, partition = loop.environment, loop.period, loop.partition
+    if isinstance(environment, DeclaredEnvironment):
+        return _declared(loop, environment, device, Delta_V), ENFORCED
     Delta_G = tuple(device.share * Delta for Delta in loop.Delta_D_blocks)
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
@@ -184,3 +234,22 @@ def _environment(
         if network is None:
             raise
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
+
+
+def _declared(
+    loop: HapticLoop, environment: DeclaredEnvironment, device: DeviceShare, Delta_V: tuple[Matrix, ...]
+) -> Matrix:
+    """The declared level, where (10) holds with it."""
+    Phi_E = environment.promised()
+    left = margin(loop.partition, Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, ENFORCED, ()))
+    if left <= 0.0:
+        raise Infeasible(
+            "condition (10) fails with the environment's declared level: "
+            f"its least eigenvalue is {left:.4g} N*s/m, expected > 0",
+            (
+                "declare a smaller level",
+                "use devices with more damping (a greater osp)",
+                "raise the coupling's damping, or soften it",
+            ),
+        )
+    return Phi_E

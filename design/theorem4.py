@@ -27,6 +27,7 @@ import numpy as np
 from manyhands.design.complementarity import MOST_ITERATIONS, Convergence, Found, Pair, Relaxed, complement
 from manyhands.design.coordinates import balancing, change_states, scale_ports
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.errors import Infeasible
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
@@ -212,9 +213,14 @@ def design_spring_damper(
     )
 
 
-def _environment(loop: HapticLoop) -> tuple[cp.Variable, list[cp.Constraint]]:
-    """Phi_E in scaled ports, and (14) for it, on what is left of E_hat without its integrators."""
+def _environment(loop: HapticLoop) -> tuple[cp.Expression, list[cp.Constraint]]:
+    """Phi_E in scaled ports, and (14) for it, on what is left of E_hat without its integrators.
+
+    A declared environment has its level for Phi_E, and nothing else.
+    """
     m, S, T = len(loop.ports), loop.scaling, loop.period
+    if isinstance(loop.environment, DeclaredEnvironment):
+        return cp.Constant(S @ loop.environment.promised() @ S), []
     split = loop.split
     rest = scale_ports(split.rest, S, S)
     rest = change_states(rest, balancing(rest))

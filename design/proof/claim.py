@@ -13,7 +13,7 @@ from typing import Any
 from flint import fmpq
 
 from manyhands.design.proof.finding import ProofInputError
-from manyhands.design.proof.physical import EnvironmentData, read_environment
+from manyhands.design.proof.physical import DeclaredData, EnvironmentData, read_environment
 from manyhands.design.proof.reading import MAX_DEGREE, MAX_DENSE, MAX_PORTS, Item, Number, Table, exact
 from manyhands.design.proof.sparse import Sparse, add
 
@@ -120,7 +120,7 @@ class Claim:
         kappa, share, c: the loop gain K = kappa T Delta_D^-1, and what is left of the device's level.
         Delta_D, Delta_V: by block, N*s/m.
         Phi_E: m x m, N*s/m.
-        P_E: the storage matrix of Rest; None where the storage is the mechanical energy.
+        P_E: the storage matrix of Rest; None where the storage is the mechanical energy, or the level is declared.
         transparency: None where no level is claimed.
         margins: by name.
     """
@@ -173,7 +173,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     blocks = tuple(Part(name, _indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items())
     levels = fields["levels"].fields(("kappa", "share", "c", "Delta_D", "Delta_V", "Phi_E"))
     storage = fields["storage"].fields(("E_hat", "V_hat"))
-    E_hat = storage["E_hat"]
+    environment = read_environment(fields["environment"], ports)
     return Claim(
         data=data,
         id=fields["id"].text(),
@@ -183,7 +183,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         devices=tuple(devices),
         osp=tuple(osp),
         blocks=blocks,
-        environment=read_environment(fields["environment"], ports),
+        environment=environment,
         coupling=_coupling(fields["coupling"], storage["V_hat"], blocks),
         kappa=exact(levels["kappa"].number()),
         share=exact(levels["share"].number()),
@@ -191,7 +191,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         Delta_D=_by_block(levels["Delta_D"], blocks),
         Delta_V=_by_block(levels["Delta_V"], blocks),
         Phi_E=_input_level(levels["Phi_E"], blocks, len(ports)),
-        P_E=None if isinstance(E_hat.value, str) and E_hat.text("energy") else _square(E_hat),
+        P_E=_storage(storage["E_hat"], "enforced" if isinstance(environment, DeclaredData) else "energy"),
         transparency=_transparency(fields["transparency"]),
         margins={name: exact(item.number()) for name, item in fields["margins"].entries(100).items()},
     )
@@ -232,6 +232,14 @@ def _input_level(item: Item, blocks: tuple[Part, ...], m: int) -> Sparse:
     else:
         add(out, range(m), item.symmetric(m))
     return out
+
+
+def _storage(item: Item, word: str) -> Table | None:
+    """E_hat's storage matrix; None where the word that stands in its place is there, as it has to where none is."""
+    if isinstance(item.value, str) or word == "enforced":
+        item.text(word)
+        return None
+    return _square(item)
 
 
 def _square(item: Item) -> Table:

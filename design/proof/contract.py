@@ -12,6 +12,10 @@ y. With q = K x/T, y = T (q + p), K = kappa T Delta_D^-1,
     (q + p)' Phi_E (q + p) >= x'y/T = q' Delta_D q/kappa + x'p >= q' (share Delta_D) q + p' Delta_V p,
 
 as share <= 1/(2 kappa) by F_0 >= 0, which contradicts (10) unless q = p = 0, and then x = 0.
+
+A model whose level is enforced is asked ahead of the tick, and there is no D_E. What its controller exerts is the
+solution of f = f_m - alpha Z w(f), Z = T D_V^-1, which is one for every alpha >= 0 as D_V + D_V' > 0: the promises of
+V_hat say x'p >= 0 for p = (D_V - K) x/T, hence x' D_V x >= x' K x.
 """
 
 from __future__ import annotations
@@ -113,13 +117,14 @@ def loop_condition(claim: Claim) -> Finding:
     return _positive("condition (10)", condition_10(claim), 2 * len(claim.ports), "(10)")
 
 
-def well_posed(promises: list[Finding]) -> Finding:
-    """I + D_E D_V is regular, which follows when every one of ``promises`` holds."""
+def well_posed(promises: list[Finding], enforced: bool = False) -> Finding:
+    """I + D_E D_V is regular, or the controller's force is unique, which follows when all ``promises`` hold."""
     missing = [finding.condition for finding in promises if not finding.holds]
     argument = "follows from the promises at infinite frequency and (10)"
     if missing:
         argument = f"not proved, as is: {missing[0]}"
-    return Finding("the loop is well posed: I + D_E D_V is regular", not missing, 0.0, 0.0, argument=argument)
+    what = "the controller has one force" if enforced else "I + D_E D_V is regular"
+    return Finding(f"the loop is well posed: {what}", not missing, 0.0, 0.0, argument=argument)
 
 
 def _positive(condition: str, matrix: Sparse, size: int, key: str) -> Finding:

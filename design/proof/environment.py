@@ -1,4 +1,7 @@
-"""The environment's promise: E_hat is (-Phi_E)-ISP, by the network's energy or by a storage matrix."""
+"""The environment's promise: E_hat is (-Phi_E)-ISP, by the network's energy or by a storage matrix.
+
+Or by neither: what is declared and enforced at run time is no more than found to be what the certificate counts on.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from flint import arb_mat, fmpq
 
 from manyhands.design.proof import balls, network, sparse
 from manyhands.design.proof.finding import Finding, Verdict
-from manyhands.design.proof.physical import EnvironmentData, NetworkData, SystemData
+from manyhands.design.proof.physical import DeclaredData, DynamicsData, EnvironmentData, NetworkData, SystemData
 from manyhands.design.proof.reading import MAX_DENSE, Table
 from manyhands.design.proof.sparse import Sparse
 from manyhands.design.proof.split import Split, delayed, dissipation, split_system
@@ -16,7 +19,7 @@ _SEEN = fmpq(1, 2**80)  # of E: an asymmetry below it may be the balls' own radi
 _ISP = "E_hat is (-Phi_E)-ISP, (14)"
 
 
-def order(data: EnvironmentData, m: int) -> int:
+def order(data: DynamicsData, m: int) -> int:
     """Number of states of Rest, with those of the delay."""
     match data:
         case NetworkData():
@@ -28,7 +31,7 @@ def order(data: EnvironmentData, m: int) -> int:
     return own + m * data.delay
 
 
-def split(data: EnvironmentData, T: fmpq) -> Split:
+def split(data: DynamicsData, T: fmpq) -> Split:
     """E_hat split, with its delay; a network in the middle of its intervals.
 
     Raises:
@@ -47,6 +50,8 @@ def split(data: EnvironmentData, T: fmpq) -> Split:
 
 def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy where P is None."""
+    if isinstance(data, DeclaredData):
+        return [_declared(data, Phi_E, m)]
     out = []
     if isinstance(data, NetworkData):
         physics = network.physical(data)
@@ -70,11 +75,21 @@ def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: f
     return [*out, *_matrix_findings(data, P, Phi_E, m, T)]
 
 
+def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
+    """What is enforced at run time is at least as strict as the level that (10) is proved with."""
+    declared: Sparse = {}
+    sparse.add(declared, range(m), data.level)
+    verdict = sparse.definite_by_groups(sparse.difference(Phi_E, declared), m, strict=False)
+    if not verdict.holds:
+        return _refused(f"the declared level is not proved to be at most Phi_E: {verdict.argument}")
+    return Finding(_ISP, True, 0.0, 0.0, argument="not proved: enforced at run time by a controller", enforced=True)
+
+
 def _refused(argument: str) -> Finding:
     return Finding(_ISP, False, float("nan"), 0.0, argument=argument)
 
 
-def _matrix_findings(data: EnvironmentData, stated: Table, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
+def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     conditions = {
         "E1": "the static stiffness E1 = E(1) is symmetric and >= 0",
         "P": "E_hat's storage matrix is positive",

@@ -21,6 +21,7 @@ class Finding:
         bound: what ``value`` had to exceed.
         key: its name among the certificate's margins; empty when it is not a margin.
         argument: by which reasoning it holds, or why it is not proved.
+        enforced: whether it holds because a controller keeps it at run time; then nothing is proved about it here.
     """
 
     condition: str
@@ -29,6 +30,7 @@ class Finding:
     bound: float
     key: str = ""
     argument: str = ""
+    enforced: bool = False
 
 
 @dataclass(frozen=True)

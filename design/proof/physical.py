@@ -1,4 +1,7 @@
-"""The physical data of an environment as a certificate states them: network, state space, or rational functions."""
+"""The physical data of an environment as a certificate states them: network, state space, rational functions, or none.
+
+Of a declared environment only the level is stated, that is enforced at run time.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,19 @@ class TransferData:
     delay: int
 
 
-EnvironmentData = NetworkData | SystemData | TransferData
+@dataclass(frozen=True, eq=False)
+class DeclaredData:
+    """An environment of which nothing but its level is stated.
+
+    Attributes:
+        level: Phi_E as declared, m x m, N*s/m.
+    """
+
+    level: Table
+
+
+DynamicsData = NetworkData | SystemData | TransferData
+EnvironmentData = DynamicsData | DeclaredData
 
 
 def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
@@ -97,7 +112,9 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
     found = item.entries(16)
     if "type" not in found:
         raise ProofInputError(f"{item.path}: the key type is missing")
-    match found["type"].text("network", "state-space", "transfer-function"):
+    match found["type"].text("network", "state-space", "transfer-function", "declared"):
+        case "declared":
+            return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
         case "network":
             return _network(item, ports)
         case "state-space":

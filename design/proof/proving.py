@@ -25,8 +25,9 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
         progress: is told what is being proved.
 
     Returns:
-        Every finding; the certificate is proved when all of them hold. What follows from a condition that does not
-        hold is left out, so that the first one that fails is the reason.
+        Every finding; the certificate is proved when all of them hold, but for what is said to be enforced at run
+        time. What follows from a condition that does not hold is left out, so that the first one that fails is the
+        reason.
 
     Raises:
         ProofInputError: the data are no certificate of this version; names the key.
@@ -49,7 +50,8 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     promises += environment.findings(claim.environment, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
     tell("condition (10)")
     promises.append(contract.loop_condition(claim))
-    findings += [*promises, contract.well_posed(promises)]
+    enforced = any(finding.enforced for finding in promises)
+    findings += [*promises, contract.well_posed(promises, enforced)]
     if claim.transparency is not None:
         tell("transparency")
         findings.append(transparency.finding(claim, claim.transparency))

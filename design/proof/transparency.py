@@ -44,7 +44,7 @@ from manyhands.design.proof import balls, environment
 from manyhands.design.proof.balls import assembled, diagonal_blocks, identity
 from manyhands.design.proof.claim import Claim, Linear, SpringDamper, TransparencyClaim
 from manyhands.design.proof.finding import Finding, Verdict, weakest
-from manyhands.design.proof.physical import NetworkData
+from manyhands.design.proof.physical import DeclaredData, DynamicsData, NetworkData
 from manyhands.design.proof.reading import MAX_DENSE, exact
 from manyhands.design.proof.split import environment as environment_of
 from manyhands.design.proof.system import NotDiscretised, Realisation, companion
@@ -55,7 +55,10 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
     what = "W1 E V W2" if stated.objective == "loop-shaping" else "W1 (F(E, V) - E) W2"
     condition = f"transparency: ||{what}|| < {float(stated.gamma):.6g}"
     m = len(claim.ports)
-    size = order(claim, stated)
+    E = claim.environment
+    if isinstance(E, DeclaredData):
+        return Finding(condition, False, float("nan"), 0.0, argument="nothing is known of E but its declared level")
+    size = order(claim, E, stated)
     problem = ""
     if not stated.gamma > 0:
         problem = "gamma is not positive"
@@ -68,7 +71,7 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
 
     def test() -> Verdict:
         try:
-            system = weighted(claim, stated)
+            system = weighted(claim, E, stated)
         except NotDiscretised as error:
             return Verdict(False, float("nan"), str(error))
         P = balls.symmetrised(stated.P.balls())
@@ -77,21 +80,21 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
         )
 
     because = "the bounded real lemma"
-    if isinstance(claim.environment, NetworkData) and claim.environment.uncertain:
+    if isinstance(E, NetworkData) and E.uncertain:
         because += ", for the network in the middle of its intervals"
     return balls.decided(size + m, test).finding(condition, because)
 
 
-def order(claim: Claim, stated: TransparencyClaim) -> int:
+def order(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> int:
     """Number of states of the realisation."""
     m = len(claim.ports)
-    n_E = environment.order(claim.environment, m) + m
+    n_E = environment.order(data, m) + m
     n_V = sum(V.stiffness.rows if isinstance(V, SpringDamper) else V.A.rows for V in claim.coupling)
     n_W = m * (len(stated.W1.den) + len(stated.W2.den) - 2)
     return n_W + n_V + n_E * (2 if stated.objective == "closed-loop" else 1)
 
 
-def weighted(claim: Claim, stated: TransparencyClaim) -> Realisation:
+def weighted(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> Realisation:
     """The module's realisation, in balls.
 
     Raises:
@@ -101,7 +104,7 @@ def weighted(claim: Claim, stated: TransparencyClaim) -> Realisation:
     m = len(claim.ports)
     W1, W2 = (companion(w.num, w.den, m) for w in (stated.W1, stated.W2))
     V = coupling(claim)
-    E = environment_of(environment.split(claim.environment, claim.period), claim.period)
+    E = environment_of(environment.split(data, claim.period), claim.period)
     if stated.objective == "loop-shaping":
         return series(W2, V, E, W1)
     return series(W2, E, loop(V, E), W1)

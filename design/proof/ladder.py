@@ -1,0 +1,120 @@
+"""What a ladder of certificates claims beyond each of them: that its rungs may be mixed, block by block.
+
+The rungs are certificates of one loop, each for a longer delay inside the tick and with a coupling and levels of its
+own. Let Phi_E be a level of E_hat that one of them proves. Whatever rung r(i) each block i of V is at, Theorem 3 of
+[Bianchini2010]_ asks for (10) with the levels of the mixture,
+
+    [ D - Phi_E    -Phi_E    ]
+    [ -Phi_E       V - Phi_E ]  > 0,    D = blockdiag(share_r(i) Delta_D,i),   V = blockdiag(Delta_V,i of rung r(i)).
+
+There are as many mixtures as rungs to the power of the blocks, and two arguments that spare them. Where Phi_E joins no
+two blocks, (10) is, in another order of its rows, one condition for each block, and a block's condition at its rung is
+a part of (10) of that rung taken whole: as many proofs as rungs are enough. Where Phi_E <= 0, (10) is
+blockdiag(D, V) > 0 plus [I; I] (-Phi_E) [I I] >= 0, whatever the mixture.
+
+A device whose ports two blocks share may have a gain kappa for each of them: Delta_D joins no two blocks, so that its
+dissipation, and with it the form F_t of :mod:`manyhands.design.proof.device`, is one for each block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+from flint import fmpq
+
+from manyhands.design.proof import contract, sparse
+from manyhands.design.proof.claim import Claim, read
+from manyhands.design.proof.finding import Finding, Verdict, weakest
+from manyhands.design.proof.rational import rounded
+from manyhands.design.proof.sparse import Sparse
+
+_SHARED = ("period", "ports", "devices", "structure", "environment")
+_STRUCTURED = "Phi_E joins no two blocks, so that every mixture is made of conditions that (10) of a rung contains"
+_PASSIVE = "Phi_E <= 0, so that (10) is positive for all levels that are"
+
+
+@dataclass(frozen=True)
+class LadderProof:
+    """What is proved of a ladder, given that each of its certificates is.
+
+    Attributes:
+        one_loop: the rungs are certificates of one loop, and their delays grow.
+        together: (10) holds at every rung with the common Phi_E, so that all blocks may change at once.
+        independent: (10) holds in every mixture, so that each block may change by itself.
+    """
+
+    one_loop: Finding
+    together: Finding
+    independent: Finding
+
+
+def prove_ladder(rungs: Sequence[Mapping[str, Any]], common: int) -> LadderProof:
+    """Prove what the rungs claim in common; each of them is proved by :func:`manyhands.design.proof.prove`.
+
+    Args:
+        rungs: the plain data of the certificates, the shortest delay first.
+        common: which of them has the Phi_E that is to serve all, with the storage that proves it.
+
+    Raises:
+        ProofInputError: the data of a rung are no certificate of this version; names the key.
+        ValueError: there are no rungs, or ``common`` is none of them.
+    """
+    if not 0 <= common < len(rungs):
+        raise ValueError(f"found rung {common} of {len(rungs)}; expected one of them, counted from 0")
+    claims = [read(data) for data in rungs]
+    Phi_E = claims[common].Phi_E
+    one_loop = _one_loop(claims)
+    if not one_loop.holds:
+        refused = Verdict(False, float("nan"), "the rungs are not of one loop")
+        return LadderProof(one_loop, *(refused.finding(text) for text in (_TOGETHER, _INDEPENDENT)))
+    together = _at_every_rung(claims, Phi_E)
+    return LadderProof(
+        one_loop,
+        together.finding(_TOGETHER),
+        _in_every_mixture(claims[common], Phi_E, together).finding(_INDEPENDENT),
+    )
+
+
+_TOGETHER = "condition (10) at every rung, with the common Phi_E"
+_INDEPENDENT = "condition (10) in every mixture of rungs, with the common Phi_E"
+
+
+def _one_loop(claims: Sequence[Claim]) -> Finding:
+    """The physical data of all rungs are the same, numbers and all, and tau grows."""
+    condition = "the rungs are certificates of one loop, for growing delays"
+    first = claims[0]
+    for number, claim in enumerate(claims[1:], 1):
+        different = [key for key in _SHARED if claim.data[key] != first.data[key]]
+        if different or claim.blocks != first.blocks:  # a mapping's order is that of the blocks
+            argument = f"rung {number}: {different[0] if different else 'the order of structure'} is not rung 0's"
+            return Finding(condition, False, float("nan"), 0.0, argument=argument)
+    steps = [after.tau - before.tau for before, after in pairwise(claims)]
+    least = min(steps, default=fmpq(1))
+    return Finding(condition, bool(least > 0), rounded(least), 0.0, argument="compared")
+
+
+def _at_every_rung(claims: Sequence[Claim], Phi_E: Sparse) -> Verdict:
+    size = 2 * len(claims[0].ports)
+    return weakest(
+        {
+            f"rung {number}": sparse.definite_by_groups(contract.condition_10(replace(claim, Phi_E=Phi_E)), size)
+            for number, claim in enumerate(claims)
+        }
+    )
+
+
+def _in_every_mixture(claim: Claim, Phi_E: Sparse, together: Verdict) -> Verdict:
+    """From (10) at every rung to every mixture, by the structure of Phi_E or by its sign."""
+    if not together.holds:
+        return together
+    block_of = {port: number for number, block in enumerate(claim.blocks) for port in block.ports}
+    if all(block_of[i] == block_of[j] for i, j in Phi_E):
+        return Verdict(True, together.least, f"{_STRUCTURED}; {together.argument}")
+    negated = sparse.difference({}, Phi_E)
+    passive = sparse.definite_by_groups(negated, len(claim.ports), strict=False)
+    if passive.holds:
+        return Verdict(True, together.least, f"{_PASSIVE}; {passive.argument}")
+    return Verdict(False, passive.least, "Phi_E joins blocks and is not proved to be <= 0")
