@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Final
 
 from manyhands.protocol.messages import (
+    Absent,
     Connect,
     Echo,
     Fault,
@@ -18,13 +19,17 @@ from manyhands.protocol.messages import (
     Message,
     NodeHello,
     Observation,
+    Offer,
     Probe,
     Reaction,
     Ready,
     Refusal,
     Report,
+    Return,
     Role,
+    Rung,
     Sample,
+    Shift,
     Start,
     Stop,
     Telemetry,
@@ -74,8 +79,21 @@ _TABLE: Final = (
     Channel("force", (Force,), (Role.COUPLING,), (Role.DEVICE,), "f_v", "N", Rate.EVERY_TICK),
     Channel("handshake", (LinkHello, Welcome, Refusal), _NODES, _NODES, "", "", Rate.ONCE),
     Channel(
+        "rung",
+        (Rung,),
+        (Role.ENVIRONMENT, Role.COUPLING),
+        (Role.COUPLING, Role.DEVICE),
+        "",
+        "",
+        Rate.ONCE,
+    ),
+    Channel("absence", (Absent,), (Role.COUPLING,), (Role.ENVIRONMENT,), "", "", Rate.ONCE),
+    Channel(
         "control",
-        (NodeHello, Welcome, Refusal, Connect, Ready, Start, Stop, Probe, Echo, Report, Fault),
+        (
+            *(NodeHello, Welcome, Refusal, Connect, Ready, Start, Stop, Probe, Echo),
+            *(Absent, Offer, Return, Shift, Report, Fault),
+        ),
         _EVERYONE,
         _EVERYONE,
         "",

@@ -10,18 +10,22 @@ read by the general path).
 """
 
 import dataclasses
-from collections.abc import Callable
+import math
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final, TypeAlias
 
 import msgpack
+import numpy as np
 
 from manyhands.protocol import fields
 from manyhands.protocol.fields import Field, NotFinite, Unfit
 from manyhands.protocol.limits import (
     MAX_CONTAINERS,
     MAX_CONTROL_BYTES,
+    MAX_COUNT,
     MAX_ENTRIES,
     MAX_PORTS,
     MAX_TEXT,
@@ -29,6 +33,7 @@ from manyhands.protocol.limits import (
 )
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Echo,
     Fault,
@@ -37,12 +42,16 @@ from manyhands.protocol.messages import (
     Message,
     NodeHello,
     Observation,
+    Offer,
     Probe,
     Reaction,
     Ready,
     Refusal,
     Report,
+    Return,
+    Rung,
     Sample,
+    Shift,
     Signal,
     SignalMessage,
     Start,
@@ -90,6 +99,8 @@ _SIGNALS: Final[dict[int, type[SignalMessage]]] = {
 }
 _SIGNAL_IDS: Final[dict[type[Signal], int]] = {kind: number for number, kind in _SIGNALS.items()}
 
+_WIRE_FLOAT: Final = np.dtype("<f8")
+
 _Layout: TypeAlias = tuple[int, tuple[Field, ...]]
 
 # type id and fields, in the order in which the dataclass declares them; ids are never given to another type
@@ -102,10 +113,15 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Refusal: (4, (fields.REFUSAL_CODE, fields.TEXT)),
     Connect: (5, (fields.ENDPOINTS,)),
     Ready: (6, ()),
-    Start: (7, (fields.COUNT, fields.COUNT)),
+    Start: (7, (fields.COUNT, fields.COUNT, fields.COUNT)),
     Stop: (8, (fields.TEXT,)),
     Probe: (9, (fields.COUNT,)),
     Echo: (10, (fields.COUNT, fields.COUNT, fields.COUNT)),
+    Absent: (11, (fields.NAME,)),
+    Offer: (12, (fields.NAME, fields.ENDPOINT)),
+    Return: (13, (fields.NAME, fields.ENDPOINT)),
+    Shift: (14, (fields.NAME, fields.RUNG)),
+    Rung: (15, (fields.RUNG,)),
     **{kind: (number, (fields.COUNT, fields.COUNT, fields.VALUES)) for number, kind in _SIGNALS.items()},
     Telemetry: (32, (fields.COUNT, fields.FIGURES, fields.TRACES)),
     Report: (33, (fields.COUNT, fields.FIGURES, fields.COUNTS, fields.PERCENTILES)),
@@ -123,15 +139,53 @@ def encode(message: Message) -> bytes:
         ValueError: if a field is not what the protocol allows, naming it; nothing has been sent then.
     """
     if isinstance(message, Signal) and (number := _SIGNAL_IDS.get(type(message))) is not None:
-        tick, stamp = message.tick, message.stamp
-        try:
-            fields.COUNT.read(tick)
-            fields.COUNT.read(stamp)
-            data = fields.pack_values(message.values)
-        except Unfit:
-            return _encode_any(message)  # which refuses it too, and can say where
-        return USUAL.pack(ARRAY_OF_4, number, UINT64, tick, UINT64, stamp, BIN16, len(data)) + data
+        tick, stamp, values = message.tick, message.stamp, message.values
+        # the checks of the fields, in one condition: what does not fit is refused below, where it can be said why
+        if (
+            type(tick) is type(stamp) is int
+            and 0 <= tick <= MAX_COUNT
+            and 0 <= stamp <= MAX_COUNT
+            and type(values) is np.ndarray
+            and values.dtype == _WIRE_FLOAT
+            and values.ndim == 1
+            and 1 <= len(values) <= MAX_PORTS
+            and all(map(math.isfinite, values.tolist()))
+        ):
+            return USUAL.pack(ARRAY_OF_4, number, UINT64, tick, UINT64, stamp, BIN16, values.nbytes) + values.tobytes()
     return _encode_any(message)
+
+
+class SignalWriter:
+    """Frames of the signals that one end of a link sends tick after tick, without a message made for each.
+
+    Attributes:
+        kind: the signal.
+    """
+
+    __slots__ = ("_length", "_number", "_values", "_width", "kind")
+
+    def __init__(self, kind: type[SignalMessage], width: int) -> None:
+        """``width``: ports of the link."""
+        self.kind = kind
+        self._number, self._width = _SIGNAL_IDS[kind], width
+        self._values = struct.Struct(f"<{width}d")
+        self._length = self._values.size
+
+    def frame(self, tick: int, stamp: int, values: Sequence[float]) -> bytes:
+        """The frame that :func:`encode` makes of the same signal.
+
+        Raises:
+            ValueError: as :func:`encode`.
+        """
+        if (
+            0 <= tick <= MAX_COUNT
+            and 0 <= stamp <= MAX_COUNT
+            and 1 <= len(values) == self._width <= MAX_PORTS
+            and all(map(math.isfinite, values))
+        ):
+            head = USUAL.pack(ARRAY_OF_4, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
+            return head + self._values.pack(*values)
+        return encode(self.kind(tick, stamp, np.array(values, dtype=np.float64)))  # which says what is wrong
 
 
 def decode(frame: bytes, limit: int) -> Received:

@@ -18,6 +18,7 @@ from manyhands.protocol.limits import (
     MAX_NAME,
     MAX_PID,
     MAX_PORTS,
+    MAX_RUNG,
     MAX_TEXT,
     MAX_TRACE_SIDE,
 )
@@ -227,7 +228,9 @@ COUNT: Final = integer(0, MAX_COUNT)
 PID: Final = integer(1, MAX_PID)
 PORTS: Final = Field(_pack_ports, _read_ports)
 FEEDTHROUGH: Final = Field(_pack_feedthrough, _read_feedthrough)
-ENDPOINTS: Final = _mapping(_same, _word(MAX_ENDPOINT))
+ENDPOINT: Final = Field(_same, _word(MAX_ENDPOINT))
+ENDPOINTS: Final = _mapping(_same, ENDPOINT.read)
+RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = Field(pack_values, read_values)
 FIGURES: Final = _mapping(_plain_number, _read_number)
 COUNTS: Final = _mapping(_plain_integer, integer(0, MAX_COUNT).read)

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import LAYOUTS
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import SignalMessage, Values
@@ -32,8 +33,10 @@ DROP_REASONS: Final = (
 ROUNDING: Final = 1e-9
 """What bounds yield to rounding, relative: to the magnitude, and to step and magnitude together for a step."""
 
+MOST_PERIODS: Final = 6
+"""Periods at most that may have passed between two samples, for the step between them: a device waits no longer."""
+
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
-_WIRE_FLOAT: Final = np.dtype("<f8")
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
 
 
@@ -44,6 +47,8 @@ class Bounds:
     Attributes:
         magnitude: greatest absolute value.
         step: greatest absolute change from one tick to the next; None for no bound.
+        period: length of a tick, ns. A tick that was late is longer: with a period, the step is bounded for each that
+            has passed between the two stamps, up to :data:`MOST_PERIODS`.
 
     Raises:
         ValueError: an entry is negative or not a number, or the two differ in length.
@@ -51,6 +56,7 @@ class Bounds:
 
     magnitude: tuple[float, ...]
     step: tuple[float, ...] | None = None
+    period: Duration | None = None
 
     def __post_init__(self) -> None:
         step = self.magnitude if self.step is None else self.step
@@ -78,6 +84,7 @@ class Gate:
         "_longest",
         "_magnitude",
         "_number",
+        "_period",
         "_start",
         "_step",
         "dropped",
@@ -108,14 +115,28 @@ class Gate:
             for s, m in zip(step, magnitude, strict=True)
         )
         self._before: tuple[float, ...] | None = None  # the values admitted last
+        self._period = None if bounds is None else bounds.period
         self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
         self.stamp: int = 0
 
+    def forget(self) -> None:
+        """Take the next signal as the first: so much time has passed that its step says nothing."""
+        self._before = None
+
     def admit(self, frame: bytes, tick: int) -> Values | None:
+        """:meth:`admitted`, as an array that is read only."""
+        floats = self.admitted(frame, tick)
+        if floats is None:
+            return None
+        values = np.array(floats)
+        values.flags.writeable = False
+        return values
+
+    def admitted(self, frame: bytes, tick: int) -> tuple[float, ...] | None:
         """The values of the signal in ``frame`` if it is that of ``tick``; otherwise None, and it is counted.
 
         Returns:
-            One value for each port of the link, float64, finite, within the bounds, read only.
+            One value for each port of the link, finite, within the bounds.
         """
         usual = False
         if len(frame) == self._length:
@@ -136,6 +157,8 @@ class Gate:
             before = self._before or values  # the first has nothing to be compared with
             for value, last, most, step in zip(values, before, self._magnitude, self._step, strict=True):
                 if not (-most <= value <= most and -step <= value - last <= step):
+                    if -most <= value <= most and abs(value - last) <= step * self._periods(stamp):
+                        continue
                     self.dropped["out_of_range" if all(map(math.isfinite, values)) else "not_finite"] += 1
                     return None
             self._before = values
@@ -143,7 +166,26 @@ class Gate:
             self.dropped["not_finite"] += 1
             return None
         self.stamp = stamp
-        return np.frombuffer(frame[size:], _WIRE_FLOAT)  # of a copy: values that are not aligned cost numpy more
+        return values
+
+    def _periods(self, stamp: int) -> int:
+        """How many periods have passed since the signal admitted last, by the stamps."""
+        if self._period is None:
+            return 1
+        return min(max(round((stamp - self.stamp) / self._period), 1), MOST_PERIODS)
+
+    def astray(self, frame: bytes) -> tuple[int, bool] | None:
+        """Of a frame not admitted: its tick, and whether all its values are zero; None if it is no such signal.
+
+        For who has lost the thread, and for who has to tell a peer that has; nothing is counted here.
+        """
+        if type_of(frame) != self._number or len(frame) > self._longest:
+            return None
+        head = read_head(frame)
+        if head is None or len(frame) != head.size + self._floats.size:
+            return None
+        values = self._floats.unpack_from(frame, head.size)
+        return (head.tick, not any(values)) if all(map(math.isfinite, values)) else None
 
     def _other(self, frame: bytes) -> tuple[str | None, int, int, int]:
         """Why a frame in another layout than the usual is not the signal of this link; or tick, stamp, size of head."""

@@ -40,6 +40,9 @@ MAX_COUNT: Final = 2**63 - 1
 MAX_VERSION: Final = 2**31 - 1
 """Greatest protocol version that can be named."""
 
+MAX_RUNG: Final = 15
+"""Greatest rung of a ladder of couplings."""
+
 MAX_PID: Final = 2**31 - 1
 """Greatest process id."""
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
 
-PROTOCOL_VERSION: Final[int] = 2
+PROTOCOL_VERSION: Final[int] = 3
 """The version of SPEC.md that this code speaks."""
 
 Values: TypeAlias = NDArray[np.float64]
@@ -108,10 +108,14 @@ class Ready:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """From the supervisor: tick 0 is at ``epoch`` (monotonic ns); run ``ticks`` ticks (0: until stopped)."""
+    """From the supervisor: tick 0 is at ``epoch`` (monotonic ns); run ``ticks`` ticks (0: until stopped).
+
+    ``tick``: one that the session has reached already; 0 at its beginning. Who is started later finds its peers there.
+    """
 
     epoch: int
     ticks: int
+    tick: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +139,47 @@ class Echo:
     sent: int
     heard: int
     answered: int
+
+
+@dataclass(frozen=True, slots=True)
+class Absent:
+    """From the supervisor: ``peer`` is gone; close the link to it, and where it is yours to bind, bind a new one."""
+
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """To the supervisor: here ``peer``, who was absent, finds the link that this node has bound for it anew."""
+
+    peer: str
+    endpoint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Return:
+    """From the supervisor: ``peer``, who was absent, is back, and binds its link to this node there."""
+
+    peer: str
+    endpoint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """From the supervisor to the environment: have the coupling ``node`` change to this ``rung`` of the ladder."""
+
+    node: str
+    rung: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """In band, from the environment to a coupling and on to its devices: from this tick on, this ``rung``.
+
+    It is sent before a signal of zero force, at a tick at which the block exerts none.
+    """
+
+    rung: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,6 +297,11 @@ Message: TypeAlias = (
     | Stop
     | Probe
     | Echo
+    | Absent
+    | Offer
+    | Return
+    | Shift
+    | Rung
     | SignalMessage
     | Telemetry
     | Observation

@@ -48,7 +48,7 @@ class Door:
     _ROOM: Final = 4 * DOOR_BURST  # connections open at a time, which are file descriptors of this process
 
     def __init__(self, socket: "zmq.Socket[bytes]", admits: int) -> None:
-        self._socket, self._admits = socket, admits
+        self.socket, self._admits = socket, admits
         self.monitor = monitor_of(socket, self._EVENTS)
         self._listener: int | None = None
         self._open: dict[int, bool] = {}  # connections by descriptor, the newest last: whether they are established
@@ -141,7 +141,7 @@ class Door:
 
         No descriptor is needed for it: a crowd may have used them all up.
         """
-        if self._listener is None or self._socket.closed:  # its number may be another's by now
+        if self._listener is None or self.socket.closed:  # its number may be another's by now
             return False
         program = ctypes.create_string_buffer(struct.pack("=HBBI", 0x06, 0, 0, 0))  # BPF: return 0, that is nothing
         try:
@@ -162,7 +162,7 @@ class Door:
 
     def close(self) -> None:
         """Stop watching; the socket itself is its owner's to close."""
-        close_monitor(self._socket, self.monitor)
+        close_monitor(self.socket, self.monitor)
 
 
 _SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h

@@ -106,6 +106,17 @@ class Doorkeeper:
         door = self._by_domain[domain.encode("ascii")] = Door(socket, len(admits))
         self._doors.append(door)
 
+    def dismiss(self, socket: "zmq.Socket[bytes]") -> None:
+        """Guard a socket no longer that is about to be closed for good; what was counted at it stays counted."""
+        for domain, door in tuple(self._by_domain.items()):
+            if door.socket is socket:
+                door.look(self._now())
+                for kind, count in door.refused().items():
+                    self._refused[kind] += count
+                door.close()
+                self._doors.remove(door)
+                del self._by_domain[domain], self._admits[domain]
+
     def introduce(self, socket: "zmq.Socket[bytes]", peer: str) -> None:
         """Make ``socket``, which is to be connected, prove our key and ask for ``peer``'s.
 

@@ -1,5 +1,6 @@
 """Any messages from nodes and strangers to the conductor, in any order, between the ends of processes, deadlines and
-Ctrl-C: it never raises, everything it says can be sent, and a session only moves forward.
+Ctrl-C: it never raises, everything it says can be sent, and a session only moves forward. Nodes come back no more often
+than their budgets allow, and nobody who runs is moved by what another one says.
 """
 
 from __future__ import annotations
@@ -13,21 +14,37 @@ from draws import Draws
 from forger import Forger
 
 import manyhands.launch
-from manyhands.launch.conductor import Conductor, Instruction, Kill, NodeState, Phase, Release, Send, Terminate
+from manyhands.launch.conductor import (
+    Conductor,
+    Instruction,
+    Kill,
+    KillProcess,
+    NodeState,
+    Phase,
+    Release,
+    Send,
+    StartProcess,
+    Terminate,
+)
+from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.session import load_session
 from manyhands.launch.topology import Topology, topology
+from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import ForeignHello, Received, decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Fault,
     LinkHello,
     Message,
     NodeHello,
+    Offer,
     Ready,
     Refusal,
     Report,
+    Return,
     Role,
     Start,
     Telemetry,
@@ -41,7 +58,15 @@ GRAPH: Final[Topology] = topology(SESSION)
 NODES: Final = tuple(GRAPH.nodes)
 OBSERVERS: Final = {"watch": "ipc:///s/watch"}
 STRANGERS: Final = ("stranger", "supervisor", "dx2")
-REMOTE: Final = {"nobody": frozenset[str](), "a device": frozenset({NODES[0]}), "all": frozenset(NODES)}
+COUPLINGS: Final = tuple(node for node, role in GRAPH.nodes.items() if role is Role.COUPLING)
+_ELSEWHERE: Final = {"nobody": frozenset[str](), "a device": frozenset({NODES[0]}), "all": frozenset(NODES)}
+RESTARTS: Final = 2
+REMOTE: Final = {
+    **{name: (remote, 0) for name, remote in _ELSEWHERE.items()},
+    **{f"{name}, restarts": (remote, RESTARTS) for name, remote in _ELSEWHERE.items()},
+    "a coupling, restarts": (frozenset(COUPLINGS[:1]), RESTARTS),
+}
+"""Who is started elsewhere, and how often a node may come back."""
 ROLES: Final = {**GRAPH.nodes, **dict.fromkeys(OBSERVERS, Role.OBSERVER)}
 EVENTS: Final = (
     "good hello",
@@ -53,12 +78,21 @@ EVENTS: Final = (
     "too late",
     "all good hellos",
     "all ready",
+    "good offer",
+    "good return",
+    "look",
+    "no process",
+    "shift",
+    "stop",
 )
 PHASES: Final = (Phase.STARTING, Phase.RUNNING, Phase.ENDING, Phase.OVER)
 EXITS: Final = (0, 1, 2, 4, 255, *range(-64, 0))
 NOW: Final = (0, 1, 10**15, 2**62)
-MOST_FAULTS: Final = 2 * len(NODES) + 1
-"""Each node can fail once and end badly once, and the start can be too late once; more would be a flood."""
+MOST_FAULTS: Final = 3 * len(NODES) + 2
+"""Each node can fail once, end badly once and be given up once, the start can be too late once, and a policy can end
+the session once; more would be a flood."""
+MOST_STARTS: Final = (RESTARTS + 1) * len(NODES) ** 2
+"""A process is started anew when it has died, or when a peer has died that it was shaking hands with."""
 
 
 def check(data: bytes) -> None:
@@ -68,7 +102,7 @@ def check(data: bytes) -> None:
 
 def play(draws: Draws) -> None:
     """The same for decisions from anywhere."""
-    watch = Watch(REMOTE[draws.choice(tuple(REMOTE))])
+    watch = Watch(*REMOTE[draws.choice(tuple(REMOTE))])
     for _ in range(MOST_EVENTS):
         # a supervisor that has seen the last process end listens no more
         if not draws.more or watch.conductor.phase is Phase.OVER:
@@ -97,6 +131,18 @@ def play(draws: Draws) -> None:
                 watch.look(watch.conductor.interrupt())
             case "too late":
                 watch.look(watch.conductor.too_late())
+            case "good offer":
+                watch.hear(draws.choice(NODES), Offer(draws.choice(NODES), "ipc:///s/anew"))
+            case "good return":
+                watch.bring_back(draws.choice(NODES))
+            case "look":
+                watch.look(watch.conductor.look(draws.choice(NOW)))
+            case "no process":
+                watch.not_started(draws.choice(NODES))
+            case "shift":
+                watch.look(watch.conductor.shift(draws.choice(COUPLINGS), draws.integer(0, 3)))
+            case "stop":
+                watch.look(watch.conductor.stop("too slow"))
 
 
 def node_hello(sender: str) -> NodeHello:
@@ -109,8 +155,13 @@ def node_hello(sender: str) -> NodeHello:
 class Watch:
     """A conductor, and beside it what may be known of a session from its messages alone."""
 
-    def __init__(self, remote: frozenset[str]) -> None:
-        self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote=remote, observers=OBSERVERS)
+    def __init__(self, remote: frozenset[str], restarts: int) -> None:
+        budget = RestartBudget(restarts, Duration(2**63))  # nobody runs so long
+        self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote, OBSERVERS, budget)
+        self.restarts = restarts
+        self.begun = False
+        self.starts = 0
+        self.absent: dict[str, set[str]] = {node: set() for node in NODES}
         self.welcomed: set[str] = set()
         self.connected: set[str] = set()
         self.ready: set[str] = set()
@@ -137,21 +188,34 @@ class Watch:
             said = [one.message for one in out if isinstance(one, Send) and one.node == sender]
             assert len(said) == len(out) <= 1, f"{sender}, a stranger, brought about {out}"
             assert all(isinstance(message, Refusal) for message in said), f"{sender}, a stranger, was told {said}"
-        elif not any(isinstance(one, Send) and isinstance(one.message, Connect | Start) for one in out):
+        elif self.begun or not any(isinstance(one, Send) and isinstance(one.message, Connect | Start) for one in out):
             self._others_stay(sender, before[0], ending=Terminate() in out)
-        assert len(self.conductor.reports) <= len(self.started)
+        assert len(self.conductor.reports) <= (len(NODES) if self.begun else 0)
         self.look(out)
+
+    def bring_back(self, node: str) -> None:
+        """All that a node on its way back needs, as far as it stands there: offers, its hello, its Ready."""
+        for link in GRAPH.links_of(node):
+            self.hear(link.binder, Offer(link.connector, "ipc:///s/anew"))
+        self.hear(node, node_hello(node))
+        self.hear(node, Ready())
+
+    def not_started(self, node: str) -> None:
+        """The conductor is told that there is no process for a node that it has started and that has said nothing."""
+        if node in self._processes and self.begun and self.conductor.states[node] is NodeState.STARTING:
+            self._processes.remove(node)
+            self.look(self.conductor.not_started(node, "no more processes", 0))
 
     def exited(self, node: str, code: int) -> None:
         """The conductor is told of a process's end; a process ends once, and is one of this machine."""
         if node in self._processes:
             self._processes.remove(node)
-            self.look(self.conductor.exited(node, code))
+            self.look(self.conductor.exited(node, code, 0))
 
     def silent(self, node: str) -> None:
         """The conductor is told that nothing was heard of a node for long; only one of elsewhere is missed so."""
         if node in self.conductor.remote:
-            self.look(self.conductor.silent(node))
+            self.look(self.conductor.silent(node, 0))
 
     def look(self, out: list[Instruction]) -> None:
         """Everything that must hold whatever happened."""
@@ -165,6 +229,13 @@ class Watch:
                     self._terminated = True
                 case Kill():
                     assert self._terminated, "processes were killed before they were asked to end"
+                case StartProcess(node):
+                    self._started(node)
+                case KillProcess(node):
+                    assert node in self._processes, f"{node} has no process to kill"
+                    assert self.begun, f"{node} was killed during the start"
+                case Release(node) if node in self.conductor.remote and self.begun:
+                    self._forget(node)
         assert self.conductor.states.keys() == set(NODES)
         over = all(state is NodeState.ENDED for state in self.conductor.states.values())
         assert (self.conductor.phase is Phase.OVER) == over
@@ -172,31 +243,64 @@ class Watch:
         assert len(self.conductor.faults) <= MOST_FAULTS, f"{len(self.conductor.faults)} faults are kept"
         self._only_forward()
 
+    def _started(self, node: str) -> None:
+        assert node not in self._processes, f"{node} was started while its former process still runs"
+        assert node not in self.conductor.remote, f"{node} was started here and is of elsewhere"
+        assert self.begun, f"{node} was started anew during the start"
+        assert not self._terminated, f"{node} was started after all were asked to end"
+        self.starts += 1
+        assert self.starts <= MOST_STARTS, f"{self.starts} processes were started anew"
+        self._processes.add(node)
+        self._forget(node)
+
+    def _forget(self, node: str) -> None:
+        """``node`` begins again."""
+        for kept in (self.welcomed, self.connected, self.ready, self.started):
+            kept.discard(node)
+        self.absent[node].clear()
+
     _phase: Phase = Phase.STARTING
 
     def _only_forward(self) -> None:
         phase = self.conductor.phase
         assert PHASES.index(phase) >= PHASES.index(self._phase), f"from {self._phase} back to {phase}"
-        assert phase is not Phase.RUNNING or self.started == set(NODES)
+        assert phase is not Phase.RUNNING or self.begun
         self._phase = phase
 
     def _said(self, node: str, message: Message) -> None:
         if isinstance(message, Connect) and node not in OBSERVERS:
-            assert self.welcomed >= set(NODES), f"{node} was told its peers before all had said hello"
+            assert self.begun or self.welcomed >= set(NODES), f"{node} was told its peers before all had said hello"
+            assert node in self.welcomed, f"{node} was told its peers before it was welcomed"
             assert node not in self.connected, f"{node} was told its peers twice"
             binders = {link.binder for link in GRAPH.links if link.connector == node}
-            assert message.endpoints.keys() == binders, f"{node} was told of {list(message.endpoints)}"
+            assert message.endpoints.keys() == binders - self.absent[node], f"{node}: told of {list(message.endpoints)}"
             self.connected.add(node)
         elif isinstance(message, Start):
-            assert self.ready == set(NODES), f"{node} was started before all were ready"
-            assert self.connected == set(NODES), f"{node} was started before all were told their peers"
+            assert self.begun or self.ready == set(NODES), f"{node} was started before all were ready"
+            assert node in self.ready, f"{node} was started before it was ready"
+            assert node in self.connected, f"{node} was started before it was told its peers"
             assert node not in self.started, f"{node} was started twice"
             assert not self._terminated, f"{node} was started after it was asked to end"
+            assert (message.tick > 0) == self.begun, f"{node} was started at tick {message.tick}"
             self.started.add(node)
+            self.begun = self.begun or self.started == set(NODES)
+        elif isinstance(message, Absent | Return):
+            assert self.begun, f"{node} was told of {message} before the session had begun"
+            assert self.restarts, f"{node} was told of {message}, and nobody comes back"
+            assert any({node, message.peer} == {link.binder, link.connector} for link in GRAPH.links)
+            if isinstance(message, Absent):
+                self.absent[node].add(message.peer)
+            else:
+                assert message.peer in self.absent[node], f"{node} was told of the return of one that it does not miss"
+                self.absent[node].discard(message.peer)
 
     def _others_stay(self, sender: str, before: dict[str, NodeState], ending: bool) -> None:
-        """One node's message moves no other; only those elsewhere that never came are not awaited once all end."""
+        """One node's message moves no other that runs or has run; who never came is not awaited once all end."""
         moved = {node for node, state in self.conductor.states.items() if node != sender and state is not before[node]}
+        if self.begun and self.restarts:
+            settled = {NodeState.RUNNING, NodeState.REPORTED, NodeState.FAULTED, NodeState.ENDED}
+            assert not {node for node in moved if before[node] in settled}, f"{sender} moved {moved}"
+            return
         given_up = {node for node in moved if before[node] is NodeState.STARTING and node in self.conductor.remote}
         assert moved == (given_up if ending else set()), f"{sender} moved {moved}"
         assert all(self.conductor.states[node] is NodeState.ENDED for node in moved)
@@ -251,4 +355,6 @@ def _in_place(sender: str) -> dict[str, Message]:
         "start": Start(0, 0),
         "welcome": Welcome(),
         "link hello": LinkHello(PROTOCOL_VERSION, CERTIFICATE, SESSION.name, sender, hello.role, ("dx",)),
+        "offer": Offer(NODES[0], "ipc:///s/anew"),
+        "absent": Absent(NODES[0]),
     }

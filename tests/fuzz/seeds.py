@@ -148,6 +148,30 @@ def _conductor() -> Iterator[tuple[str, bytes]]:
         yield f"{far}-fault", session(*up, "frame", nodes[0], "as it is", "fault", 0, remote=remote)
         yield f"{far}-never-came", session("too late", remote=remote)
         yield f"{far}-interrupted", session("good hello", nodes[0], "interrupt", "too late", remote=remote)
+    for node in nodes[2:]:  # a device, the coupling, the environment
+        yield f"back-{node}", session(*up, "exit", node, -9, "good return", node, remote="nobody, restarts")
+    *_, c, environment = nodes
+    both = ("exit", environment, -9, "exit", c, -9, "good return", environment, "good return", c)
+    yield "given-up", session(*up, *both * 3, remote="nobody, restarts")
+    yield "no-process", session(*up, "exit", environment, -9, "no process", environment, remote="nobody, restarts")
+    dead = ("exit", c, -9)
+    offered = ("good offer", environment, c)
+    back = ("frame", c, "as it is")
+    for name, told in {
+        "offer-not-owed": (*offered, *dead, *offered, *offered),
+        "offer-of-another": (*dead, "good offer", nodes[0], c),
+        "absent-from-a-node": (*dead, "frame", environment, "as it is", "absent", 0),
+        "fault-on-the-way": (*dead, *offered, "good hello", c, *back, "fault", 0, "exit", c, 1, "good return", c),
+        "refused-on-the-way": (*dead, *offered, *back, "other certificate", 0, "exit", c, 4, "good return", c),
+        "lost-while-shaking-hands": (*dead, *offered, "good hello", c, "exit", environment, -9),
+        "too-long-on-the-way": (*dead, *offered, "look", 2**62, "exit", c, -9),
+        "done-while-one-is-away": (*dead, "frame", environment, "as it is", "report", 0, "too late"),
+        "ended-while-one-is-away": (*dead, "interrupt", *_each("exit", nodes, 0)),
+        "shift-and-back": ("shift", c, 2, *dead, "good return", c, "exit", environment, -9, "good return", environment),
+    }.items():
+        yield name, session(*up, *told, remote="nobody, restarts")
+    joined = ("silent", nodes[0], "good return", nodes[0])
+    yield "joined-again", session(*up, *joined * 4, remote="a device, restarts")
 
 
 def _each(event: str, nodes: tuple[str, ...], *rest: object) -> list[object]:

@@ -20,6 +20,7 @@ from manyhands.protocol.codec import LAYOUTS, Flaw, ForeignHello, Malformed, dec
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Echo,
     Fault,
@@ -28,13 +29,17 @@ from manyhands.protocol.messages import (
     Message,
     NodeHello,
     Observation,
+    Offer,
     Probe,
     Reaction,
     Ready,
     Refusal,
     Report,
+    Return,
     Role,
+    Rung,
     Sample,
+    Shift,
     Start,
     Stop,
     Telemetry,
@@ -55,6 +60,11 @@ VALID: list[Message] = [
     Stop("done"),
     Probe(10**15),
     Echo(10**15, 5, 6),
+    Absent("cx"),
+    Offer("cx", "ipc:///tmp/s/dx-cx.1"),
+    Return("cx", "ipc:///tmp/s/cx-dx"),
+    Shift("cx", 2),
+    Rung(2),
     Sample(7, 10**15, np.array([0.1, -0.2, 0.3])),
     Tool(7, 10**15, np.array([0.1])),
     Reaction(7, 10**15, np.array([-0.2])),
@@ -371,4 +381,4 @@ def test_a_hello_of_another_version_is_known_whatever_follows(number: int, versi
 def test_no_other_message_is_taken_for_a_foreign_hello() -> None:
     assert isinstance(decode(msgpack.packb([3, 2]), LIMIT), Malformed)
     assert isinstance(decode(msgpack.packb([1]), LIMIT), Malformed)
-    assert isinstance(decode(msgpack.packb([7, 2, 3]), LIMIT), Start)
+    assert isinstance(decode(msgpack.packb([7, 2, 3, 4]), LIMIT), Start)

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import LAYOUTS, decode, encode
-from manyhands.protocol.gate import DROP_REASONS, ROUNDING, Bounds, Gate
+from manyhands.protocol.gate import DROP_REASONS, MOST_PERIODS, ROUNDING, Bounds, Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
 from manyhands.protocol.signal_head import LONGEST, read_head, type_of
@@ -264,3 +265,29 @@ def test_bounds_that_are_none_are_refused(entries: tuple[tuple[float, ...], tupl
 def test_bounds_of_another_width_are_refused() -> None:
     with pytest.raises(ValueError, match="found bounds of 2 values; expected 3"):
         Gate(Sample, 3, BOUNDS)
+
+
+def stamped(gate: Gate, *signals: tuple[int, float]) -> list[bool]:
+    """Which signals are admitted, of stamps in ms and values, tick after tick."""
+    return [
+        gate.admit(encode(Sample(tick, stamp * 1_000_000, np.array([value]))), tick) is not None
+        for tick, (stamp, value) in enumerate(signals)
+    ]
+
+
+def test_a_step_is_bounded_for_every_period_that_has_passed_and_for_no_more_than_a_device_is_kept_waiting() -> None:
+    bounds = Bounds((10.0,), (0.25,), Duration(1_000_000))
+    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (6, 0.25), (8, 0.75), (9, 1.25)) == [True, True, True, False]
+    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (5 + MOST_PERIODS, 0.25 * MOST_PERIODS)) == [True, True]
+    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (5000, 0.25 * MOST_PERIODS + 0.01)) == [True, False]
+    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (0, 0.5)) == [True, False]  # a stamp that goes back gains nothing
+    assert stamped(Gate(Sample, 1, Bounds((10.0,), (0.25,))), (5, 0.0), (8, 0.75)) == [True, False]
+    assert stamped(Gate(Sample, 1, bounds), (5, 9.9), (11, 10.1)) == [True, False]  # within its step, beyond its reach
+
+
+def test_what_is_forgotten_bounds_no_step() -> None:
+    gate = Gate(Sample, 1, Bounds((10.0,), (0.25,)))
+    assert stamped(gate, (0, 0.0), (1, 5.0)) == [True, False]
+    gate.forget()
+    assert gate.admit(encode(Sample(2, 0, np.array([5.0]))), 2) is not None
+    assert gate.admit(encode(Sample(3, 0, np.array([0.0]))), 3) is None

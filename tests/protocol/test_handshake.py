@@ -85,7 +85,7 @@ UNFIT: list[tuple[dict[str, Any], RefusalCode, str, str]] = [
     (
         {"version": PROTOCOL_VERSION + 1},
         RefusalCode.VERSION,
-        "found protocol version 3; expected 2",
+        f"found protocol version {PROTOCOL_VERSION + 1}; expected {PROTOCOL_VERSION}",
         "install the same release",
     ),
     (
@@ -154,7 +154,7 @@ def test_a_side_of_another_version_refuses_this_one() -> None:
     connector, binder = both(environment=dataclasses.replace(ENVIRONMENT, version=PROTOCOL_VERSION + 1))
     converse(connector, binder)
     assert binder.refusal == (
-        "environment refused cx: found protocol version 2; expected 3; "
+        f"environment refused cx: found protocol version {PROTOCOL_VERSION}; expected {PROTOCOL_VERSION + 1}; "
         "install the same release of manyhands on both sides"
     )
     assert connector.refusal == f"cx: the link was refused at the other end: {binder.refusal}"
@@ -238,12 +238,12 @@ def test_the_supervisor_admits_a_node_of_its_session() -> None:
         (
             ForeignHello(PROTOCOL_VERSION + 1),
             RefusalCode.VERSION,
-            "supervisor refused a node: found protocol version 3; expected 2",
+            f"supervisor refused a node: found protocol version {PROTOCOL_VERSION + 1}; expected {PROTOCOL_VERSION}",
         ),
         (
             dataclasses.replace(NODE, version=PROTOCOL_VERSION + 1),
             RefusalCode.VERSION,
-            "refused dx: found protocol version 3",
+            f"refused dx: found protocol version {PROTOCOL_VERSION + 1}",
         ),
         (dataclasses.replace(NODE, certificate="bad1dea"), RefusalCode.CERTIFICATE, "found the certificate bad1dea"),
         (dataclasses.replace(NODE, session="other"), RefusalCode.SESSION, "found the session other"),

@@ -77,12 +77,12 @@ def test_an_established_link_carries_signals_at_once(ends: "Ends") -> None:
         (
             dataclasses.replace(COUPLING, version=PROTOCOL_VERSION + 1),
             ENVIRONMENT,
-            "environment refused cx: found protocol version 3; expected 2",
+            f"environment refused cx: found protocol version {PROTOCOL_VERSION + 1}; expected {PROTOCOL_VERSION}",
         ),
         (
             COUPLING,
             dataclasses.replace(ENVIRONMENT, version=PROTOCOL_VERSION + 1),
-            "environment refused cx: found protocol version 2; expected 3",
+            f"environment refused cx: found protocol version {PROTOCOL_VERSION}; expected {PROTOCOL_VERSION + 1}",
         ),
         (
             dataclasses.replace(COUPLING, certificate="bad1dea"),

@@ -137,13 +137,16 @@ def test_what_is_counted_at_a_door() -> None:
     assert [row[0] for row in table("| count at a door | is |")] == list(Refused)
 
 
-def test_what_is_said_to_be_new_is_there() -> None:
-    new = SPEC.split("Version 2, against version 1:")[1]
-    for name, number in re.findall(r"(\w+) \((\d+)\)", new.split("the code")[0]):
-        if name != "section":
-            assert LAYOUTS[getattr(messages, name)][0] == int(number)
+@pytest.mark.parametrize("version", [2, 3])
+def test_what_is_said_to_be_new_is_there(version: int) -> None:
+    new = SPEC.split(f"Version {version}, against version {version - 1}:")[1].split(", against version")[0]
+    numbered = [(name, number) for name, number in re.findall(r"(\w+) \((\d+)\)", new) if name != "section"]
+    assert numbered
+    for name, number in numbered:
+        assert LAYOUTS[getattr(messages, name)][0] == int(number)
+    fields = {field.name for kind in LAYOUTS for field in dataclasses.fields(kind)}
     for name in re.findall(r"`(\w+)`", new):
-        assert name in {*Role, *CHANNELS, *RefusalCode, *DROP_REASONS}, name
+        assert name in {*Role, *CHANNELS, *RefusalCode, *DROP_REASONS, *fields}, name
     for name in re.findall(r"\b[A-Z]{2,}(?:_[A-Z]+)+\b", new):
         assert hasattr(limits, name), name
 

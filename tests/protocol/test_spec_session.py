@@ -13,20 +13,29 @@ from manyhands.launch.access import access
 from manyhands.launch.audience import TRACE_OF, Audience
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.keys import roster
+from manyhands.launch.link_states import LINK_TRANSITIONS
+from manyhands.launch.node_states import NodeState
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import HUB_NAME, IPC
 from manyhands.launch.session import load_session
 from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import Topology, topology
-from manyhands.nodes import telemetry
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
-from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes import process, telemetry
+from manyhands.nodes.bundle import Common, CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.coupling.block import Block
+from manyhands.nodes.device.colocated import CarriedBlock
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.environment.attendance import TRANSITIONS as SEATS
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.exchange import bind_links
+from manyhands.nodes.exchange import Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
-from manyhands.protocol.clock import from_seconds
+from manyhands.nodes.greeting import bind_links, hello_to
+from manyhands.nodes.life import Life
+from manyhands.nodes.log import Log
+from manyhands.nodes.process import Member, Node
+from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
@@ -34,6 +43,7 @@ from manyhands.protocol.messages import (
     Message,
     NodeHello,
     Probe,
+    Reaction,
     Ready,
     Report,
     Role,
@@ -141,24 +151,80 @@ def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
     assert [row[0] for row in table("| count at the hub | is |")] == list(supervisor._refused)
 
 
+class Told:
+    """A node's line to the supervisor, of which only the last word is of interest."""
+
+    def __init__(self) -> None:
+        self.dropped, self.log, self.word = 0, Log(None, "s", "n", RealtimeClock()), Report(0, {}, {}, {})
+
+    def refused(self) -> Mapping[str, int]:
+        return {}
+
+    def report(self, report: Report, _life: object) -> None:
+        self.word = report
+
+
 def test_what_a_report_counts(prepared: Prepared) -> None:
-    bundles = cut(prepared, Run("simulated", None, "", traces=False))
-    reports: dict[str, Report] = {}
-    for bundle in bundles.values():
+    counted: dict[str, list[str]] = {}
+    for bundle in cut(prepared, Run("simulated", None, "", traces=False)).values():
+        node: Node
         match bundle:
             case DeviceBundle():
-                reports["device"] = DeviceNode(bundle, simulated_driver(bundle)).report()
+                node = DeviceNode(bundle, simulated_driver(bundle))
             case CouplingBundle():
-                reports["coupling"] = CouplingNode(bundle).report()
+                node = CarriedBlock(bundle)
+                node.block = Block(bundle, _unlinked(bundle.common))
             case EnvironmentBundle():
-                reports["environment"] = EnvironmentNode(bundle).report()
-    counted = [[role, name] for role, report in reports.items() for name in report.counts]
-    assert [row[:2] for row in table("| role | count in the Report | is |")] == counted
+                node = EnvironmentNode(bundle)
+            case _:
+                continue
+        line = Told()
+        member = Member(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
+        process._report(member, {}, Life.__new__(Life))
+        own = [name for name in line.word.counts if name.removeprefix("dropped_") not in DROP_REASONS]
+        counted[bundle.common.role] = own
+    of_all = [name for name in counted[Role.DEVICE] if all(name in own for own in counted.values())]
+    rows = [[role, name] for role in counted for name in counted[role] if name not in of_all]
+    rows += [["every node", name] for name in of_all]
+    assert [row[:2] for row in table("| role | count in the Report | is |")] == rows
+
+
+def _unlinked(common: Common) -> Joint:
+    (peer,) = (peer for peer in common.peers if peer.role is Role.ENVIRONMENT)
+    return Joint(hello_to(common, peer, None), peer, None, Reaction, slice(None), RealtimeClock())
+
+
+def test_where_a_node_may_stand() -> None:
+    assert [row[0] for row in table("| a node is | when |")] == list(NodeState)
+
+
+def test_what_becomes_of_a_link() -> None:
+    expected = [[state, event, following] for (state, event), following in LINK_TRANSITIONS.items()]
+    assert table("| a link that is | hears of | is then |") == expected
+
+
+def test_what_becomes_of_a_seat() -> None:
+    expected = [[seat, event, following] for (seat, event), following in SEATS.items()]
+    assert table("| a seat that is | hears | is then |") == expected
+
+
+def test_the_domain_of_a_link_that_is_bound_anew(prepared: Prepared) -> None:
+    """`COUPLING-DEVICE.1`, and then `.2`, each for that device alone."""
+    (bundle,) = (b for b in cut(prepared, Run("simulated", None, "", traces=False)).values() if b.common.name == "cx")
+    transport = Recorder()
+    _, hub = transport.bind_hub(HUB_NAME, ("cx",))
+    line = ControlLine(transport, dataclasses.replace(bundle.common, control=hub))
+    (device,) = (peer for peer in bundle.common.peers if peer.binds)
+    for _ in range(2):
+        line.bind_anew(device)
+    transport.close()
+    assert transport.bound == {"cx-dx.1": "dx", "cx-dx.2": "dx"}
+    assert "`COUPLING-DEVICE.1`" in SPEC
 
 
 def test_numbers_that_others_may_choose_otherwise() -> None:
     rows = table("| number | value | where | is |")
-    assert len(rows) >= 8
+    assert len(rows) >= 16
     for name, value, where, _ in rows:
         module = importlib.import_module("manyhands." + where.removesuffix(".py").replace("/", "."))
         constant, _, clock = name.partition(" ")
