@@ -1,31 +1,64 @@
 """What a node is given to start with: its own part of the session and nothing of the others'.
 
 A bundle is one JSON file, written by the launcher from the session and its certificate, readable by its
-node alone. A device's holds no block of V, a coupling's only its own, the environment's no coupling at all:
-D_V reaches it at the handshake.
+node alone. A device's holds no block of V, a coupling's only its own, the environment's none: D_V reaches it at the
+handshake, and its bundle has the D_V of the ladder's further rungs.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from manyhands.design.statespace import Matrix, StateSpace, matrix
+from manyhands.nodes.bundle_parts import (
+    MOST_RUNGS,
+    Common,
+    CouplingRung,
+    DeviceRung,
+    Limits,
+    Peer,
+    SimulatedHand,
+    require_rungs,
+)
+from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
+
+__all__ = [
+    "CLOCKS",
+    "MAX_FILE_BYTES",
+    "MAX_TELEMETRY_TICKS",
+    "REALTIME",
+    "SIMULATED",
+    "Bundle",
+    "BundleError",
+    "Common",
+    "CouplingBundle",
+    "CouplingRung",
+    "DeviceBundle",
+    "DeviceRung",
+    "EnvironmentBundle",
+    "Limits",
+    "ObserverBundle",
+    "Peer",
+    "SimulatedHand",
+    "load",
+    "role_of",
+    "save",
+]
 
 MAX_FILE_BYTES = 256 * 2**20
 
 SIMULATED = "simulated"
 REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
-
 
 MAX_TELEMETRY_TICKS = 1000
 """Most ticks between two telemetry messages: a node keeps the traces of as many."""
@@ -35,136 +68,67 @@ class BundleError(Exception):
     """A bundle cannot be read; names the file and what is wrong."""
 
 
-@dataclass(frozen=True)
-class Peer:
-    """A node at the other end of one of this node's links.
-
-    Attributes:
-        name: the peer's name.
-        role: what it is.
-        ports: the ports that the link carries, in order.
-        binds: whether *this* node binds the link's endpoint.
-        address: where it binds it (tcp), host:port; empty for any port of the loopback.
-    """
-
-    name: str
-    role: Role
-    ports: tuple[str, ...]
-    binds: bool
-    address: str = ""
-
-
-@dataclass(frozen=True)
-class Common:
-    """What every node needs to find and recognise the others.
-
-    Attributes:
-        session: the session's name.
-        name: the node's name.
-        role: the node's role.
-        certificate: id of the certificate (or of the uncertified session) that all nodes must share.
-        period: T, s.
-        tau: delay that the certificate assumes, s.
-        clock: :data:`REALTIME` or :data:`SIMULATED`.
-        transport: "ipc" or "tcp".
-        public: the public keys of this node, its peers and the supervisor; empty for a session without keys.
-        private: the file of this node's private key; empty for a session without keys, or where the user names it.
-        directory: the session's directory, mode 0700; empty for a node on another machine.
-        control: endpoint of the supervisor's hub.
-        ports: the node's ports, in order.
-        peers: its links.
-        telemetry_ticks: ticks between two telemetry messages.
-        traces: whether a device's telemetry carries every x and f_v.
-    """
-
-    session: str
-    name: str
-    role: Role
-    certificate: str
-    period: float
-    tau: float
-    clock: str
-    transport: str
-    public: Mapping[str, str]
-    private: str
-    directory: str
-    control: str
-    ports: tuple[str, ...]
-    peers: tuple[Peer, ...]
-    telemetry_ticks: int
-    traces: bool
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedHand:
-    """The physics of a simulated device and its hand, one entry an axis.
-
-    Attributes:
-        mass: kg, device and hand together.
-        damping: the device's, N*s/m.
-        operator: H in continuous time.
-        hand_damping: N*s/m.
-        hand_stiffness: N/m.
-        force: intended force (N): a number, a formula in t, or {"times", "values"}.
-        motion: intended motion (m), likewise.
-    """
-
-    mass: tuple[float, ...]
-    damping: tuple[float, ...]
-    operator: StateSpace
-    hand_damping: tuple[float, ...]
-    hand_stiffness: tuple[float, ...]
-    force: tuple[Any, ...]
-    motion: tuple[Any, ...]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the devices at a node's ports may exert and reach, either way; one entry for each port of the node.
-
-    Attributes:
-        force: N.
-        displacement: m.
-        speed: m/s.
-
-    Raises:
-        ValueError: a limit is not a finite number greater than 0.
-    """
-
-    force: tuple[float, ...]
-    displacement: tuple[float, ...]
-    speed: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for limit in (*self.force, *self.displacement, *self.speed):
-            if not 0.0 < limit < math.inf:
-                raise ValueError(f"found the limit {limit}; expected a finite number greater than 0")
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceBundle:
-    """A device's part: the level of its G_hat (N*s/m), its K_i (m/N), its simulated hand and its limits."""
+    """A device's part.
+
+    Attributes:
+        common: what every node needs; its tau is that of rung 0.
+        level: of its G_hat, N*s/m.
+        K: K_i, m/N.
+        hand: its simulated hand.
+        limits: its own.
+        longer: what it promises at rungs 1, 2, ... of the ladder, for longer delays.
+    """
 
     common: Common
     level: Matrix
     K: Matrix
     hand: SimulatedHand
     limits: Limits
+    longer: tuple[DeviceRung, ...] = ()
 
     def __post_init__(self) -> None:
         if self.level is None:
             raise ValueError("found no level; expected that of the device")
+        require_rungs(self.rungs)
+        taus = [rung.tau for rung in self.rungs]
+        if any(not a < b for a, b in pairwise(taus)):
+            raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
+
+    @property
+    def rungs(self) -> tuple[DeviceRung, ...]:
+        """What it promises at each rung; rung 0 is that of the session's certificate."""
+        return (DeviceRung(self.common.tau, self.level, self.K), *self.longer)
 
 
 @dataclass(frozen=True, eq=False)
 class CouplingBundle:
-    """A coupling block's part: V_i, K_i (m/N), Delta_V,i (N*s/m) unless uncertified, and its devices' limits."""
+    """A coupling block's part.
+
+    Attributes:
+        common: what every node needs.
+        block: V_i.
+        K: K_i, m/N.
+        level: Delta_V,i, N*s/m; None for an uncertified session.
+        limits: its devices'.
+        softer: the block at rungs 1, 2, ... of the ladder.
+    """
 
     common: Common
     block: StateSpace
     K: Matrix
     level: Matrix | None
     limits: Limits
+    softer: tuple[CouplingRung, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_rungs(self.rungs)
+
+    @property
+    def rungs(self) -> tuple[CouplingRung, ...]:
+        """The block at each rung; rung 0 is that of the session's certificate."""
+        return (CouplingRung(self.block, self.K, self.level), *self.softer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,20 +137,46 @@ class EnvironmentBundle:
 
     Attributes:
         common: what every node needs.
-        E: the environment.
+        E: the environment; None for a model.
         Phi_E: its level.
         tool_magnitude: the greatest |p| that honest devices and couplings can send, by port, m; None: no bound.
         tool_step: the greatest |p(k) - p(k-1)|, likewise.
         feedthrough: by coupling, the digest of the D_V that it must say
             (:func:`manyhands.nodes.feedthrough.feedthrough_digest`).
+        feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
+        enforce: whether a controller keeps Phi_E.
+        model: the model in place of E.
+
+    Raises:
+        ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
+            without its controller: the certificate rests on it.
     """
 
     common: Common
-    E: StateSpace
+    E: StateSpace | None
     Phi_E: Matrix | None
     tool_magnitude: tuple[float | None, ...]
     tool_step: tuple[float | None, ...]
     feedthrough: Mapping[str, str]
+    feedthrough_rungs: Mapping[str, tuple[Matrix, ...]] = field(default_factory=dict)
+    enforce: bool = False
+    model: ModelName | None = None
+
+    def __post_init__(self) -> None:
+        if (self.E is None) == (self.model is None):
+            raise ValueError("found both or neither of an environment's matrices and its model; expected one of them")
+        if self.enforce != (self.Phi_E is not None) and (self.enforce or self.model is not None):
+            raise ValueError(
+                f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
+                "model's level to be enforced, and a level wherever one is"
+            )
+        numbers = {len(matrices) for matrices in self.feedthrough_rungs.values()}
+        if not self.feedthrough_rungs:
+            return
+        if len(numbers) != 1 or self.feedthrough_rungs.keys() != self.feedthrough.keys():
+            raise ValueError("found a ladder for some couplings; expected the same rungs for each of them")
+        if max(numbers) > MOST_RUNGS:
+            raise ValueError(f"found {1 + max(numbers)} rungs; expected at most {1 + MOST_RUNGS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,6 +274,18 @@ def _bounds(data: Any) -> tuple[float | None, ...]:
     return tuple(None if bound is None else float(bound) for bound in data)
 
 
+def _flag(data: Any) -> bool:
+    if type(data) is not bool:
+        raise ValueError(f"found {data!r:.40} as enforce; expected true or false")
+    return data
+
+
+def _tau(data: Any) -> float:
+    if not _is_time(data):
+        raise ValueError(f"found {data!r:.40} as the tau of a rung; expected a number of seconds")
+    return float(data)
+
+
 def _is_time(value: Any) -> bool:
     return type(value) in (float, int) and 0.0 <= value < 1e9
 
@@ -313,10 +315,15 @@ _READ: dict[str, Any] = {
     "hand": _hand,
     "block": _system,
     "K": _array,
-    "E": _system,
+    "E": lambda data: None if data is None else _system(data),
     "Phi_E": _optional_array,
+    "enforce": _flag,
+    "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "limits": _limits,
     "tool_magnitude": _bounds,
     "tool_step": _bounds,
     "feedthrough": dict,
+    "longer": lambda rungs: tuple(DeviceRung(_tau(r["tau"]), _array(r["level"]), _array(r["K"])) for r in rungs),
+    "softer": lambda rungs: tuple(CouplingRung(_system(r["block"]), _array(r["K"]), _array(r["level"])) for r in rungs),
+    "feedthrough_rungs": lambda all_: {name: tuple(_array(D) for D in rungs) for name, rungs in all_.items()},
 }

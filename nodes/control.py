@@ -2,41 +2,54 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED, Common
+from manyhands.nodes.bundle import SIMULATED, Common, Peer
 from manyhands.nodes.life import Life, Sight, Stopped
-from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
+from manyhands.nodes.log import Log
+from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.clock_offset import Exchange, offset_of
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Echo,
     Fault,
     Message,
     NodeHello,
+    Offer,
     Probe,
     Ready,
     Refusal,
     Report,
+    Return,
+    Shift,
     Start,
     Stop,
     Telemetry,
     Welcome,
     presentable,
 )
-from manyhands.protocol.transport import Link, Transport, Trouble
+from manyhands.protocol.transport import Link, Transport, TransportError, Trouble
 
+NOT_AT_ALL = Duration(0)
 _PATIENCE = from_seconds(0.2)
 _LAST_WORD_WAITS = 10
 _JOINING_WAITS = 300  # a minute for a supervisor that is not there yet
+_REPEAT_WAITS = 5
 _PROBES = 32
 _ALIVE_EVERY = from_seconds(1.0)
+_WORDS_AT_ONCE = 8
+_WORDS_KEPT = 64  # not yet obeyed; a supervisor says a few at a fault
+
+Word = Absent | Return | Shift
+"""What a supervisor may say to a node that runs, besides Stop."""
 
 _M = TypeVar("_M", bound=Message)
 
@@ -53,27 +66,38 @@ class ControlLine:
     """The link to the supervisor's hub, and what else there is to do ten times a second.
 
     Attributes:
+        log: the node's log, written when telemetry is sent.
+        absent: peers that are not there at the start; they are among the words of the loop, too.
         dropped: telemetry messages that could not be queued.
         malformed: frames from the supervisor that made no sense.
     """
 
-    def __init__(self, transport: Transport, common: Common) -> None:
-        """Join the hub.
+    def __init__(self, transport: Transport, common: Common, log: Log | None = None) -> None:
+        """Join the hub; without a ``log`` nothing is kept.
 
         Raises:
             TransportError: its endpoint is none.
         """
         self._transport, self._common = transport, common
+        self.log = log or Log(None, common.session, common.name, RealtimeClock())
         self._link: Link = transport.join(common.control, common.name)
         self._lossless = common.clock == SIMULATED and common.traces
         self._due = Instant(0)
+        self._words: deque[Word] = deque(maxlen=_WORDS_KEPT)
+        self._asked_to_stop = False
+        self._introduction: Message | None = None
+        self.absent: set[str] = set()
+        self._generation = 0
         self.dropped = 0
         self.malformed = 0
 
     def hello(self, endpoints: Mapping[str, str], pid: int) -> None:
         """Introduce this node and what it has bound."""
         c = self._common
-        self._send(NodeHello(PROTOCOL_VERSION, c.certificate, c.session, c.name, c.role, pid, dict(endpoints)))
+        hello = NodeHello(PROTOCOL_VERSION, c.certificate, c.session, c.name, c.role, pid, dict(endpoints))
+        self._send(hello)
+        if not c.directory:  # a guest's connection may take the place of one that is not yet known to be lost
+            self._introduction = hello
 
     def peers_endpoints(self, life: Life) -> Mapping[str, str]:
         """Wait to be welcomed and told where the peers are.
@@ -83,6 +107,7 @@ class ControlLine:
             Stopped: the node should end.
         """
         self._await(Welcome, life)
+        self._introduction = None
         return self._await(Connect, life).endpoints
 
     def ready(self) -> None:
@@ -110,6 +135,7 @@ class ControlLine:
                 raise TelemetryLost("the supervisor reads telemetry too slowly; record less, or not at all")
             self.dropped += 1
         self._transport.attend()
+        self.log.flush()
 
     def refused(self) -> Mapping[str, int]:
         """Connections that this process did not admit, by reason."""
@@ -131,17 +157,61 @@ class ControlLine:
         return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
 
     def sight(self, now: Instant) -> Sight:
-        """The same within the loop, where a Stop is all that the supervisor may still say besides Echo.
+        """The same within the loop, where a Stop may come at any time; what else is said waits for :meth:`listen`.
 
         A Probe now and then tells the supervisor that this node is there, however long its ticks take.
         """
         if now >= self._due:
             self._due = Instant(now + _ALIVE_EVERY)
             self._send(Probe(now))
-        frame = self._link.recv(Duration(0))
-        if frame is not None and isinstance(decode(frame, MAX_CONTROL_BYTES), Stop):
-            return Sight.ENDING
-        return self.connection()
+        self._read(Duration(0))
+        return Sight.ENDING if self._asked_to_stop else self.connection()
+
+    def listen(self, patience: Duration = NOT_AT_ALL) -> Word | None:
+        """What the supervisor says to a node in its loop; at most ``patience`` is waited, by default not at all."""
+        if not self._words:
+            self._read(patience)
+        return self._words.popleft() if self._words else None
+
+    def bind_anew(self, peer: Peer) -> tuple[Link, str]:
+        """A new link for a peer that was lost, and its endpoint; the old one is closed.
+
+        Where its own port is not free again so soon, any port of that address.
+
+        Raises:
+            TransportError: none can be bound.
+        """
+        self._generation += 1
+        name = f"{self._common.name}-{peer.name}.{self._generation}"
+        try:
+            return self._transport.bind(name, peer.name, peer.address)
+        except TransportError:
+            if not peer.address:
+                raise
+            host = peer.address.rpartition(":")[0]
+            return self._transport.bind(f"{name}.any", peer.name, f"{host}:*")
+
+    def connect(self, endpoint: str, peer: Peer) -> Link:
+        """A link to a peer that was lost and has bound ``endpoint``; raises TransportError."""
+        return self._transport.connect(endpoint, peer.name)
+
+    def offer(self, peer: str, endpoint: str) -> None:
+        """Tell where the link for ``peer`` is bound anew."""
+        self._send(Offer(peer, endpoint))
+
+    def _read(self, patience: Duration) -> None:
+        for _ in range(_WORDS_AT_ONCE):
+            frame = self._link.recv(patience)
+            if frame is None:
+                return
+            message = decode(frame, MAX_CONTROL_BYTES)
+            if isinstance(message, Word):
+                self._words.append(message)
+            elif isinstance(message, Stop):
+                self._asked_to_stop = True
+            elif not isinstance(message, Echo):
+                self.malformed += 1
+            patience = NOT_AT_ALL
 
     def report(self, report: Report, life: Life) -> None:
         """Send the node's last word, and stay until it was heard."""
@@ -180,6 +250,8 @@ class ControlLine:
                     raise Stopped
                 waits += 1
                 self._require_connection(waits)
+                if self._introduction is not None and waits % _REPEAT_WAITS == 0 and self._link.trouble() is None:
+                    self._send(self._introduction)
                 continue
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, kind):
@@ -188,6 +260,10 @@ class ControlLine:
                 raise Refused(message.text)
             if isinstance(message, Stop):
                 raise Stopped
+            if isinstance(message, Absent):
+                self.absent.add(message.peer)
+                self._words.append(message)
+                continue
             self.malformed += 1
 
     def _require_connection(self, waits: int) -> None:

@@ -1,178 +1,280 @@
-"""A node's links to its peers, from the handshake to the last tick."""
+"""One link of a running node: its signals of the tick, and what else may come of a peer.
+
+A peer does its part in time, is silent, has fallen behind, is lost, or comes back on a new link. A joint hears all of
+that and says which (:class:`Heard`); what is done about it is the node's own business (:class:`Listener`).
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from enum import Enum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.bundle import Common, Peer
-from manyhands.nodes.life import Life
-from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
-from manyhands.protocol.codec import encode
+from manyhands.nodes.bundle import Peer
+from manyhands.nodes.linear_map import Floats
+from manyhands.protocol.clock import Clock, Duration, Instant
+from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode
 from manyhands.protocol.gate import Bounds, Gate
-from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
-from manyhands.protocol.limits import MAX_STRAY_FRAMES
-from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Role, SignalMessage, Values
-from manyhands.protocol.transport import Link, Transport
+from manyhands.protocol.handshake import LinkHandshake
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import Absent, LinkHello, Refusal, Rung, SignalMessage
+from manyhands.protocol.signal_head import type_of
+from manyhands.protocol.transport import Link
 
-HANDSHAKE_TIME = from_seconds(20.0)
 Indices = NDArray[np.int64]
-PATIENCE = from_seconds(0.1)  # between two looks at whether the node should still run
 
 
-@dataclass(frozen=True, eq=False)
+class Heard(Enum):
+    """What came of listening to a peer."""
+
+    SIGNAL = "the signal of the tick, put in its place"
+    NOTHING = "nothing of use in the time allowed"
+    TURNED = "the listener wants no more of this tick"
+    MET = "the peer is back: hands were shaken on the new link"
+
+
+class Listener(Protocol):
+    """What a node makes of a frame that is not the signal of the tick."""
+
+    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+        """A proper signal of tick ``told`` came while ``awaited`` was waited for; whether to stop waiting for it."""
+        ...
+
+    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+        """A word besides the signals; whether to stop waiting."""
+        ...
+
+    def flooded(self, text: str) -> None:
+        """A peer sends more stray frames than any honest one: the node has to end, and why."""
+        ...
+
+
 class Joint:
-    """One established link.
+    """One link of a node.
 
     Attributes:
-        own: the node at this end.
+        own: the hello that this end says.
         peer: who is at the other end.
-        link: the connection.
+        link: the connection; None while the peer is lost.
         gate: admits the peer's signals.
         indices: where the link's ports are among the node's own; a slice where they follow each other.
-        clock: by which a wait knows how long it has lasted; a realtime one.
+        handshake: the one that goes on with a peer that comes back; None otherwise.
+        hello: what a peer said who came back.
+        new: whether nothing has been admitted yet of a peer who came back: it may be at another tick.
+        tick: that of the latest signal; -1 before the first.
+        told: the tick of the signal that was last astray.
+        zero: whether all values of that signal were zero.
+        stray: its frame.
     """
 
-    own: str
-    peer: Peer
-    link: Link
-    gate: Gate
-    indices: slice | Indices
-    clock: Clock
-
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Values) -> bool:
-        """Send this link's share of the node's ``values``; False when the peer's queue is full or gone."""
-        return self.link.send(encode(kind(tick, stamp, values[self.indices])))
-
-    def receive_into(
+    def __init__(
         self,
-        values: Values,
-        tick: int,
-        life: Life,
-        patience: Duration = PATIENCE,
-        silence: Callable[[], None] | None = None,
-    ) -> bool:
-        """Wait for the peer's signal of ``tick`` and put it into the node's ``values``.
+        own: LinkHello,
+        peer: Peer,
+        link: Link | None,
+        admits: type[SignalMessage],
+        indices: slice | Indices,
+        clock: Clock,
+        bounds: Bounds | None = None,
+    ) -> None:
+        """Join the node to a peer that has shaken hands on ``link``.
 
-        ``silence`` is called whenever ``patience`` has passed in vain, whatever else has arrived meanwhile. A peer
-        that sends more than :data:`MAX_STRAY_FRAMES` other frames in one wait has the node fail.
-
-        Returns:
-            False when the node should end.
+        Args:
+            own: the hello that this end says.
+            peer: who is at the other end.
+            link: the connection.
+            admits: the signal that comes from there.
+            indices: where its values belong.
+            clock: by which a wait knows how long it has lasted; a realtime one.
+            bounds: what its values keep within.
         """
-        strays = 0
-        now = self.clock.now()
-        life.look(now)
-        remaining, due = patience, Instant(now + patience)
-        while not life.stopping:
-            frame = self.link.recv(remaining)
-            if frame is not None:
-                admitted = self.gate.admit(frame, tick)
-                if admitted is not None:
-                    values[self.indices] = admitted
-                    return True
-                strays += 1
-                if strays > MAX_STRAY_FRAMES:
-                    life.fail(self._flood(strays, tick))
-                    return False
-                remaining = Duration(due - self.clock.now())
-                if remaining > 0:
-                    continue
-            life.check()
-            if silence is not None:
-                silence()
-            remaining, due = patience, Instant(self.clock.now() + patience)
-        return False
+        self.own, self.peer, self.link, self.indices = own, peer, link, indices
+        self.handshake: LinkHandshake | None = None
+        self.hello: LinkHello | None = None
+        self.new = False
+        self.tick, self.told, self.zero, self.stray = -1, 0, False, b""
+        self._admits, self._bounds, self._clock = admits, bounds, clock
+        self.gate = Gate(admits, len(peer.ports), bounds)
+        self._part = indices if isinstance(indices, slice) else None
+        self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
+        self._writer: SignalWriter | None = None  # it sends one kind of signal, which is known when it does
+        self._last: bytes = b""
+        self._junk_tick, self._junk = -1, 0  # frames that were no signal at all, while this tick's was awaited
 
-    def _flood(self, strays: int, tick: int) -> str:
+    @property
+    def reachable(self) -> bool:
+        """Whether there is a link to the peer, or the beginning of one."""
+        return self.link is not None
+
+    @property
+    def here(self) -> bool:
+        """Whether signals can be exchanged with the peer."""
+        return self.link is not None and self.handshake is None
+
+    def share(self, values: Floats) -> Floats:
+        """This link's part of the node's ``values``."""
+        return [values[at] for at in self._at] if self._part is None else values[self._part]
+
+    def put(self, values: Floats, share: Sequence[float]) -> None:
+        """Put this link's ``share`` into the node's ``values``."""
+        if self._part is not None:
+            values[self._part] = share
+            return
+        for at, value in zip(self._at, share, strict=True):
+            values[at] = value
+
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+        """Send this link's share of the node's ``values``; False when the peer's queue is full or gone."""
+        link = self.link
+        if link is None or self.handshake is not None:
+            return False
+        writer = self._writer
+        if writer is None or writer.kind is not kind:
+            writer = self._writer = SignalWriter(kind, len(self.peer.ports))
+        part = self._part
+        share = self.share(values) if part is None else values[part]
+        self._last = frame = writer.frame(tick, stamp, share)
+        return link.send(frame)
+
+    def send_again(self) -> None:
+        """Send the last signal once more: it, or the answer to it, may have been lost with a connection."""
+        if self.link is not None and self.handshake is None and self._last:
+            self.link.send(self._last)
+
+    def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
+        """Tell the peer, by a force of zero, that ``tick`` is over: it goes on with the one after it."""
+        if self.link is not None and self.handshake is None and tick >= 0:
+            self.link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
+
+    def say(self, message: Rung | Absent) -> None:
+        """Send a word besides the signals."""
+        if self.link is not None and self.handshake is None:
+            self.link.send(encode(message))
+
+    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+        """Listen for the peer's signal of ``tick``, at most ``patience``, and put it into the node's ``values``."""
+        link = self.link
+        if link is None:
+            return Heard.NOTHING
+        frame = link.recv(patience)
+        if frame is None:
+            return Heard.NOTHING
+        if self.handshake is None:
+            admitted = self.gate.admitted(frame, tick)
+            if admitted is not None:
+                part = self._part
+                if part is None:
+                    self.put(values, admitted)
+                else:
+                    values[part] = admitted
+                self.tick = tick
+                return Heard.SIGNAL
+        return self._hear_on(frame, values, tick, patience, listener)
+
+    def take(self, frame: bytes, values: Floats, tick: int) -> bool:
+        """Put a signal that came early into the node's ``values``, now that it is its turn; whether it is admitted."""
+        admitted = self.gate.admitted(frame, tick)
+        if admitted is None:
+            return False
+        self.put(values, admitted)
+        self.tick = tick
+        return True
+
+    def settle(self, tick: int) -> None:
+        """The force of ``tick`` is applied; nothing is left to do for a peer in a process of its own."""
+
+    def lose(self) -> None:
+        """The peer is gone: close the link to it."""
+        if self.link is not None:
+            self.link.close()
+        self.link, self.handshake = None, None
+
+    def greet(self, link: Link, handshake: LinkHandshake) -> None:
+        """Begin to shake hands with the peer, who comes back on ``link``; :meth:`hear` goes on with it."""
+        self.lose()
+        self.link, self.handshake = link, handshake
+        for message in handshake.start():
+            link.send(encode(message))
+
+    def _hear_on(self, frame: bytes, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+        """Look at a frame that was not the signal of the tick, and listen on for the rest of the time."""
+        due = Instant(self._clock.now() + patience)
+        strays = 0
+        if self._junk_tick != tick:
+            self._junk_tick, self._junk = tick, 0
+        while True:
+            signal = None if self.handshake is not None else self.gate.astray(frame)
+            heard = self._take(frame, signal, tick, listener)
+            if heard is not None:
+                return heard
+            strays += 1
+            self._junk += signal is None  # who is only behind says the same again and again
+            if max(strays, self._junk) > MAX_STRAY_FRAMES:
+                listener.flooded(self._flood(tick))
+                return Heard.NOTHING
+            link = self.link
+            left = Duration(max(0, due - self._clock.now())) if patience else patience
+            if link is None or (patience and not left):
+                return Heard.NOTHING
+            following = link.recv(left)
+            if following is None:
+                return Heard.NOTHING
+            frame = following
+            if self.handshake is None:
+                admitted = self.gate.admitted(frame, tick)
+                if admitted is not None:
+                    self.put(values, admitted)
+                    self.tick, self._junk_tick = tick, -1
+                    return Heard.SIGNAL
+
+    def _take(self, frame: bytes, signal: tuple[int, bool] | None, tick: int, listener: Listener) -> Heard | None:
+        if self.handshake is not None:
+            return self._shake(frame, self.handshake)
+        if signal is not None and signal[0] != tick:
+            (self.told, self.zero), self.stray = signal, frame
+            return Heard.TURNED if listener.astray(self, signal[0], tick) else None
+        if signal is None and len(frame) <= _LONGEST_WORD and type_of(frame) in _WORDS:
+            message = decode(frame, MAX_CONTROL_BYTES)
+            if isinstance(message, Rung | Absent):
+                self.gate.dropped["wrong_kind"] -= 1  # it was counted as a stray, and is none
+                return Heard.TURNED if listener.aside(self, message) else None
+        return None
+
+    def _shake(self, frame: bytes, handshake: LinkHandshake) -> Heard | None:
+        link = self.link
+        if link is None:
+            return Heard.NOTHING
+        for message in handshake.receive(decode(frame, MAX_CONTROL_BYTES)):
+            if not link.send(encode(message)) and not isinstance(message, Refusal):
+                self.lose()  # gone again; the supervisor will tell
+                return Heard.NOTHING
+        if not handshake.finished:
+            return None
+        if handshake.peer is None:  # refused: as good as absent, and told at the other end
+            self.lose()
+            return Heard.NOTHING
+        self.handshake, self.hello, self.new = None, handshake.peer, True
+        before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds)
+        self.gate.dropped.update(before.dropped)
+        self._last, self.tick = b"", -1
+        return Heard.MET
+
+    def _flood(self, tick: int) -> str:
         kinds = ", ".join(f"{reason} {count}" for reason, count in self.gate.dropped.items() if count)
         return (
-            f"{self.own}: {self.peer.name} sent {strays} stray frames while its signal of tick {tick} was awaited "
-            f"(in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as {self.peer.name}"
+            f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
+            f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
+            f"{self.peer.name}"
         )
 
 
-def _positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
-    """Where ``carried`` ports are among ``own``: as a slice, which costs a tick less, where one will do."""
-    at = [own.index(port) for port in carried]
-    if at == list(range(at[0], at[0] + len(at))):
-        return slice(at[0], at[0] + len(at))
-    return np.array(at)
+_WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
+_LONGEST_WORD = 128  # bytes
 
 
-def bounds_by_peer(
-    common: Common, role: Role, magnitude: Sequence[float | None], step: Sequence[float | None]
-) -> dict[str, Bounds]:
-    """Bounds of the signals of every peer of ``role``, from those of the node's own ports; None for no bound."""
-
-    def of(bound: float | None) -> float:
-        return math.inf if bound is None else bound
-
-    by_port = {port: (of(m), of(s)) for port, m, s in zip(common.ports, magnitude, step, strict=True)}
-    return {
-        peer.name: Bounds(tuple(by_port[p][0] for p in peer.ports), tuple(by_port[p][1] for p in peer.ports))
-        for peer in common.peers
-        if peer.role is role
-    }
-
-
-def bind_links(common: Common, transport: Transport) -> tuple[dict[str, Link], dict[str, str]]:
-    """Bind the links that this node binds; returns them and their endpoints, by peer."""
-    links: dict[str, Link] = {}
-    endpoints: dict[str, str] = {}
-    for peer in common.peers:
-        if peer.binds:
-            links[peer.name], endpoints[peer.name] = transport.bind(
-                f"{common.name}-{peer.name}", peer.name, peer.address
-            )
-    return links, endpoints
-
-
-def establish(
-    common: Common,
-    links: Mapping[str, Link],
-    admits: Mapping[str, type[SignalMessage]],
-    clock: Clock,
-    feedthrough: Values | None = None,
-    bounds: Mapping[str, Bounds] | None = None,
-) -> tuple[list[Joint], dict[str, LinkHello]]:
-    """Shake hands on every link, in the session's order, which all nodes share: no two can wait for each other.
-
-    Args:
-        common: the node's bundle.
-        links: a link for each peer.
-        admits: the signal to expect from each peer.
-        clock: for the time limit, and for waiting on the joints; a realtime one, for processes start and wait in real
-            time whatever the session's clock.
-        feedthrough: D_V, told to the environment alone.
-        bounds: what the signals of a peer keep within; those of peers without an entry are not bounded.
-
-    Returns:
-        The joints in the order of the peers, and the peers' hellos.
-
-    Raises:
-        HandshakeRefused, HandshakeTimeout: told clearly, at both ends.
-    """
-    joints: list[Joint] = []
-    hellos: dict[str, LinkHello] = {}
-    deadline = Instant(clock.now() + HANDSHAKE_TIME)
-    for peer in common.peers:
-        tells = feedthrough is not None and peer.role == "environment"
-        own = LinkHello(
-            PROTOCOL_VERSION,
-            common.certificate,
-            common.session,
-            common.name,
-            common.role,
-            peer.ports,
-            tuple(map(tuple, feedthrough.tolist())) if tells and feedthrough is not None else None,
-        )
-        handshake = LinkHandshake(own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
-        hellos[peer.name] = shake_hands(links[peer.name], handshake, clock, deadline)
-        gate = Gate(admits[peer.name], len(peer.ports), (bounds or {}).get(peer.name))
-        joints.append(Joint(common.name, peer, links[peer.name], gate, _positions(common.ports, peer.ports), clock))
-    return joints, hellos
+def joint_of(joints: Sequence[Joint], peer: str) -> Joint | None:
+    """The joint with ``peer``; None if there is no such peer."""
+    return next((joint for joint in joints if joint.peer.name == peer), None)

@@ -15,17 +15,27 @@ class Ledger:
 
     Attributes:
         total: E_k, J.
-        minimum: the least total so far, J.
+        minimum: the least total so far, J; not above 0, where it began.
+        ticks: how many were entered.
+        at: after which of them the total was least; 0 where it never fell below its beginning.
     """
 
-    __slots__ = ("minimum", "total")
+    __slots__ = ("at", "minimum", "ticks", "total")
 
     def __init__(self) -> None:
         self.total = 0.0
         self.minimum = 0.0
+        self.ticks = self.at = 0
+
+    @property
+    def margin(self) -> float:
+        """By how much the least total stayed above its bound, -V(psi_0) = 0, J; negative for a broken promise."""
+        return self.minimum
 
     def enter(self, energy: float) -> None:
         """Add one tick's T (y^T u - y^T Delta y - u^T Phi u), J."""
         self.total += energy
+        self.ticks += 1
         if self.total < self.minimum:
             self.minimum = self.total
+            self.at = self.ticks

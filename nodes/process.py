@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import (
+    SIMULATED,
     BundleError,
     Common,
     CouplingBundle,
@@ -24,8 +26,11 @@ from manyhands.nodes.bundle import (
     load,
 )
 from manyhands.nodes.control import ControlLine, Refused
-from manyhands.nodes.exchange import bind_links
+from manyhands.nodes.greeting import bind_links
 from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.log import Event as LogEvent
+from manyhands.nodes.log import Log, log_path
+from manyhands.nodes.realtime import FIFO_PRIORITY, Granted, RealtimeWishes, prepare, restore
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
 from manyhands.protocol.key_files import KeyFileError
@@ -61,20 +66,30 @@ _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle)
 
 def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
     """Run the node whose bundle and supervisor's process id the command line names; returns the exit code."""
+    return main_together(kind, lambda bundle: [(bundle, make(bundle))])
+
+
+def main_together(
+    kind: type[_B], make: Callable[[_B], Sequence[tuple[DeviceBundle | CouplingBundle | EnvironmentBundle, Node]]]
+) -> int:
+    """The same for a process of several nodes, of which ``make`` makes all from the first one's bundle."""
     if len(sys.argv) != 3 or not sys.argv[2].isdigit():
         print("usage: python -m manyhands.nodes.ROLE BUNDLE SUPERVISOR_PID", file=sys.stderr)  # noqa: T201
         return EXIT_BAD_INPUT
     try:
         life = Life(int(sys.argv[2]))
         bundle = load(Path(sys.argv[1]), kind)
-        ring = key_ring(bundle.common, Path(bundle.common.private)) if bundle.common.public else None
-        node = make(bundle)
+        nodes = [(own.common, node, _ring_of(own.common)) for own, node in make(bundle)]
     except Stopped:
         return EXIT_OK
     except (BundleError, KeyFileError, ValueError, OverflowError) as error:
         print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
         return EXIT_BAD_INPUT
-    return run(bundle.common, node, life, ring)
+    return run_together(nodes, life)
+
+
+def _ring_of(common: Common) -> KeyRing | None:
+    return key_ring(common, Path(common.private)) if common.public else None
 
 
 def key_ring(common: Common, private: Path) -> KeyRing:
@@ -92,6 +107,25 @@ def key_ring(common: Common, private: Path) -> KeyRing:
     return KeyRing(common.name, pair, {name: key for name, key in common.public.items() if name != common.name})
 
 
+@dataclass
+class Member:
+    """One node in its process. There are several where couplings are co-located with their device.
+
+    Attributes:
+        common: its bundle's common part.
+        node: what its role adds.
+        transport: its sockets; of its own, as its keys are.
+        control: its line to the supervisor.
+        links: to its peers, as far as they exist.
+    """
+
+    common: Common
+    node: Node
+    transport: Transport
+    control: ControlLine
+    links: dict[str, Link] = field(default_factory=dict)
+
+
 def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bool = False) -> int:
     """Run one node to its end; returns the exit code.
 
@@ -102,69 +136,148 @@ def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bo
         ring: its keys; None for a session without.
         remote: whether it runs on another machine than its supervisor, or may.
     """
-    transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
+    return run_together([(common, node, ring)], life, remote)
+
+
+def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Life, remote: bool = False) -> int:
+    """Run one or several nodes in this process; the first one's loop is the process's, and carries the others along.
+
+    The others come first: their handshakes, in their order, which has to be the session's, and their loops, which only
+    begin.
+    """
+    members: list[Member] = []
+    transports: list[Transport] = []
     try:
         try:
-            control = ControlLine(transport, common)
+            for common, node, ring in nodes:
+                transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
+                transports.append(transport)
+                members.append(Member(common, node, transport, ControlLine(transport, common, _log_of(common))))
         except TransportError as error:
-            print(f"error: {common.name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
+            print(f"error: {nodes[0][0].name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
             return EXIT_BAD_INPUT
-        if remote:
-            life.watch = control.connection
-        try:
-            return _converse(common, node, life, transport, control, remote)
-        except Stopped:
-            return _stopped(common, life, control) if remote else EXIT_OK
-        except (HandshakeRefused, Refused) as error:
-            control.fault(str(error), life)
-            print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
-            return EXIT_REFUSED
-        except (HandshakeTimeout, TransportError, ValueError) as error:
-            control.fault(str(error) if isinstance(error, HandshakeTimeout) else f"{common.name}: {error}", life)
-            print(error, file=sys.stderr)  # noqa: T201
-            return EXIT_FAILED
+        return _ended(members, life, remote)
     except Stopped:
         return EXIT_OK
     finally:
-        transport.close()
+        for member in members:
+            member.control.log.close()
+        for transport in transports:
+            transport.close()
 
 
-def _converse(common: Common, node: Node, life: Life, transport: Transport, control: ControlLine, remote: bool) -> int:
-    links, endpoints = bind_links(common, transport)
-    control.hello(endpoints, os.getpid())
-    told, wanted = control.peers_endpoints(life), {peer.name for peer in common.peers if not peer.binds}
+def _log_of(common: Common) -> Log:
+    log = Log(log_path(common.directory, common.name), common.session, common.name, RealtimeClock())
+    log.note(LogEvent.START, role=common.role.value, pid=os.getpid(), certificate=common.certificate)
+    return log
+
+
+def _ended(members: Sequence[Member], life: Life, remote: bool) -> int:
+    """The exit code, after the whole life of the process; how it ended is told and noted."""
+    common, control = members[0].common, members[0].control
+    if remote:
+        life.watch = control.connection
+    try:
+        code = _converse(members, life, remote)
+    except Stopped:
+        code = _stopped(common, life, control) if remote else EXIT_OK
+    except (HandshakeRefused, Refused) as error:
+        control.fault(str(error), life)
+        print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
+        control.log.note(LogEvent.REFUSED, reason=str(error))
+        code = EXIT_REFUSED
+    except (HandshakeTimeout, TransportError, ValueError) as error:
+        text = str(error) if isinstance(error, HandshakeTimeout) else f"{common.name}: {error}"
+        control.fault(text, life)
+        print(error, file=sys.stderr)  # noqa: T201
+        control.log.note(LogEvent.FAULT, text=text)
+        code = EXIT_FAILED
+    for member in members:
+        member.control.log.note(LogEvent.END, reason=life.failure or "", code=code)
+    return code
+
+
+def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
+    leader, others = members[0], members[1:]
+    for member in members:
+        member.links, endpoints = bind_links(member.common, member.transport)
+        member.control.hello(endpoints, os.getpid())
+    for member in members:
+        _connect(member, life)
+    for member in (*others, leader):
+        member.node.establish(member.links)
+        member.control.log.note(LogEvent.ESTABLISHED, peers=len(member.links))
+    clock = RealtimeClock()
+    ahead = leader.control.clock_offset(clock, life) if remote else 0
+    for member in members:
+        member.control.ready()
+    start, *_ = [member.control.start(life) for member in members]
+    if remote:
+        start = Start(start.epoch - ahead, start.ticks, start.tick)
+        life.watch = lambda: leader.control.sight(clock.now())
+    for member in members:
+        member.transport.settle()
+        member.control.log.note(LogEvent.LOOP, ticks=start.ticks, tick=start.tick)
+    granted = _prepare(leader)
+    for member in members:
+        member.control.log.flush()
+    life.enter_loop()
+    try:
+        for member in others:
+            member.node.loop(start, life, member.control)
+        leader.node.loop(start, life, leader.control)
+    finally:
+        life.leave_loop()
+        if granted is not None:
+            restore(granted)
+    if remote:
+        life.watch = leader.control.connection  # a Stop is now the answer to the last word, and not to be taken from it
+    if life.failure is not None:
+        leader.control.fault(life.failure, life)
+        print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
+        return EXIT_FAILED
+    if remote and life.orphaned:
+        return _lost(leader.common)
+    for member in members:
+        _report(member, {} if granted is None else granted.figures(), life)
+    return EXIT_OK
+
+
+def _connect(member: Member, life: Life) -> None:
+    """Wait to be told where the peers are that bind the links, and connect to them."""
+    told = member.control.peers_endpoints(life)
+    for name in member.control.absent:  # they come back on a new link, if they do
+        link = member.links.pop(name, None)
+        if link is not None:
+            link.close()
+    wanted = {peer.name for peer in member.common.peers if not peer.binds} - member.control.absent
     if told.keys() != wanted:
         raise ValueError(
             f"found endpoints of {sorted(told)}; expected those of {sorted(wanted)}; see what listens there"
         )
     for name, endpoint in told.items():
-        links[name] = transport.connect(endpoint, name)
-    node.establish(links)
-    clock = RealtimeClock()
-    ahead = control.clock_offset(clock, life) if remote else 0
-    control.ready()
-    start = control.start(life)
-    if remote:
-        start = Start(start.epoch - ahead, start.ticks)
-        life.watch = lambda: control.sight(clock.now())
-    transport.settle()
-    life.enter_loop()
-    try:
-        node.loop(start, life, control)
-    finally:
-        life.leave_loop()
-    if remote:
-        life.watch = control.connection  # a Stop is now the answer to the last word, and not to be taken from it
-    if life.failure is not None:
-        control.fault(life.failure, life)
-        print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
-        return EXIT_FAILED
-    if remote and life.orphaned:
-        return _lost(common)
-    report = node.report()
-    refused = {f"{names.REFUSED}{kind}": count for kind, count in transport.refused().items()}
-    control.report(Report(report.ticks, report.figures, {**report.counts, **refused}, report.percentiles), life)
-    return EXIT_OK
+        member.links[name] = member.transport.connect(endpoint, name)
+    member.control.log.note(LogEvent.WELCOMED)
+
+
+def _prepare(leader: Member) -> Granted | None:
+    """What the machine grants a process that runs in real time; a priority where strangers cannot make it compute."""
+    if leader.common.clock == SIMULATED:
+        return None
+    granted = prepare(RealtimeWishes(priority=FIFO_PRIORITY if leader.common.transport == "ipc" else 0))
+    for name, grant in granted.grants().items():
+        leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.said)
+    return granted
+
+
+def _report(member: Member, granted: Mapping[str, float], life: Life) -> None:
+    """The last word of one node."""
+    report = member.node.report()
+    control = member.control
+    counts = {f"{names.REFUSED}{kind}": count for kind, count in control.refused().items()}
+    dropped = {names.DROPPED_TELEMETRY: control.dropped, names.DROPPED_LOG: control.log.dropped}
+    figures = {**report.figures, **granted}
+    control.report(Report(report.ticks, figures, {**report.counts, **counts, **dropped}, report.percentiles), life)
 
 
 def _stopped(common: Common, life: Life, control: ControlLine) -> int:

@@ -8,10 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-Vector = NDArray[np.float64]
+from manyhands.nodes.linear_map import Floats
 
 
 class Saturation:
@@ -28,22 +25,15 @@ class Saturation:
         self._limits = tuple(limits)
         self.ticks = 0
 
-    def clip(self, f: Vector) -> Vector:
-        """``f`` (N) itself where it is within the limits, otherwise a new array that is; what is no number becomes 0.
-
-        Compared as Python floats: for the few ports of a device or a block that takes less than numpy's calls, and no
-        array is made where nothing is to be clipped.
-        """
-        forces = f.tolist()
-        for force, limit in zip(forces, self._limits, strict=True):
+    def clip(self, f: Floats) -> Floats:
+        """``f`` (N) itself where it is within the limits, otherwise a new list that is; what is no number becomes 0."""
+        for force, limit in zip(f, self._limits, strict=True):
             if not -limit <= force <= limit:
                 break
         else:
             return f
         self.ticks += 1
-        return np.array(
-            [
-                0.0 if math.isnan(force) else max(-limit, min(limit, force))
-                for force, limit in zip(forces, self._limits, strict=True)
-            ]
-        )
+        return [
+            0.0 if math.isnan(force) else max(-limit, min(limit, force))
+            for force, limit in zip(f, self._limits, strict=True)
+        ]

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.passivity_controller import PassivityController
 
 LEDGER = "ledger"
 LEDGER_MIN = "ledger_min"
@@ -24,14 +25,44 @@ CLIPPED = "clipped"  # ticks whose force a device clipped: a coupling misbehaves
 SATURATED = "saturated"  # ticks whose force a coupling clipped: not those of the certificate
 REFUSED = "refused_"  # and why: connections that the process did not admit
 NOT_ADMITTED = "not_admitted"  # connections and frames together, for a glance
+FROZEN = "frozen"  # couplings that are frozen now
+FROZEN_TICKS = "frozen_ticks"  # ticks in which any was
+ABSENCES = "absences"  # times that a coupling was frozen
+JUMPS = "jumps"  # times that a node went on at a later tick than its own
+RELEASED = "released"  # periods in which a device exerted no force, for it heard of none
+RUNG = "rung"  # of the ladder of couplings
+TAU_WORST = "tau_worst_us"  # since the last telemetry
+PERIOD_BREACHES = "period_breaches"  # ticks that came another time after the one before than the certificate assumes
+DROPPED_TELEMETRY = "dropped_telemetry"
+DROPPED_LOG = "dropped_log"
+LATE_CAUSE = "late_"  # and which
+REALTIME = "realtime_"  # and which wish: 1 where the machine granted it
+LEDGER_MIN_TICK = "ledger_min_tick"  # of the party's own ticks, from 1 on; 0 where it never fell below its beginning
+LEDGER_MARGIN = "ledger_margin"  # by how much the least total stayed above the bound, J
+ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
+ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
 DISPLACEMENT = "x"
 FREE_POSITION = "p"
 FORCE = "f_v"
 
 
 def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
-    """The ledger's total and minimum; nothing where nothing was promised."""
-    return {} if ledger is None else {LEDGER: ledger.total, LEDGER_MIN: ledger.minimum}
+    """The ledger's total, its minimum, where that was, and its margin; nothing where nothing was promised."""
+    if ledger is None:
+        return {}
+    return {
+        LEDGER: ledger.total,
+        LEDGER_MIN: ledger.minimum,
+        LEDGER_MIN_TICK: float(ledger.at),
+        LEDGER_MARGIN: ledger.margin,
+    }
+
+
+def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:
+    """How often a controller acted, and what it kept back; nothing where nothing is enforced."""
+    if controller is None:
+        return {}
+    return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
 
 
 def stray_frames(joints: Iterable[Joint]) -> dict[str, float]:

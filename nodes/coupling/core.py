@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.linear_map import Floats, dot, linear_map
 from manyhands.nodes.saturation import Saturation
 
 Vector = NDArray[np.float64]
@@ -46,35 +47,41 @@ class CouplingCore:
         self._saturation = Saturation(force_limits)
         n, m = block.order, block.outputs
         xi = np.hstack([block.A, block.B])  # rows over (xi, f_v)
-        self._step = np.ascontiguousarray(np.vstack([xi, block.C @ xi, np.hstack([block.C, block.D - K])]))
-        self._level, self._T, self._m, self._n = level, T, m, n
-        self._known = np.zeros(n + m)  # (xi, f_v), filled in place
-        self._offset = np.zeros(m)  # C_V xi
-        self._y = np.zeros(m)  # (V - K) f_v of the tick before, m
+        self._step = linear_map(np.vstack([xi, block.C @ xi, np.hstack([block.C, block.D - K])]))
+        self._level = None if level is None else linear_map(level)
+        self._T, self._m, self._n = T, m, n
+        self._xi: Floats = [0.0] * n
+        self._offset: Floats = [0.0] * m  # C_V xi
+        self._y: Floats = [0.0] * m  # (V - K) f_v of the tick before, m
         self.ledger = None if level is None else Ledger()
 
-    def free_position(self, x: Vector) -> Vector:
+    def free_position(self, x: Floats) -> Floats:
         """p(k), m, from the devices' displacement x(k), m."""
-        return x + self._offset
+        return [at + ahead for at, ahead in zip(x, self._offset, strict=True)]
+
+    def succeed(self, before: CouplingCore) -> None:
+        """Go on with the account of the block before: both are at rest, and without force."""
+        self._saturation = before._saturation
+        if self.ledger is not None and before.ledger is not None:
+            self.ledger = before.ledger
 
     @property
     def saturated(self) -> int:
         """Ticks whose force was clipped."""
         return self._saturation.ticks
 
-    def limited(self, f: Vector) -> Vector:
+    def limited(self, f: Floats) -> Floats:
         """The force to hand on and to absorb for f_v(k), N, as it came from the environment."""
         return self._saturation.clip(f)
 
-    def absorb(self, f: Vector) -> None:
+    def absorb(self, f: Floats) -> None:
         """Take the force f_v(k), N, that is applied at the block's ports, keep the ledger and step to the next tick."""
         n, m = self._n, self._m
-        self._known[n:] = f
-        following = self._step @ self._known  # xi and C_V xi of the next tick, (V - K) f_v of this one
+        following = self._step([*self._xi, *f])  # xi and C_V xi of the next tick, (V - K) f_v of this one
         if self.ledger is not None and self._level is not None:
-            y = following[n + m :]
-            w = (y - self._y) / self._T
-            self.ledger.enter(self._T * float(f @ w - w @ self._level @ w))
+            T, y = self._T, following[n + m :]
+            w = [(at - last) / T for at, last in zip(y, self._y, strict=True)]
+            self.ledger.enter(T * (dot(f, w) - dot(w, self._level(w))))
             self._y = y
-        self._known[:n] = following[:n]
+        self._xi = following[:n]
         self._offset = following[n : n + m]

@@ -1,99 +1,234 @@
-"""The coupling block's process: x of its own ports in, p out; f_v in, f_v of its own ports out."""
+"""The coupling block's process: x of its own ports in, p out; f_v in, f_v of its own ports out.
+
+It keeps no time of its own: devices pace it on one side, the environment answers on the other. When the environment has
+gone on without it, it is told by a zero force of a later tick, hands that on, and goes on at the tick after.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import CouplingBundle
-from manyhands.nodes.control import ControlLine
-from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.exchange import Joint, bounds_by_peer, establish
+from manyhands.nodes.control import NOT_AT_ALL, ControlLine, Word
+from manyhands.nodes.coupling.block import Block
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.greeting import bounds_by_peer, establish
 from manyhands.nodes.life import Life
-from manyhands.protocol.clock import RealtimeClock
-from manyhands.protocol.messages import Force, Reaction, Report, Role, Sample, SignalMessage, Start, Telemetry, Tool
+from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.patience import patience
+from manyhands.nodes.realtime import way_giver
+from manyhands.nodes.reunion import meet, part
+from manyhands.protocol.clock import Instant, RealtimeClock
+from manyhands.protocol.messages import (
+    Absent,
+    Force,
+    Reaction,
+    Report,
+    Return,
+    Role,
+    Rung,
+    Sample,
+    SignalMessage,
+    Start,
+)
 from manyhands.protocol.transport import Link
+
+_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class CouplingNode:
-    """A :class:`manyhands.nodes.process.Node` for one block of V."""
+    """A :class:`manyhands.nodes.process.Node` for one block of V, and the :class:`Listener` on its devices' links."""
 
     def __init__(self, bundle: CouplingBundle) -> None:
-        """Make the node."""
-        common = bundle.common
-        self._common, self._feedthrough, self._limits = common, bundle.block.D, bundle.limits
-        self._core = CouplingCore(bundle.block, bundle.K, bundle.level, common.period, bundle.limits.force)
-        self._devices: list[Joint] = []
-        self._environment: list[Joint] = []
-        self._ticks = 0
-        # filled in place: nothing of telemetry's size is allocated in a tick
-        rows, m = common.telemetry_ticks if common.traces else 0, len(common.ports)
-        self._trace_p, self._trace_f = np.zeros((rows, m)), np.zeros((rows, m))
+        """Make the node; its block waits for the link to the environment."""
+        self._bundle, self._common = bundle, bundle.common
+        self._clock, self._patience = RealtimeClock(), patience(bundle.common)
+        self._devices: tuple[Joint, ...] = ()
+        self._block: Block | None = None
+        self._life: Life | None = None  # until the loop begins
+        self._resumes = False  # its own tick is nobody's yet
+        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a joint that only shakes hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the environment, which is told D_V, and with the block's devices."""
         admits: dict[str, type[SignalMessage]] = {
             peer.name: Reaction if peer.role is Role.ENVIRONMENT else Sample for peer in self._common.peers
         }
-        step = [self._common.period * speed for speed in self._limits.speed]
-        bounds = bounds_by_peer(self._common, Role.DEVICE, self._limits.displacement, step)
-        joints, _ = establish(self._common, links, admits, RealtimeClock(), self._feedthrough, bounds)
-        self._devices = [j for j in joints if j.peer.role is Role.DEVICE]
-        self._environment = [j for j in joints if j.peer.role is Role.ENVIRONMENT]
+        limits = self._bundle.limits
+        step = [self._common.period * speed for speed in limits.speed]
+        bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
+        joints, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
+        self._devices = tuple(j for j in joints if j.peer.role is Role.DEVICE)
+        (environment,) = (j for j in joints if j.peer.role is Role.ENVIRONMENT)
+        self._block = Block(self._bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks, paced by the devices' samples."""
-        x, f = np.zeros(len(self._common.ports)), np.zeros(len(self._common.ports))
-        core, devices, environment = self._core, self._devices, self._environment
-        rows, traces = self._common.telemetry_ticks, self._common.traces
-        tick = 0
+        block, devices = self._block, self._devices
+        if block is None:
+            raise ValueError("the coupling was started before its handshakes")
+        x: Floats = [0.0] * len(self._common.ports)
+        clock, turn, give_way = self._clock, self._patience.turn, way_giver()
+        self._life = life
+        block.begin(life)
+        self._resumes = start.tick > 0
+        tick = start.tick
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
-            if not all(joint.receive_into(x, tick, life) for joint in devices):
-                break
-            stamp = devices[0].gate.stamp  # the chain's age is counted from the sample
-            p = core.free_position(x)
-            for joint in environment:
-                joint.send(Tool, tick, stamp, p)
-            if not all(joint.receive_into(f, tick, life) for joint in environment):
-                break
-            applied = core.limited(f)
+            life.look(clock.now())
+            if tick % _LISTEN == 0 and (word := control.listen()) is not None:
+                self._obey(word, block, control)
             for joint in devices:
-                joint.send(Force, tick, stamp, applied)
-            core.absorb(applied)
-            if traces:
-                row = tick % rows
-                self._trace_p[row], self._trace_f[row] = p, applied
+                heard = joint.hear(x, tick, turn, self)
+                if heard is not Heard.SIGNAL:
+                    tick = self._await_samples((joint, heard), x, tick, block, life, control)
+                    break
+            if tick < 0:
+                break
+            stamp = devices[0].gate.stamp
+            block.say(x, tick, stamp)
+            heard = block.hear(tick, turn)
+            if heard is not Heard.SIGNAL:
+                told = self._await_reaction(heard, tick, block, life, control)
+                if told < 0:
+                    break
+                if told > tick:
+                    self._forget()
+                    block.publish_rest(control, devices)  # rows follow each other
+                    tick = told
+            rung = block.climb()
+            for joint in devices:
+                if rung is not None:
+                    joint.say(Rung(rung))
+                joint.send(Force, tick, stamp, block.applied)
+            give_way()
+            block.settle(tick)
+            self._resumes = False
+            for joint in devices:
+                joint.new = joint.new and joint.tick < 0  # one who has come back since the samples is not heard yet
             tick += 1
-            self._ticks = tick
-            if tick % rows == 0:
-                self._publish(control, rows)
-        if traces and (rest := tick % rows) > 0:
-            self._publish(control, rest)
+            block.publish(control, devices)
+        if self._common.traces:
+            block.publish_rest(control, devices)
 
     def report(self) -> Report:
-        """Ticks, ledger and how often the force was clipped."""
-        return Report(
-            self._ticks,
-            names.ledger_figures(self._core.ledger),
-            {
-                names.SATURATED: self._core.saturated,
-                **names.dropped_frames([*self._devices, *self._environment]),
-            },
-            {},
-        )
+        """The block's."""
+        return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
 
-    def _publish(self, control: ControlLine, rows: int) -> None:
-        """Telemetry of the last ``rows`` ticks; its encoding is paid once in ``telemetry_ticks`` ticks."""
-        figures = {
-            names.SATURATED: float(self._core.saturated),
-            **names.ledger_figures(self._core.ledger),
-            **names.stray_frames([*self._devices, *self._environment]),
-        }
-        traces = (
-            {names.FREE_POSITION: self._trace_p[:rows], names.FORCE: self._trace_f[:rows]}
-            if self._common.traces
-            else {}
-        )
-        control.publish(Telemetry(self._ticks, figures, traces))
+    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+        """A device is at another tick: who is behind is told so; after a return, who is ahead is followed."""
+        if told > awaited:
+            return self._resumes or joint.new
+        if told == awaited - 1:
+            joint.send_again()
+        else:
+            joint.send_zero(Force, awaited - 1)
+        return False
+
+    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+        """Devices have nothing to say besides their samples."""
+        return False
+
+    def flooded(self, text: str) -> None:
+        """A device floods its link: there is no telling its samples from the rest in time."""
+        if self._life is not None:
+            self._life.fail(text)
+
+    def _await_samples(
+        self, first: tuple[Joint | None, Heard], x: Floats, tick: int, block: Block, life: Life, control: ControlLine
+    ) -> int:
+        """Wait for every device's sample, whatever else has to be done; ``first`` is what one said instead.
+
+        Returns:
+            The tick that they are of: for who resumes, their own. -1 if the node should end.
+        """
+        heard = [joint.tick == tick for joint in self._devices]
+        began = self._clock.now()
+        while not all(heard):
+            self._forget_after(began)
+            self._pause(block, life, control, idle=not any(joint.link for joint in self._devices))
+            if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Heard.MET:
+                self._tell_absences(block)
+            for i, joint in enumerate(self._devices):
+                if heard[i]:
+                    continue
+                said = first[1] if first[0] is joint else joint.hear(x, tick, self._patience.look, self)
+                match said:
+                    case Heard.SIGNAL:
+                        heard[i] = True
+                    case Heard.TURNED:  # only for who resumes: the device knows better
+                        for other, known in zip(self._devices, heard, strict=True):
+                            if known:
+                                other.send_zero(Force, joint.told - 1)
+                        tick, heard = joint.told, [False] * len(heard)
+                        heard[i] = joint.take(joint.stray, x, tick)
+                        break
+                    case Heard.MET:
+                        joint.send_zero(Force, tick - 1)
+                    case Heard.NOTHING:
+                        continue
+            first = (None, Heard.NOTHING)
+            if life.stopping:
+                return -1
+        return tick
+
+    def _await_reaction(self, heard: Heard, tick: int, block: Block, life: Life, control: ControlLine) -> int:
+        """Wait for the environment's answer; ask again after a while, for who was lost or late may be behind.
+
+        ``heard`` is what it was heard to say so far.
+
+        Returns:
+            The tick answered: ``tick``, or a later one with zero force. -1 if the node should end.
+        """
+        asked = began = self._clock.now()
+        while True:
+            self._forget_after(began)
+            if heard is Heard.SIGNAL:
+                return tick
+            if heard is Heard.TURNED:
+                return block.environment.told
+            if heard is Heard.MET:
+                self._tell_absences(block)
+            for joint in self._devices:
+                if joint.handshake is not None:
+                    joint.hear(self._nothing, tick, NOT_AT_ALL, self)
+            self._pause(block, life, control, idle=block.environment.link is None)
+            if life.stopping:
+                return -1
+            now = self._clock.now()
+            if now - asked >= self._patience.again:
+                asked = now
+                block.say_again(tick)
+            heard = block.hear(tick, self._patience.look)
+
+    def _forget_after(self, began: Instant) -> None:
+        """After so long a wait the devices have let go, and have moved on unheard."""
+        if self._patience.stale is not None and self._clock.now() - began > self._patience.stale:
+            self._forget()
+
+    def _forget(self) -> None:
+        """The next samples are first ones: the environment lets the block in from where its devices are."""
+        for joint in self._devices:
+            joint.gate.forget()
+
+    def _tell_absences(self, block: Block) -> None:
+        """An environment that is back does not know which devices are not there."""
+        for joint in self._devices:
+            if not joint.here:
+                block.environment.say(Absent(joint.peer.name))
+
+    def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:
+        """Where the node has waited in vain: look after the supervisor, and do as it says."""
+        life.check()
+        word = control.listen(self._patience.look) if idle else control.listen()
+        while word is not None:
+            self._obey(word, block, control)
+            word = control.listen()
+
+    def _obey(self, word: Word, block: Block, control: ControlLine) -> None:
+        joints = [*self._devices, block.environment]
+        match word:
+            case Absent(peer):
+                if part(word, joints, control) in self._devices:
+                    block.environment.say(Absent(peer))
+            case Return():
+                meet(word, joints, control)

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.linear_map import Floats, dot, linear_map
 
 Vector = NDArray[np.float64]
-
-STALE_TICKS = 5
-"""A device that has waited this many periods for its force applies zero force until one comes."""
 
 
 class DeviceCore:
@@ -42,29 +40,35 @@ class DeviceCore:
             K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
             T: period, s.
         """
-        self._level, self._T = level, T
-        self._K_over_T = K / T
-        self._x = np.zeros(level.shape[0])
-        self._f = np.zeros(level.shape[0])
-        self._velocity = np.zeros(level.shape[0])
+        self._T = T
+        self.change(level, K)
+        self._x: Floats = [0.0] * level.shape[0]
+        self._f, self._velocity = self._x, self._x
         self.ledger = Ledger()
         self.speed = 0.0
         self.peak_speed = 0.0
 
-    def sample(self, x: Vector) -> None:
-        """Take the displacement x(k), m."""
-        self._velocity = (x - self._x) / self._T
-        self._x = x
-        self.speed = math.sqrt(self._velocity @ self._velocity)
-        self.peak_speed = max(self.peak_speed, self.speed)
+    def change(self, level: Vector, K: Vector) -> None:
+        """From now on another promise; to be called where no force is applied, for there both begin at rest."""
+        self._level, self._K_over_T = linear_map(level), linear_map(K / self._T)
 
-    def apply(self, f: Vector, intended_work: float) -> None:
+    def sample(self, x: Floats) -> None:
+        """Take the displacement x(k), m; the list is kept until the next."""
+        T = self._T
+        self._velocity = [(at - last) / T for at, last in zip(x, self._x, strict=True)]
+        self._x = x
+        self.speed = speed = math.hypot(*self._velocity)
+        if speed > self.peak_speed:
+            self.peak_speed = speed
+
+    def apply(self, f: Floats, intended_work: float) -> None:
         """Take the force f_v(k) that is applied from now on, N.
 
         Args:
-            f: f_v(k).
+            f: f_v(k); the list is kept until the next.
             intended_work: what the hand's intention did since the last sample, J; 0 where it is unknown.
         """
-        y = self._velocity + self._K_over_T @ (f - self._f)
-        self.ledger.enter(self._T * float(f @ y - y @ self._level @ y) + intended_work)
+        change = self._K_over_T([force - last for force, last in zip(f, self._f, strict=True)])
+        y = [v + part for v, part in zip(self._velocity, change, strict=True)]
+        self.ledger.enter(self._T * (dot(f, y) - dot(y, self._level(y))) + intended_work)
         self._f = f

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
-
-Vector = NDArray[np.float64]
 
 
 class Driver(Protocol):
@@ -18,11 +14,11 @@ class Driver(Protocol):
         """Number of axes."""
         ...
 
-    def sample(self, tick: int) -> Vector:
+    def sample(self, tick: int) -> Sequence[float]:
         """The displacement x(k), m, one entry an axis, at this moment."""
         ...
 
-    def apply(self, f: Vector) -> None:
+    def apply(self, f: Sequence[float]) -> None:
         """Exert the force f (N) and hold it until the next call."""
         ...
 

@@ -9,13 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from manyhands.nodes.bundle import Limits
+from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.saturation import Saturation
-
-Vector = NDArray[np.float64]
 
 
 class LimitExceeded(Exception):
@@ -36,29 +32,30 @@ class Guard:
         self._axes, self._T = tuple(axes), T
         self._displacement, self._speed = limits.displacement, limits.speed
         self._saturation = Saturation(limits.force)
-        self._before: list[float] | None = None
+        self._before: Floats | None = None
 
     @property
     def clipped(self) -> int:
         """Ticks whose force was clipped here."""
         return self._saturation.ticks
 
-    def breach(self, x: Vector) -> str | None:
+    def breach(self, x: Floats, periods: int = 1) -> str | None:
         """What is wrong with the displacement x(k), m, in one sentence; None if it is within its limits.
 
-        The first sample has no speed: a device may be switched on anywhere within its reach.
+        ``periods`` have passed since the sample before: more than one where a tick was late.
+
+        The first sample has no speed: a device may be switched on anywhere within its reach. ``x`` is kept for then.
         """
-        now = x.tolist()
-        before, self._before = self._before or now, now
-        T = self._T
-        for axis, (at, last) in enumerate(zip(now, before, strict=True)):
+        before, self._before = self._before or x, x
+        T = self._T * periods
+        for axis, (at, last) in enumerate(zip(x, before, strict=True)):
             if not abs(at) <= self._displacement[axis]:
                 return self._sentence(axis, "displacement", at, self._displacement[axis], "m")
             if not abs(at - last) <= T * self._speed[axis]:
                 return self._sentence(axis, "speed", (at - last) / T, self._speed[axis], "m/s")
         return None
 
-    def clip(self, f: Vector) -> Vector:
+    def clip(self, f: Floats) -> Floats:
         """The force to apply for f_v(k), N: within the limits of every axis, and counted if it was not."""
         return self._saturation.clip(f)
 

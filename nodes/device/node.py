@@ -4,6 +4,9 @@ In a tick: wait for kT on an absolute schedule, sample, send x(k) to every coupl
 ports, wait for their f_v(k), apply. A tick is late when its force is applied after the next tick was due;
 the schedule then goes on at the next multiple of T, so that devices stay in phase.
 
+A device whose force is stale lets go and runs free: it samples, guards and keeps its ledger in every period, without
+force, and says its x(k) again and again until it is answered, or told that the session is further on.
+
 The guard looks at a sample before anyone else does, and clips the force last before the driver: a device beyond its
 limits of displacement or speed lets go and ends the session.
 """
@@ -12,50 +15,44 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, DeviceBundle
-from manyhands.nodes.control import ControlLine
-from manyhands.nodes.device.core import STALE_TICKS, DeviceCore
+from manyhands.nodes.control import NOT_AT_ALL, ControlLine
+from manyhands.nodes.device.account import Account
+from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.distribution import Distribution
-from manyhands.nodes.exchange import Joint, establish
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.greeting import establish
 from manyhands.nodes.life import Life
-from manyhands.protocol.clock import (
-    Clock,
-    Duration,
-    Instant,
-    RealtimeClock,
-    SimulatedClock,
-    from_seconds,
-)
-from manyhands.protocol.messages import Force, Report, Sample, Start, Telemetry
+from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.patience import patience
+from manyhands.nodes.realtime import way_giver
+from manyhands.nodes.reunion import meet, part
+from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
+from manyhands.protocol.messages import Absent, Force, Report, Return, Rung, Sample, Start
 from manyhands.protocol.transport import Link
+
+_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class DeviceNode:
-    """A :class:`manyhands.nodes.process.Node` for a device."""
+    """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links."""
 
     def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
         """Make the node; ``driver`` is the device itself."""
         common = bundle.common
-        self._common, self._driver = common, driver
+        self._common, self._driver, self._rungs = common, driver, bundle.rungs
         self._core = DeviceCore(bundle.level, bundle.K, common.period)
         self._guard = Guard(bundle.limits, common.period, common.ports)
-        self._realtime = RealtimeClock()
+        self._realtime, self._patience = RealtimeClock(), patience(common)
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self._assumed_tau = from_seconds(common.tau)
         self._joints: list[Joint] = []
-        self._ticks = self._late = self._stale = self._tau_breaches = 0
-        self._tau, self._true_period = Distribution(), Distribution()
-        m, rows = len(common.ports), common.telemetry_ticks
-        # filled in place: nothing of telemetry's size is allocated in a tick
-        self._trace_x, self._trace_f = np.zeros((rows, m)), np.zeros((rows, m))
-        self._speeds = np.zeros(rows)
-        self._dropped_telemetry = 0
+        self._account = Account(common, from_seconds(common.tau))
+        self._free = False  # it has let go
+        self._rung = self._next_rung = 0
+        self._zero: Floats = [0.0] * len(common.ports)
+        self._life: Life | None = None  # until the loop begins
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
@@ -68,99 +65,176 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self._driver.release()
-        if (rest := self._ticks % self._common.telemetry_ticks) > 0:
-            self._publish(control, rest)
+        self._account.publish_rest(control, self._core, self._guard, self._joints)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
+        account, joints = self._account, self._joints
+        self._life, give_way = life, way_giver()
         epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
-        stale_after = Duration(STALE_TICKS * period)
-        f = np.zeros(len(self._common.ports))
-        slot = tick = 0
-        last: Instant | None = None
+        f = self._zero.copy()
+        tick, turns, slot, turn = start.tick, 0, 0, self._patience.turn
+        before = epoch  # when the sample before was taken
+        if tick > 0:  # the session goes on already
+            slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
-            clock.sleep_until(Instant(epoch + slot * period))
+            life.look(self._realtime.now())
+            if turns % _LISTEN == 0 or self._free:
+                self._listen(control)
+            due = Instant(epoch + slot * period)
+            ready = clock.now()
+            clock.sleep_until(due)
             sampled = clock.now()
-            x = driver.sample(tick)
-            breach = guard.breach(x)
+            x = list(map(float, driver.sample(turns)))  # a driver may fill the same list, or array, every time
+            breach = guard.breach(x, max(1, -((before - sampled + period // 2) // period)))
+            before = sampled
             if breach is not None:
                 life.fail(f"{self._common.name}: {breach}")
                 return
-            core.sample(x)
-            for joint in self._joints:
-                joint.send(Sample, tick, sampled, x)
-            if not all(j.receive_into(f, tick, life, stale_after, self._hear_nothing) for j in self._joints):
+            for joint in joints:
+                if joint.tick != tick:
+                    joint.send(Sample, tick, sampled, x)
+            sent = clock.now()
+            turns += 1
+            told = tick
+            for joint in joints:
+                # who runs free waits once, to the end of the period
+                heard = joint.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
+                if heard is not Heard.SIGNAL:
+                    told = self._await_forces((joint, heard), f, x, tick, sampled, life, control)
+                    break
+            if life.stopping:
                 return
+            received = clock.now()
+            if told < 0:
+                driver.apply(self._zero)
+                core.sample(x)
+                core.apply(self._zero, driver.intended_work())
+                driver.idle()
+                account.release()
+                slot += 1
+                continue
+            if told > tick:
+                account.jump(told, control, core, guard, joints)
+                tick = told
             held = guard.clip(f.copy())  # f is written again in the next tick
             driver.apply(held)
             applied = clock.now()
+            give_way()
+            core.sample(x)  # here, for ZeroMQ's thread may only send x(k) once this one waits
             core.apply(held, driver.intended_work())
+            for joint in joints:
+                joint.settle(tick)
             driver.idle()
-            self._account(
-                tick, x, held, Duration(applied - sampled), None if last is None else Duration(sampled - last)
-            )
-            due_next = epoch + (slot + 1) * period
-            if applied > due_next:
-                self._late += 1
-                slot = -((epoch - applied) // period)  # rounded up
-            else:
-                slot += 1
-            last = sampled
+            if self._next_rung != self._rung:
+                self._change_rung()
+            account.tick(tick, x, held, core.speed, (due, ready, sampled, sent, received, applied))
+            slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
+            self._free = False
             tick += 1
-            self._ticks = tick
-            if tick % self._common.telemetry_ticks == 0:
-                self._publish(control, self._common.telemetry_ticks)
+            account.publish(tick, control, core, guard, joints)
 
     def report(self) -> Report:
-        """Ticks, lateness, tau and period percentiles, ledger, speeds, clipped forces."""
-        core = self._core
-        return Report(
-            self._ticks,
-            {
-                names.PEAK_SPEED: core.peak_speed,
-                names.FINAL_SPEED: float(np.max(self._speeds)),
-                **names.ledger_figures(core.ledger),
-            },
-            {
-                names.LATE: self._late,
-                names.STALE: self._stale,
-                names.TAU_BREACHES: self._tau_breaches,
-                names.CLIPPED: self._guard.clipped,
-                "dropped_telemetry": self._dropped_telemetry,
-                **names.dropped_frames(self._joints),
-            },
-            {names.TAU: self._tau.percentiles(), names.PERIOD: self._true_period.percentiles()},
-        )
+        """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
+        return self._account.report(self._core, self._guard, self._joints, self._rung)
 
-    def _hear_nothing(self) -> None:
+    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+        """Zero force of a later tick: the session has gone on without this device."""
+        return told > awaited and joint.zero
+
+    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+        """The coupling has changed to another rung: the zero force that follows is its first."""
+        if isinstance(message, Rung) and message.rung < len(self._rungs):
+            self._next_rung = message.rung
+        return False
+
+    def flooded(self, text: str) -> None:
+        """A coupling floods its link: there is no telling its forces from the rest in time."""
+        if self._life is not None:
+            self._life.fail(text)
+
+    def _await_forces(
+        self,
+        first: tuple[Joint | None, Heard],
+        f: Floats,
+        x: Floats,
+        tick: int,
+        sampled: Instant,
+        life: Life,
+        control: ControlLine,
+    ) -> int:
+        """Wait for the force of every coupling; ``first`` is what one of them was heard to say instead.
+
+        Returns:
+            The tick that they answer: ``tick``, or a later one with zero force. -1 if there is none in time: then the
+            device has let go.
+        """
+        patience = self._patience
+        now = asked = self._realtime.now()
+        due = None if patience.stale is None else Instant(sampled + (self._period if self._free else patience.stale))
+        while not life.stopping:
+            missing = False
+            for joint in self._joints:
+                if joint.tick == tick:
+                    continue
+                left = patience.look if due is None else Duration(max(0, min(due - now, patience.look)))
+                heard = first[1] if first[0] is joint else joint.hear(f, tick, left, self)
+                match heard:
+                    case Heard.SIGNAL:
+                        continue
+                    case Heard.TURNED:
+                        tick = joint.tick = joint.told
+                        joint.put(f, [0.0] * len(joint.peer.ports))
+                        for other in self._joints:  # who has answered the earlier tick is asked about this one
+                            if other.tick != tick:
+                                other.send(Sample, tick, sampled, x)
+                    case Heard.MET:
+                        joint.send(Sample, tick, sampled, x)
+                    case _:
+                        pass
+                missing = True
+            first = (None, Heard.NOTHING)
+            if not missing:
+                return tick
+            if all(joint.tick == tick for joint in self._joints):
+                return tick
+            now = self._realtime.now()
+            life.check()
+            self._listen(control, idle=due is None and not any(joint.reachable for joint in self._joints))
+            if due is not None and now >= due:
+                self._let_go()
+                return -1
+            if now - asked >= patience.again and due is None:
+                asked = now
+                for joint in self._joints:
+                    if joint.tick != tick:
+                        joint.send_again()
+            if due is not None and not any(joint.reachable for joint in self._joints):
+                self._let_go()
+                return -1
+        return -1
+
+    def _let_go(self) -> None:
         """The force is stale: better none than an old one."""
-        self._driver.release()
-        self._stale += 1
+        if not self._free:
+            self._driver.release()
+            self._account.stale += 1
+        self._free = True
 
-    def _account(self, tick: int, x: np.ndarray, f: np.ndarray, tau: Duration, period: Duration | None) -> None:
-        self._tau.add(tau / 1e3)
-        self._tau_breaches += tau > self._assumed_tau
-        if period is not None:
-            self._true_period.add(period / 1e3)
-        row = tick % self._common.telemetry_ticks
-        self._trace_x[row], self._trace_f[row] = x, f
-        self._speeds[row] = self._core.speed
+    def _listen(self, control: ControlLine, idle: bool = False) -> None:
+        """Do as the supervisor says."""
+        word = control.listen(self._patience.look) if idle else control.listen()
+        while word is not None:
+            match word:
+                case Absent():
+                    part(word, self._joints, control)
+                case Return():
+                    meet(word, self._joints, control)
+            word = control.listen()
 
-    def _publish(self, control: ControlLine, rows: int) -> None:
-        """Telemetry of the last ``rows`` ticks; its encoding is paid once in ``telemetry_ticks`` ticks."""
-        figures = {
-            names.SPEED: float(np.max(self._speeds[:rows])),
-            names.PEAK_SPEED: self._core.peak_speed,
-            names.LATE: float(self._late),
-            names.TAU_BREACHES: float(self._tau_breaches),
-            names.CLIPPED: float(self._guard.clipped),
-            f"{names.TAU}_p50": self._tau.quantile(0.5),
-            f"{names.TAU}_p99": self._tau.quantile(0.99),
-            **names.ledger_figures(self._core.ledger),
-            **names.stray_frames(self._joints),
-        }
-        traces = (
-            {names.DISPLACEMENT: self._trace_x[:rows], names.FORCE: self._trace_f[:rows]} if self._common.traces else {}
-        )
-        control.publish(Telemetry(self._ticks, figures, traces))
-        self._dropped_telemetry = control.dropped
+    def _change_rung(self) -> None:
+        """Another promise from now on: the force is zero."""
+        self._rung = self._next_rung
+        rung = self._rungs[self._rung]
+        self._core.change(rung.level, rung.K)
+        self._account.assume(from_seconds(rung.tau))

@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.design.device import HeldDevice, held_device
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.intent import Intent, intent_from
-
-Vector = NDArray[np.float64]
+from manyhands.nodes.linear_map import Floats, dot, linear_map
 
 
 class SimulatedDriver:
@@ -32,16 +30,15 @@ class SimulatedDriver:
             T: period, s.
         """
         m, sampled = plant.axes, plant.sampled(T)
-        self._step = np.ascontiguousarray(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
-        self._known = np.zeros(self._step.shape[1])  # filled in place
-        self._order = sampled.order
-        self._damping, self._mass = plant.damping, plant.mass
+        self._step = linear_map(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
+        self._damping: Floats = plant.damping.tolist()
+        self._mass: Floats = plant.mass.tolist()
         self._force, self._motion, self._T = tuple(force), tuple(motion), T
-        self._state = np.zeros(sampled.order)
+        self._state: Floats = [0.0] * sampled.order
         self._tick = 0
         self._work = 0.0
-        self._f = np.zeros(m)
-        self._next: tuple[Vector, float] | None = (self._state, 0.0)
+        self._f: Floats = [0.0] * m
+        self._next: tuple[Floats, float] | None = (self._state, 0.0)
         self._m = m
 
     @property
@@ -49,19 +46,19 @@ class SimulatedDriver:
         """Number of axes."""
         return self._m
 
-    def sample(self, tick: int) -> Vector:
+    def sample(self, tick: int) -> Floats:
         """The displacement at the instant kT, m: where the force applied last has brought the device."""
         self._state, self._work = self._next if self._next is not None else self._advanced()
         self._tick, self._next = tick, None
-        return self._state[: self._m].copy()
+        return self._state[: self._m]
 
-    def apply(self, f: Vector) -> None:
+    def apply(self, f: Sequence[float]) -> None:
         """Hold f (N) over the period that begins."""
-        self._f, self._next = f, None
+        self._f, self._next = list(f), None
 
     def release(self) -> None:
         """Hold zero force."""
-        self.apply(np.zeros(self._m))
+        self.apply([0.0] * self._m)
 
     def idle(self) -> None:
         """Compute where the force leads, before the next sample is due: there it costs the loop no latency."""
@@ -71,22 +68,20 @@ class SimulatedDriver:
         """Work of the intention over the last period, J."""
         return self._work
 
-    def _advanced(self) -> tuple[Vector, float]:
+    def _advanced(self) -> tuple[Floats, float]:
         """State and work of the intention at the end of the period, under the force that is held."""
-        m, n, T, before = self._m, self._order, self._T, self._state
+        m, T, before = self._m, self._T, self._state
         t = self._tick * T
-        intended = np.array([force(t) for force in self._force])
-        self._known[:n] = before
-        total, goal = self._known[n : n + m], self._known[n + m :]
-        total[:] = self._f + intended
-        for axis, motion in enumerate(self._motion):
-            goal[axis] = (motion(t + T) - motion(t)) / T
-        after = self._step @ self._known
-        change = after[: 2 * m] - before[: 2 * m]
-        work = float(intended @ change[:m])
-        if goal.any():
-            hand_impulse = total * T - self._damping * change[:m] - self._mass * change[m:]
-            work -= float(goal @ hand_impulse)
+        intended = [force(t) for force in self._force]
+        total = [held + own for held, own in zip(self._f, intended, strict=True)]
+        goal = [(motion(t + T) - motion(t)) / T for motion in self._motion]
+        after = self._step(before + total + goal)
+        moved = [x - last for x, last in zip(after[:m], before[:m], strict=True)]
+        work = dot(intended, moved)
+        if any(goal):
+            faster = [v - last for v, last in zip(after[m : 2 * m], before[m : 2 * m], strict=True)]
+            lost = zip(total, self._damping, moved, self._mass, faster, strict=True)
+            work -= dot(goal, [force * T - b * dx - mass * dv for force, b, dx, mass, dv in lost])
         return after, work
 
 

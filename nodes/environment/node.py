@@ -1,4 +1,8 @@
-"""The environment's process: p of every coupling in, f_v of its own ports to each out."""
+"""The environment's process: p of every coupling in, f_v of its own ports to each out.
+
+In a tick it waits for those couplings that are awaited (:mod:`manyhands.nodes.environment.places`), solves, answers.
+As long as everybody is there that is one receive and one send for each, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,25 @@ import numpy as np
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
-from manyhands.nodes.control import ControlLine
-from manyhands.nodes.environment.core import EnvironmentCore
-from manyhands.nodes.exchange import Joint, bounds_by_peer, establish
+from manyhands.nodes.control import NOT_AT_ALL, ControlLine
+from manyhands.nodes.environment.attendance import Seat
+from manyhands.nodes.environment.cores import Core, environment_core
+from manyhands.nodes.environment.places import Places
+from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.nodes.greeting import bounds_by_peer, establish
 from manyhands.nodes.life import Life
-from manyhands.protocol.clock import RealtimeClock
+from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.patience import patience
+from manyhands.nodes.realtime import way_giver
+from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
-from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool
+from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
+
+_TURN = from_seconds(0.001)  # for one of them, when several are waited for
+_GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits before it asks again
+_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class EnvironmentNode:
@@ -25,9 +39,13 @@ class EnvironmentNode:
     def __init__(self, bundle: EnvironmentBundle) -> None:
         """Make the node; its core waits for the couplings' feedthrough."""
         self._bundle, self._common = bundle, bundle.common
+        self._clock, self._patience = RealtimeClock(), patience(bundle.common)
+        self._period = from_seconds(bundle.common.period)
         self._joints: list[Joint] = []
-        self._core: EnvironmentCore | None = None
-        self._ticks = 0
+        self._feedthrough: dict[str, Values] = {}
+        self._core: Core | None = None
+        self._places: Places | None = None
+        self._ticks = self._frozen_ticks = 0
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
@@ -37,14 +55,18 @@ class EnvironmentNode:
         """
         admits = {peer.name: Tool for peer in self._common.peers}
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
-        self._joints, hellos = establish(self._common, links, admits, RealtimeClock(), bounds=bounds)
+        self._joints, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
         for joint in self._joints:
+            if joint.link is None:  # absent; it says its D_V when it comes
+                continue
             self._require_feedthrough(hellos[joint.peer.name])
             ports = np.arange(m)[joint.indices]
-            D_V[np.ix_(ports, ports)] = hellos[joint.peer.name].feedthrough
-        self._core = EnvironmentCore(self._bundle.E, D_V, self._bundle.Phi_E, self._common.period)
+            own = self._feedthrough[joint.peer.name] = np.array(hellos[joint.peer.name].feedthrough)
+            D_V[np.ix_(ports, ports)] = own
+        blocks = [joint.indices for joint in self._joints]
+        self._core = environment_core(self._bundle, D_V, blocks)
 
     def _require_feedthrough(self, hello: LinkHello) -> None:
         found, expected = feedthrough_digest(hello.feedthrough or ()), self._bundle.feedthrough[hello.name]
@@ -57,26 +79,132 @@ class EnvironmentNode:
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks, paced by the couplings."""
-        core, joints = self._core, self._joints
+        core = self._core
         if core is None:
             raise ValueError("the environment was started before its handshakes")
-        p = np.zeros(len(self._common.ports))
-        tick = 0
+        places = self._places = Places(self._joints, core, self._bundle.feedthrough_rungs, life, start.tick > 0)
+        places.last, places.log = start.ticks, control.log
+        places.know(self._feedthrough, self._bundle.feedthrough)
+        clock, rows = self._clock, self._common.telemetry_ticks
+        stale, give_way = self._patience.stale, way_giver()
+        p: Floats = [0.0] * len(self._common.ports)
+        tick, now, answered = start.tick, clock.now(), Instant(2**62)
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
-            if not all(joint.receive_into(p, tick, life) for joint in joints):
-                break
-            f = core.react(p)
-            for joint in joints:
-                joint.send(Reaction, tick, joint.gate.stamp, f)
+            life.look(now)
+            if tick % _LISTEN == 0 and (word := control.listen()) is not None:
+                places.obey(word, control, tick)
+            if not (places.all_seated and self._all_heard(places, p, tick)):
+                tick = self._wait(places, p, tick, now, life, control)
+                if tick < 0:
+                    break
+            now = clock.now()
+            if stale is not None and now - answered > stale:
+                places.let_go(tick)
+            f = core.react(np.array(p)).tolist()
+            if core.failure is not None:
+                life.fail(f"{self._common.name}: {core.failure}")
+            places.shift()
+            for place in places.seated:
+                place.joint.send(Reaction, tick, place.joint.gate.stamp, f)
+            answered = now
+            give_way()
             core.settle()
+            self._frozen_ticks += not places.all_seated
             tick += 1
             self._ticks = tick
-            if tick % self._common.telemetry_ticks == 0:
-                control.publish(
-                    Telemetry(tick, {**names.ledger_figures(core.ledger), **names.stray_frames(joints)}, {})
-                )
+            if tick % rows == 0:
+                self._publish(control, places)
+        if tick == start.ticks and not places.all_seated:
+            self._say_goodbye(places, p, tick)
+
+    def _say_goodbye(self, places: Places, p: Floats, tick: int) -> None:
+        """The session is over: who is frozen is told so, if it asks soon, and ends with the others."""
+        end = self._clock.now() + _GOODBYE
+        behind = [place for place in places.all if place.attendance.seat is not Seat.SEATED and place.joint.here]
+        for place in behind:
+            place.joint.send_zero(Reaction, tick - 1)
+        while behind and self._clock.now() < end:
+            for place in behind:
+                places.hear(place, p, tick, _TURN)
+                place.joint.send_zero(Reaction, tick - 1)
+
+    def _all_heard(self, places: Places, p: Floats, tick: int) -> bool:
+        """The ordinary tick: everybody's signal, one after the other; False as soon as one does not come."""
+        turn = self._patience.turn
+        return all(places.hear(place, p, tick, turn) is Heard.SIGNAL for place in places.all)
+
+    def _wait(self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine) -> int:
+        """Wait for the awaited, listen to the others, give up who is silent while others are there.
+
+        Those who are there already came, at the earliest, a period after the tick before, which ``began`` then. Who has
+        been away itself, for the processor was another's, listens to everybody once before it gives anybody up.
+
+        Returns:
+            The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
+        """
+        freeze, first, listened = self._patience.freeze, Instant(2**62), False
+        while not life.stopping:
+            missing = [place for place in places.all if place.missing(tick)]
+            here = any(place.joint.tick == tick for place in places.all)
+            if here and not missing and listened:
+                places.resumed()
+                return tick
+            if not here:
+                tick = places.soonest(tick)  # or nobody would ever bring that tick about
+            now = self._clock.now()
+            if here:
+                first = min(first, now, Instant(began + self._period))
+            if freeze is not None and listened and now - first >= freeze:
+                for place in missing:
+                    places.give_up(place, tick)
+                continue
+            life.look(now)
+            while (word := control.listen()) is not None:
+                places.obey(word, control, tick)
+            turn, reachable = NOT_AT_ALL if here and not missing else _TURN, False
+            for place in (*missing, *places.all):
+                joint = place.joint
+                if not joint.reachable or (joint.tick == tick and joint.here):
+                    continue  # who has spoken and is lost since may be on its way back
+                places.hear(place, p, tick, turn)
+                turn, reachable = NOT_AT_ALL, True
+                if places.ahead > tick:
+                    tick, first, began = places.ahead, Instant(2**62), now
+                    places.catch_up(tick)
+                    break
+            listened = True
+            if not (reachable or here):  # nobody is there: wait for the supervisor's word
+                word = control.listen(self._patience.look)
+                if word is not None:
+                    places.obey(word, control, tick)
+        return -1
 
     def report(self) -> Report:
-        """Ticks and ledger."""
-        ledger = None if self._core is None else self._core.ledger
-        return Report(self._ticks, names.ledger_figures(ledger), names.dropped_frames(self._joints), {})
+        """Ticks, ledger, and how often couplings were frozen."""
+        places = self._places
+        return Report(
+            self._ticks,
+            self._figures(),
+            {
+                names.FROZEN_TICKS: self._frozen_ticks,
+                names.ABSENCES: 0 if places is None else places.absences,
+                **names.dropped_frames(self._joints),
+            },
+            {},
+        )
+
+    def _figures(self) -> dict[str, float]:
+        core = self._core
+        return (
+            {} if core is None else {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
+        )
+
+    def _publish(self, control: ControlLine, places: Places) -> None:
+        figures = {
+            names.FROZEN: float(places.frozen),
+            names.FROZEN_TICKS: float(self._frozen_ticks),
+            **{f"{names.RUNG}_{place.joint.peer.name}": float(place.rung) for place in places.all if place.rung},
+            **self._figures(),
+            **names.stray_frames(self._joints),
+        }
+        control.publish(Telemetry(self._ticks, figures, {}))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from manyhands.nodes.log import Log
+from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.messages import Telemetry
 
 
@@ -30,6 +32,10 @@ class Kept:
     def __init__(self) -> None:
         self.telemetry: list[Telemetry] = []
         self.dropped = 0
+        self.log = Log(None, "s", "n", RealtimeClock())
+
+    def listen(self, _patience: object = None) -> None:
+        """Nothing is said."""
 
     def publish(self, telemetry: Telemetry) -> None:
         traces = {name: trace.copy() for name, trace in telemetry.traces.items()}

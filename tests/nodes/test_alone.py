@@ -18,7 +18,7 @@ from manyhands.nodes.bundle import Bundle, CouplingBundle, DeviceBundle, Environ
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.exchange import establish
+from manyhands.nodes.greeting import establish
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused

@@ -37,7 +37,10 @@ def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
 
 
 def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_path: Path) -> None:
-    """No number of another user's block, and no name but those of its own peers, is in a bundle's file."""
+    """No number of another user's block, and no name but those of its own peers, is in a bundle's file.
+
+    Of the blocks the environment has D_V alone, for the rungs at which they stay as they are.
+    """
     bundles = cut(prepared, Run("simulated", tmp_path, "ipc:///nowhere", traces=False))
     texts = {}
     for name, bundle in bundles.items():
@@ -47,7 +50,8 @@ def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_p
     blocks = dict(zip(("cx", "cy", "cz"), prepared.blocks, strict=True))
     for name, text in texts.items():
         for owner, block in blocks.items():
-            assert (repr(float(block.D[0, 0])) in text) == (name == owner), (name, owner)
+            assert (repr(float(block.A[0, 0])) in text) == (name == owner), (name, owner)
+            assert (repr(float(block.D[0, 0])) in text) == (name in (owner, "environment")), (name, owner)
     assert '"dy"' not in texts["dx"]
     assert '"cy"' not in texts["dx"]
     assert '"dy"' not in texts["cx"]

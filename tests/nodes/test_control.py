@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 import pytest
 
 from manyhands.nodes import control as control_module
-from manyhands.nodes.bundle import Common
+from manyhands.nodes.bundle import Common, Peer
 from manyhands.nodes.control import ControlLine, Refused, TelemetryLost
 from manyhands.nodes.life import Sight, Stopped
 from manyhands.protocol.clock import Duration, Instant
@@ -16,23 +16,27 @@ from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_TEXT
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Echo,
     Fault,
     Message,
     NodeHello,
+    Offer,
     Probe,
     Ready,
     Refusal,
     RefusalCode,
     Report,
+    Return,
     Role,
+    Shift,
     Start,
     Stop,
     Telemetry,
     Welcome,
 )
-from manyhands.protocol.transport import Trouble
+from manyhands.protocol.transport import Link, TransportError, Trouble
 from manyhands.protocol.transport.memory import MemoryTransport
 
 REPORT = Report(5, {}, {}, {})
@@ -282,12 +286,7 @@ class Test_a_guest_in_its_loop:
         line.say(Echo(0, 0, 0))
         line.coming.append(b"\xc1")
         line.say(Stop("the session ends"))
-        assert [one.sight(Instant(0)) for _ in range(4)] == [
-            Sight.PRESENT,
-            Sight.PRESENT,
-            Sight.ENDING,
-            Sight.PRESENT,
-        ]
+        assert [one.sight(Instant(0)) for _ in range(2)] == [Sight.ENDING, Sight.ENDING]
         assert line.waits == 0
 
     @pytest.mark.parametrize("trouble", [None, *Trouble])
@@ -340,3 +339,90 @@ class Test_the_last_word:
         assert isinstance(fault, Fault)
         assert len(fault.text) == MAX_TEXT
         assert "\x1b" not in fault.text
+
+
+class Test_what_is_said_to_a_node_in_its_loop:
+    def test_words_are_heard_in_their_order_and_only_they(self, line: Line) -> None:
+        one = control(line)
+        words = [Absent("cx"), Return("cx", "ipc:///s/cx"), Shift("cx", 2), Absent("cx")]
+        line.say(words[0], Echo(0, 0, 0), words[1], Ready(), *words[2:])
+        line.coming.insert(2, b"\xc1")
+        assert [one.listen() for _ in range(6)] == [*words, None, None]
+        assert one.malformed == 2
+        assert line.waits == 0
+
+    def test_it_may_wait_for_one(self, line: Line) -> None:
+        one = control(line)
+        assert one.listen(Duration(5)) is None
+        assert line.waits == 1
+        line.say(Absent("cx"))
+        assert one.listen(Duration(5)) == Absent("cx")
+        assert line.waits == 1
+
+    def test_words_wait_while_only_its_end_is_looked_for(self, line: Line) -> None:
+        one = control(line)
+        line.say(Absent("cx"), Stop("the session ends"))
+        assert one.sight(Instant(0)) is Sight.ENDING
+        assert one.listen() == Absent("cx")
+
+    def test_words_nobody_obeys_take_a_bounded_room(self, line: Line) -> None:
+        one = control(line)
+        line.say(*(Shift("cx", k % 8) for k in range(1000)))
+        for _ in range(1000):
+            one.sight(Instant(0))
+        assert len(one._words) == control_module._WORDS_KEPT
+        kept = [one.listen() for _ in range(control_module._WORDS_KEPT)]
+        assert kept[-1] == Shift("cx", 999 % 8)  # the latest
+        assert one.listen() is None
+
+    def test_who_is_absent_at_its_return_is_told_before_connect(self, line: Line) -> None:
+        line.say(Welcome(), Absent("cx"), Absent("cy"), Connect({}))
+        one = control(line)
+        assert one.peers_endpoints(Life()) == {}  # type: ignore[arg-type]
+        assert one.absent == {"cx", "cy"}
+        assert [one.listen(), one.listen(), one.listen()] == [Absent("cx"), Absent("cy"), None]  # and offered a place
+        assert one.malformed == 0
+
+
+class Binding:
+    """A transport of whose addresses some are taken."""
+
+    def __init__(self, line: Line, taken: frozenset[str]) -> None:
+        self._line, self._taken = line, taken
+        self.bound: list[tuple[str, str, str]] = []
+
+    def join(self, _endpoint: str, _identity: str) -> Line:
+        return self._line
+
+    def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
+        if address in self._taken:
+            raise TransportError(f"{address} is taken")
+        self.bound.append((name, peer, address))
+        return self._line, f"tcp://{address}"  # type: ignore[return-value]
+
+
+class Test_a_place_for_a_peer_that_was_lost:
+    def bound_with(self, line: Line, *taken: str, address: str = "10.0.0.1:7401", times: int = 1) -> Binding:
+        doors = Binding(line, frozenset(taken))
+        one = ControlLine(doors, common())  # type: ignore[arg-type]
+        peer = Peer("cx", Role.COUPLING, ("dx",), binds=True, address=address)
+        for _ in range(times):
+            one.bind_anew(peer)
+        return doors
+
+    def test_it_has_another_name_each_time_and_the_same_address(self, line: Line) -> None:
+        doors = self.bound_with(line, times=2)
+        assert doors.bound == [("dx-cx.1", "cx", "10.0.0.1:7401"), ("dx-cx.2", "cx", "10.0.0.1:7401")]
+
+    def test_where_its_port_is_taken_any_of_that_address_will_do(self, line: Line) -> None:
+        doors = self.bound_with(line, "10.0.0.1:7401", times=2)
+        assert doors.bound == [("dx-cx.1.any", "cx", "10.0.0.1:*"), ("dx-cx.2.any", "cx", "10.0.0.1:*")]
+
+    @pytest.mark.parametrize("address", ["", "10.0.0.1:7401"])
+    def test_where_there_is_none_that_is_told(self, line: Line, address: str) -> None:
+        with pytest.raises(TransportError):
+            self.bound_with(line, address, "10.0.0.1:*", address=address)
+
+    def test_it_is_offered(self, line: Line) -> None:
+        control(line).offer("cx", "ipc:///s/dx-cx.1")
+        assert line.said == [Offer("cx", "ipc:///s/dx-cx.1")]

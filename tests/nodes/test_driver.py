@@ -37,8 +37,8 @@ def driver(request: pytest.FixtureRequest) -> Driver:
 def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) -> None:
     for tick in range(5):
         x = driver.sample(tick)
-        assert x.shape == (driver.axes,)
-        assert x.dtype == np.float64
+        assert len(x) == driver.axes
+        assert all(type(at) is float for at in x)
         assert np.all(np.isfinite(x))
         driver.apply(np.ones(driver.axes))
         driver.idle()
@@ -46,8 +46,8 @@ def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) ->
 
 def test_samples_are_the_callers_to_keep(driver: Driver) -> None:
     first = driver.sample(0)
-    kept = first.copy()
-    first += 1.0
+    kept = list(first)
+    first[0] += 1.0
     driver.apply(np.zeros(driver.axes))
     driver.idle()
     np.testing.assert_array_equal(driver.sample(1), kept)
@@ -57,9 +57,9 @@ def test_the_force_is_held_and_moves_the_device_along(driver: Driver) -> None:
     driver.sample(0)
     driver.apply(np.full(driver.axes, 2.0))
     driver.idle()
-    first = driver.sample(1)
+    first = np.array(driver.sample(1))
     driver.idle()  # no new force: the old one is held
-    second = driver.sample(2)
+    second = np.array(driver.sample(2))
     assert np.all(first > 0.0)
     assert np.all(second - first > first)
 

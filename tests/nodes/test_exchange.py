@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count, repeat
 from typing import TypeVar
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.exchange import Joint
+from manyhands.nodes.exchange import Heard, Joint, joint_of
+from manyhands.nodes.greeting import handshake_of
 from manyhands.protocol.clock import Duration, Instant
-from manyhands.protocol.codec import encode
-from manyhands.protocol.gate import Gate
-from manyhands.protocol.limits import MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Role, Sample, Tool
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Absent,
+    Force,
+    LinkHello,
+    Message,
+    Ready,
+    Refusal,
+    RefusalCode,
+    Role,
+    Rung,
+    Sample,
+    Tool,
+    Welcome,
+)
 
 TICK = 3
 MS = 1_000_000
@@ -65,104 +83,337 @@ class Arriving:
         return frame
 
 
-class Watched:
-    """A life that notes when it was looked after, and ends after so many looks."""
+class Ears:
+    """A listener that notes what it is told."""
 
-    def __init__(self, time: Time, looks: int = 1_000_000) -> None:
-        self._time, self._looks = time, looks
-        self.stopping, self.failure = False, ""
-        self.looked: list[int] = []
-        self.glances: list[int] = []
+    def __init__(self, turns: bool = False) -> None:
+        self._turns = turns
+        self.failure = ""
+        self.told: list[tuple[int, int]] = []
+        self.words: list[object] = []
 
-    def look(self, now: int) -> None:
-        self.glances.append(now)
+    def astray(self, _joint: Joint, told: int, awaited: int) -> bool:
+        self.told.append((told, awaited))
+        return self._turns
 
-    def check(self) -> None:
-        self.looked.append(self._time.ns)
-        self.stopping = self.stopping or len(self.looked) >= self._looks
+    def aside(self, _joint: Joint, message: object) -> bool:
+        self.words.append(message)
+        return self._turns
 
-    def fail(self, text: str) -> None:
-        self.stopping, self.failure = True, self.failure or text
+    def flooded(self, text: str) -> None:
+        self.failure = text
 
 
 def waiting(
-    frames: Iterator[tuple[int, bytes]], looks: int = 1_000_000
-) -> tuple[Callable[[], bool], Arriving, Watched, np.ndarray, list[int]]:
-    """A joint whose peer sends ``frames``: how to wait on it, its link, the life, the values, the times of silence."""
+    frames: Iterator[tuple[int, bytes]], turns: bool = False
+) -> tuple[Callable[[], Heard], Arriving, Ears, np.ndarray, Time]:
+    """A joint whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
     time = Time()
-    link, life, values, silences = Arriving(time, frames), Watched(time, looks), np.zeros(1), list[int]()
-    joint = Joint(
-        "cx",
-        Peer("dx", Role.DEVICE, ("dx",), binds=True),
-        link,
-        Gate(Sample, 1),
-        slice(0, 1),
-        time,  # type: ignore[arg-type]
-    )
-
-    def wait() -> bool:
-        return joint.receive_into(values, TICK, life, PATIENCE, lambda: silences.append(time.ns))  # type: ignore[arg-type]
-
-    return wait, link, life, values, silences
+    link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
+    peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
+    own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
+    joint = Joint(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
+    return lambda: joint.hear(values, TICK, PATIENCE, ears), link, ears, values, time
 
 
 def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
-    wait, link, life, values, _ = waiting(iter([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
-    assert wait()
+    wait, link, ears, values, _ = waiting(iter([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
+    assert wait() is Heard.SIGNAL
     assert values[0] == 0.5
     assert link.reads == MAX_STRAY_FRAMES + 1
-    assert not life.stopping
-
-
-def test_a_life_is_looked_after_at_every_signal_however_busy_the_loop_is() -> None:
-    wait, _, life, _, _ = waiting((MS, HONEST) for _ in range(3))
-    assert [wait(), wait(), wait()] == [True] * 3
-    begin = Time().ns
-    assert life.glances == [begin, begin + MS, begin + 2 * MS]
-    assert life.looked == []
+    assert ears.failure == ""
 
 
 def test_one_stray_more_is_a_failure_that_names_the_peer() -> None:
-    wait, link, life, values, _ = waiting(iter([(0, JUNK), (0, STALE)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
-    assert not wait()
+    wait, link, ears, values, _ = waiting(iter([(0, JUNK), (0, STALE)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
+    assert wait() is Heard.NOTHING
     assert values[0] == 0.0
     assert link.reads == MAX_STRAY_FRAMES + 1
-    assert life.stopping
-    assert life.failure == (
+    assert ears.failure == (
         "cx: dx sent 513 stray frames while its signal of tick 3 was awaited (in all: malformed 257, old_tick 256); "
         "expected at most 512; see what runs as dx"
     )
 
 
 def test_strays_are_counted_for_one_wait_alone() -> None:
-    wait, _, life, _, _ = waiting(iter(([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]) * 3))
-    assert [wait(), wait(), wait()] == [True] * 3
-    assert not life.stopping
+    wait, _, ears, _, _ = waiting(iter(([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]) * 3))
+    assert [wait(), wait(), wait()] == [Heard.SIGNAL] * 3
+    assert ears.failure == ""
 
 
 @pytest.mark.parametrize("stray", [JUNK, STALE, encode(Tool(TICK, 0, np.array([0.5])))])
 @pytest.mark.parametrize("apart", [MS // 2, 3 * MS, 5 * MS - 1])
 def test_a_trickle_of_strays_is_no_sign_of_life(stray: bytes, apart: int) -> None:
-    """Frames just fast enough that receiving never times out: the node is looked after as if nothing had come."""
-    wait, _, life, _, silences = waiting(zip(repeat(apart), repeat(stray), strict=False), looks=4)
-    assert not wait()
-    begin = Time().ns
-    assert life.looked == silences
-    gaps = np.diff([begin, *life.looked])
-    assert np.all(gaps >= PATIENCE)
-    assert np.all(gaps < PATIENCE + apart)
-    assert life.failure == ""
+    """Frames just fast enough that receiving never times out: the wait ends as if nothing had come."""
+    wait, _, ears, _, time = waiting(zip(repeat(apart), repeat(stray), strict=False))
+    for _ in range(4):
+        begin = time.ns
+        assert wait() is Heard.NOTHING
+        assert PATIENCE <= time.ns - begin <= PATIENCE + apart
+    assert ears.failure == ""
 
 
-def test_the_first_patience_counts_from_the_beginning() -> None:
-    """One stray after 4 of 5 ms, and then nothing: silence after 5, not after 9."""
-    wait, _, _, _, silences = waiting(iter([(4 * MS, JUNK)]), looks=2)
-    assert not wait()
-    assert silences == [Time().ns + 5 * MS, Time().ns + 10 * MS]
+def test_the_patience_counts_from_the_beginning() -> None:
+    """One stray after 4 of 5 ms, and then nothing: silence a patience after the stray at the latest."""
+    wait, _, _, _, time = waiting(iter([(4 * MS, JUNK)]))
+    assert wait() is Heard.NOTHING
+    assert time.ns <= Time().ns + 9 * MS
 
 
 def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
-    wait, link, life, _, _ = waiting((10_000, b"\xc1%d" % n) for n in count())
-    assert not wait()
-    assert link.reads == MAX_STRAY_FRAMES + 1
-    assert "malformed 513" in life.failure
+    wait, link, ears, _, _ = waiting((10_000, b"\xc1%d" % n) for n in count())
+    assert wait() is Heard.NOTHING
+    assert link.reads <= MAX_STRAY_FRAMES + 1
+    assert ears.failure == "" or "malformed 513" in ears.failure
+
+
+def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
+    frames = [encode(Sample(TICK - 1, 0, np.array([0.5]))), encode(Sample(TICK + 4, 0, np.array([0.0]))), HONEST]
+    wait, _, ears, values, _ = waiting(iter([(0, frame) for frame in frames]))
+    assert wait() is Heard.SIGNAL
+    assert ears.told == [(TICK - 1, TICK), (TICK + 4, TICK)]
+    assert values[0] == 0.5
+
+
+@pytest.mark.parametrize("frame", [STALE, encode(Rung(1)), encode(Absent("dx"))])
+def test_a_listener_may_end_the_wait(frame: bytes) -> None:
+    wait, link, ears, _, _ = waiting(iter([(0, frame), (0, HONEST)]), turns=True)
+    assert wait() is Heard.TURNED
+    assert link.reads == 1
+    assert (ears.told, ears.words) in (([(TICK - 1, TICK)], []), ([], [Rung(1)]), ([], [Absent("dx")]))
+    assert wait() is Heard.SIGNAL
+
+
+@pytest.mark.parametrize("junk", [b"\x92\x0f\x10", b"\x92\x0b\xc0", encode(Tool(TICK, 0, np.array([0.5]))), JUNK])
+def test_what_only_looks_like_a_word_is_a_stray(junk: bytes) -> None:
+    wait, _, ears, _, _ = waiting(iter([(0, junk), (0, HONEST)]), turns=True)
+    assert wait() is Heard.SIGNAL
+    assert not ears.words
+    assert not ears.told
+
+
+class Held:
+    """A link whose other end is a test's: what is coming, and what was said."""
+
+    def __init__(self, *coming: bytes, room: int = 10**6) -> None:
+        self.coming, self.room = deque(coming), room
+        self.said: list[bytes] = []
+        self.closed = False
+
+    def recv(self, _timeout: Duration | None) -> bytes | None:
+        return self.coming.popleft() if self.coming else None
+
+    def send(self, frame: bytes) -> bool:
+        if self.room == 0:
+            return False
+        self.room -= 1
+        self.said.append(frame)
+        return True
+
+    def close(self) -> None:
+        self.closed = True
+
+
+DEVICE = Peer("dx", Role.DEVICE, ("dx",), binds=True)
+OWN = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
+HIS = LinkHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, ("dx",))
+
+
+def joined(link: Held | None, binds: bool = True) -> Joint:
+    return Joint(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
+
+
+def heard_by(joint: Joint, ears: Ears, values: np.ndarray, tick: int = TICK) -> Heard:
+    return joint.hear(values, tick, Duration(0), ears)
+
+
+class Test_a_peer_that_comes_back:
+    @pytest.mark.parametrize("binds", [True, False])
+    def test_is_met_and_then_heard(self, binds: bool) -> None:
+        joint, ears, values = joined(Held(HONEST), binds), Ears(), np.zeros(1)
+        assert heard_by(joint, ears, values) is Heard.SIGNAL
+        joint.lose()
+        answer = [encode(HIS), encode(Welcome())] if binds else [encode(HIS)]
+        fresh = Held(*answer, encode(Sample(9, 0, np.array([0.25]))))
+        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+        assert (joint.reachable, joint.here, joint.new) == (True, False, False)
+        assert heard_by(joint, ears, values, 9) is Heard.MET
+        assert (joint.reachable, joint.here, joint.new) == (True, True, True)
+        assert joint.hello == HIS
+        said = [decode(frame, MAX_CONTROL_BYTES) for frame in fresh.said]
+        assert said == ([OWN] if binds else [OWN, Welcome()])
+        assert heard_by(joint, ears, values, 9) is Heard.SIGNAL
+        assert (values[0], joint.tick) == (0.25, 9)
+
+    def test_is_told_nothing_before_hands_are_shaken(self) -> None:
+        joint = joined(Held())
+        joint.send(Sample, TICK, 0, np.zeros(1))
+        fresh = Held()
+        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+        assert not joint.send(Sample, TICK, 0, np.zeros(1))
+        joint.send_again()
+        joint.send_zero(Force, TICK)
+        joint.say(Rung(1))
+        assert fresh.said == []
+
+    def test_is_not_answered_for_the_one_before(self) -> None:
+        """What was said last on the old link is not repeated on the new one."""
+        joint = joined(Held())
+        joint.send(Sample, TICK, 0, np.zeros(1))
+        fresh = Held(encode(HIS), encode(Welcome()))
+        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.MET
+        before = list(fresh.said)
+        joint.send_again()
+        assert fresh.said == before
+
+    def test_is_another_for_the_gate_which_goes_on_counting(self) -> None:
+        joint, ears = joined(Held(JUNK, STALE)), Ears()
+        heard_by(joint, ears, np.zeros(1))
+        joint.greet(Held(encode(HIS), encode(Welcome())), handshake_of(joint))  # type: ignore[arg-type]
+        gate = joint.gate
+        assert heard_by(joint, ears, np.zeros(1)) is Heard.MET
+        assert joint.gate is not gate  # a step from the last signal of the one before would be no step
+        assert (joint.gate.dropped["malformed"], joint.gate.dropped["old_tick"]) == (1, 1)
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [HIS, Ready(), Welcome(), Sample(TICK, 0, np.zeros(1)), Refusal(RefusalCode.NAME, "no"), None],
+        ids=["another certificate", "ready", "welcome first", "signal", "refusal", "junk"],
+    )
+    def test_is_absent_if_it_is_not_the_one(self, wrong: Message | None) -> None:
+        wrong = replace(HIS, certificate="other") if wrong is HIS else wrong
+        joint, fresh = joined(Held()), Held(JUNK if wrong is None else encode(wrong), HONEST)
+        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+        assert not joint.reachable
+        assert fresh.closed
+        refused = [isinstance(decode(frame, MAX_CONTROL_BYTES), Refusal) for frame in fresh.said]
+        assert any(refused) == (not isinstance(wrong, Refusal))
+
+    def test_is_absent_if_it_goes_in_the_middle_of_it(self) -> None:
+        joint, fresh = joined(Held()), Held(encode(HIS), room=0)
+        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+        assert not joint.reachable
+
+    def test_closes_the_place_that_waited_for_it_if_it_is_lost_once_more(self) -> None:
+        joint, first, second = joined(Held()), Held(), Held()
+        joint.greet(first, handshake_of(joint))  # type: ignore[arg-type]
+        joint.greet(second, handshake_of(joint))  # type: ignore[arg-type]
+        assert (first.closed, second.closed) == (True, False)
+
+
+def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
+    link = Held(HONEST)
+    joint = joined(link)
+    joint.lose()
+    joint.lose()
+    assert link.closed
+    assert (joint.reachable, joint.here) == (False, False)
+    assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+    assert not joint.send(Sample, TICK, 0, np.zeros(1))
+    joint.send_again()
+    joint.send_zero(Force, TICK)
+    joint.say(Absent("dx"))
+
+
+def test_the_last_signal_is_said_again_as_it_was() -> None:
+    link = Held()
+    joint = joined(link)
+    joint.send_again()  # nothing was said yet
+    joint.send(Sample, TICK, 7, np.array([0.5]))
+    joint.say(Rung(1))
+    joint.send_zero(Force, TICK + 3)
+    joint.send_again()
+    assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2
+
+
+def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
+    link = Held()
+    joint = joined(link)
+    joint.send_zero(Force, -1)  # before the first tick nothing is over
+    joint.send_zero(Force, 4)
+    assert [decode(frame, MAX_CONTROL_BYTES) for frame in link.said] == [Force(4, 0, [0.0])]
+
+
+@pytest.mark.parametrize(("values", "zero"), [([0.0], True), ([-0.0], True), ([5e-324], False)])
+def test_whether_a_signal_astray_is_a_zero_force(values: list[float], zero: bool) -> None:
+    joint = joined(Held(encode(Sample(TICK + 2, 0, np.array(values)))))
+    heard_by(joint, Ears(), np.zeros(1))
+    assert (joint.told, joint.zero) == (TICK + 2, zero)
+
+
+def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
+    """It floods nobody by it, tick by tick; junk of one tick adds up over several waits, until the tick is there."""
+    joint, ears = joined(Held(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
+    heard_by(joint, ears, np.zeros(1))
+    assert "sent 513 stray frames" in ears.failure  # in one wait it does
+    link, ears = Held(), Ears()
+    joint = joined(link)
+    for _ in range(3):
+        link.coming.extend([STALE] * MAX_STRAY_FRAMES)
+        assert heard_by(joint, ears, np.zeros(1)) is Heard.NOTHING
+    assert ears.failure == ""
+    for _ in range(2):
+        link.coming.extend([JUNK] * (MAX_STRAY_FRAMES // 2 + 1))
+        heard_by(joint, ears, np.zeros(1))
+    assert "sent 513 stray frames" in ears.failure
+
+
+def test_joints_are_found_by_their_peers() -> None:
+    joint = joined(None)
+    assert joint_of([joint], "dx") is joint
+    assert joint_of([joint], "dz") is None
+
+
+frames = st.one_of(
+    st.binary(max_size=40),
+    st.sampled_from(
+        [HONEST, STALE, JUNK, b"", encode(HIS), encode(Welcome()), encode(Rung(3)), encode(Absent("dx"))]
+        + [encode(Sample(TICK + 1, 0, np.array([value]))) for value in (0.0, 1.0)]
+        + [encode(Tool(TICK, 0, np.zeros(1))), encode(Refusal(RefusalCode.ROLE, "no"))]
+    ),
+    st.integers(0, 7).map(lambda n: encode(HIS)[: 3 * n]),
+)
+
+
+@given(coming=st.lists(frames, max_size=20), turns=st.booleans(), greets=st.booleans())
+def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
+    coming: list[bytes], turns: bool, greets: bool
+) -> None:
+    joint, ears, values = joined(Held()), Ears(turns), np.array([7.0])
+    link = Held(*coming)
+    if greets:
+        joint.greet(link, handshake_of(joint))  # type: ignore[arg-type]
+    else:
+        joint.link = link  # type: ignore[assignment]
+    while link.coming and joint.reachable:
+        before, left = values.copy(), len(link.coming)
+        shaking = joint.handshake is not None
+        heard = heard_by(joint, ears, values)
+        assert len(link.coming) < left
+        if heard is Heard.SIGNAL:
+            assert (values[0], joint.tick) == (0.5, TICK)
+        else:
+            assert values[0] == before[0]
+        assert heard is not Heard.MET or (shaking and joint.hello == HIS)
+        assert heard is not Heard.SIGNAL or not shaking
+    assert all(count >= 0 for count in joint.gate.dropped.values())
+
+
+@pytest.mark.parametrize("indices", [slice(1, 3), np.array([2, 0])], ids=["a slice", "scattered"])
+def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np.ndarray) -> None:
+    time = Time()
+    own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("a", "b"))
+    link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
+    sent: list[bytes] = []
+    link.send = lambda frame: sent.append(frame) or True  # type: ignore[method-assign, func-returns-value]
+    joint = Joint(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
+    values, expected = [10.0, 11.0, 12.0, 13.0], np.array([10.0, 11.0, 12.0, 13.0])
+    expected[indices] = [0.5, -1.0]
+    assert joint.hear(values, TICK, PATIENCE, Ears()) is Heard.SIGNAL
+    assert values == expected.tolist()
+    forces = [20.0, 21.0, 22.0, 23.0]
+    assert joint.send(Force, TICK, 7, forces)
+    assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]

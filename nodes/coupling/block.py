@@ -1,0 +1,161 @@
+"""One block of V towards the environment, and what it tells of itself; whoever brings it the samples of its devices.
+
+That is the coupling's own process (:mod:`manyhands.nodes.coupling.node`), or its device's, where a session has both
+in one (:mod:`manyhands.nodes.device.colocated`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.life import Life
+from manyhands.nodes.linear_map import Floats
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.messages import Absent, Report, Rung, Telemetry, Tool
+
+
+class Block:
+    """The block in its loop, and the :class:`manyhands.nodes.exchange.Listener` on its link to the environment.
+
+    Attributes:
+        core: the block at its present rung.
+        environment: the link to the environment.
+        rung: of the ladder of couplings.
+        jumps: times that it did.
+        ticks: the tick after the latest.
+        applied: the force of the latest tick, within its limits, N.
+    """
+
+    def __init__(self, bundle: CouplingBundle, environment: Joint) -> None:
+        """At rest, at rung 0."""
+        self._bundle, self._common = bundle, bundle.common
+        self.core = self._core_of(0)
+        self.environment = environment
+        self.rung = self._next_rung = 0
+        self.jumps = self.ticks = 0
+        self._stamp, self._said = 0, -1
+        self._life: Life | None = None  # until the loop begins
+        m = len(self._common.ports)
+        self._p: Floats = [0.0] * m
+        self._f: Floats = [0.0] * m  # from the environment, filled in place
+        self.applied = self._f
+        self._rows = self._common.telemetry_ticks
+        rows = self._rows if self._common.traces else 0  # nothing of telemetry's size is allocated in a tick
+        self._trace_p: list[Floats] = [self._p] * rows
+        self._trace_f: list[Floats] = [self._p] * rows
+        self._filled = 0
+
+    def _core_of(self, rung: int) -> CouplingCore:
+        bundle, of = self._bundle, self._bundle.rungs[rung]
+        return CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
+
+    def begin(self, life: Life) -> None:
+        """The loop begins; ``life`` fails when the environment floods the link."""
+        self._life = life
+
+    def say(self, x: Floats, tick: int, stamp: int) -> None:
+        """Tell the environment p(k) for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
+        self._said = tick
+        self._stamp = stamp  # the chain's age is counted from the sample
+        self._p = p = self.core.free_position(x)
+        self.environment.send(Tool, tick, stamp, p)
+
+    def say_again(self, tick: int) -> None:
+        """The same once more: it, or its answer, may have been lost, or the session has gone on."""
+        self.environment.send(Tool, tick, self._stamp, self._p)
+
+    def hear(self, tick: int, patience: Duration) -> Heard:
+        """Listen for f_v(k).
+
+        Returns:
+            SIGNAL when :attr:`applied` is the force of ``tick``; TURNED when it is zero, and the one of a later tick,
+            ``environment.told``; NOTHING; MET when the environment is back, and was told p(k) if that was said before.
+        """
+        environment = self.environment
+        heard = environment.hear(self._f, tick, patience, self)
+        if heard is Heard.SIGNAL:
+            self.applied = self.core.limited(self._f)
+        elif heard is Heard.TURNED:
+            self.applied = [0.0] * len(self._f)
+            self.jumps += 1
+        elif heard is Heard.MET:
+            self._next_rung = 0  # the one that this environment reckons with, until it is told of another
+            if self._said == tick:
+                self.say_again(tick)
+        return heard
+
+    def climb(self) -> int | None:
+        """The rung to go on at, at rest, where the environment has just changed it; None otherwise."""
+        if self._next_rung == self.rung:
+            return None
+        before, self.rung = self.core, self._next_rung
+        self.core = self._core_of(self.rung)
+        self.core.succeed(before)
+        return self.rung
+
+    def settle(self, tick: int) -> None:
+        """Step past ``tick``: what can wait until the forces are on their way."""
+        self.core.absorb(self.applied)
+        self.ticks = tick + 1
+        if self._common.traces:
+            row = self._filled
+            self._trace_p[row], self._trace_f[row] = self._p, self.applied.copy()
+        self._filled += 1
+
+    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+        """The environment is at another tick: zero force of a later one says that this block was left behind."""
+        return told > awaited and joint.zero
+
+    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+        """The environment has changed to another rung: the zero force that follows is its first."""
+        if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
+            self._next_rung = message.rung
+        return False
+
+    def flooded(self, text: str) -> None:
+        """The environment floods the link: there is no telling its forces from the rest in time."""
+        if self._life is not None:
+            self._life.fail(text)
+
+    def publish(self, control: ControlLine, devices: tuple[Joint, ...] = ()) -> None:
+        """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
+        if self._filled == self._rows:
+            self.publish_rest(control, devices)
+
+    def publish_rest(self, control: ControlLine, devices: tuple[Joint, ...] = ()) -> None:
+        """Telemetry of the ticks since the last, if there are any."""
+        rows, self._filled = self._filled, 0
+        if rows == 0:
+            return
+        figures = {
+            names.SATURATED: float(self.core.saturated),
+            names.JUMPS: float(self.jumps),
+            names.RUNG: float(self.rung),
+            **names.ledger_figures(self.core.ledger),
+            **names.stray_frames([*devices, self.environment]),
+        }
+        traces = (
+            {names.FREE_POSITION: np.array(self._trace_p[:rows]), names.FORCE: np.array(self._trace_f[:rows])}
+            if self._common.traces
+            else {}
+        )
+        control.publish(Telemetry(self.ticks, figures, traces))
+
+    def report(self, devices: tuple[Joint, ...] = ()) -> Report:
+        """Ticks, ledger, how often the force was clipped, and what was not admitted."""
+        return Report(
+            self.ticks,
+            names.ledger_figures(self.core.ledger),
+            {
+                names.SATURATED: self.core.saturated,
+                names.JUMPS: self.jumps,
+                names.RUNG: self.rung,
+                **names.dropped_frames([*devices, self.environment]),
+            },
+            {},
+        )

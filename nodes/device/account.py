@@ -1,0 +1,154 @@
+"""What a device keeps of its ticks: times, breaches of what the certificate assumes, traces, and what it tells of them.
+
+All is filled in place: nothing of telemetry's size is allocated in a tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import Common
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.guard import Guard
+from manyhands.nodes.device.lateness import Lateness
+from manyhands.nodes.distribution import Distribution
+from manyhands.nodes.exchange import Joint
+from manyhands.nodes.linear_map import Floats
+from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.protocol.messages import Report, Telemetry
+
+PERIOD_TOLERANCE = 0.25
+"""Part of a period by which two samples may be more or less than a period apart before that is told as a breach."""
+
+Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
+"""Of a tick: when it was due, when the loop was ready, and when it had sampled, sent, received and applied."""
+
+
+class Account:
+    """The figures of one device.
+
+    Attributes:
+        ticks: done.
+        stale: times that the force was stale.
+        released: periods without force for that reason.
+        jumps: times that the session had gone on without the device.
+    """
+
+    def __init__(self, common: Common, tau: Duration) -> None:
+        """``tau``: what the certificate assumes."""
+        self._common = common
+        self.ticks = self.stale = self.released = self.jumps = 0
+        self._late = self._tau_breaches = self._period_breaches = 0
+        self._assumed_tau = tau
+        period = self._period = from_seconds(common.period)
+        self._shortest = Duration(round(period * (1.0 - PERIOD_TOLERANCE)))
+        self._longest = Duration(round(period * (1.0 + PERIOD_TOLERANCE)))
+        self._lateness = Lateness(period)
+        self._tau, self._true_period = Distribution(), Distribution()
+        self._tau_worst = 0
+        m, rows = len(common.ports), common.telemetry_ticks
+        self._trace_x: list[Floats] = [[0.0] * m] * rows
+        self._trace_f: list[Floats] = [[0.0] * m] * rows
+        self._speeds = [0.0] * rows
+        self._filled = 0
+        self._sampled: Instant | None = None
+
+    def assume(self, tau: Duration) -> None:
+        """Another certificate's tau from now on."""
+        self._assumed_tau = tau
+
+    def tick(self, tick: int, x: Floats, f: Floats, speed: float, times: Times) -> None:
+        """A tick that was answered; x (m) and f (N) are kept until they are told."""
+        due, _, sampled, _, _, applied = times
+        tau = applied - sampled
+        self._tau.add(tau / 1e3)
+        if tau > self._assumed_tau:
+            self._tau_breaches += 1
+        if tau > self._tau_worst:
+            self._tau_worst = tau
+        if self._sampled is not None:
+            between = sampled - self._sampled
+            self._true_period.add(between / 1e3)
+            if not self._shortest <= between <= self._longest:
+                self._period_breaches += 1
+        self._sampled = sampled
+        if applied > due + self._period:
+            self._late += 1
+            self._lateness.judge(*times)
+        row = self._filled
+        self._trace_x[row], self._trace_f[row] = x, f
+        self._speeds[row] = speed
+        self._filled = row + 1
+        self.ticks = tick + 1
+
+    def release(self) -> None:
+        """A period without force, for none was heard of."""
+        self.released += 1
+        self._sampled = None
+
+    def jump(self, tick: int, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+        """The session is at ``tick``: what was kept is told first, for rows follow each other."""
+        self.publish_rest(control, core, guard, joints)
+        self.jumps += 1
+        self._sampled = None
+
+    def publish(self, tick: int, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+        """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
+        if self._filled == len(self._speeds):
+            self.publish_rest(control, core, guard, joints)
+
+    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+        """Telemetry of the ticks since the last, if there are any."""
+        rows = self._filled
+        if rows == 0:
+            return
+        figures = {
+            names.SPEED: max(self._speeds[:rows]),
+            names.PEAK_SPEED: core.peak_speed,
+            names.LATE: float(self._late),
+            names.TAU_BREACHES: float(self._tau_breaches),
+            names.TAU_WORST: self._tau_worst / 1e3,
+            names.PERIOD_BREACHES: float(self._period_breaches),
+            names.RELEASED: float(self.released),
+            names.JUMPS: float(self.jumps),
+            names.CLIPPED: float(guard.clipped),
+            f"{names.TAU}_p50": self._tau.quantile(0.5),
+            f"{names.TAU}_p99": self._tau.quantile(0.99),
+            **names.ledger_figures(core.ledger),
+            **names.stray_frames(joints),
+        }
+        traces = (
+            {names.DISPLACEMENT: np.array(self._trace_x[:rows]), names.FORCE: np.array(self._trace_f[:rows])}
+            if self._common.traces
+            else {}
+        )
+        control.publish(Telemetry(self.ticks, figures, traces))
+        self._filled, self._tau_worst = 0, 0
+
+    def report(self, core: DeviceCore, guard: Guard, joints: Sequence[Joint], rung: int) -> Report:
+        """The device's last word."""
+        return Report(
+            self.ticks,
+            {
+                names.PEAK_SPEED: core.peak_speed,
+                names.FINAL_SPEED: max(self._speeds),
+                **names.ledger_figures(core.ledger),
+            },
+            {
+                names.LATE: self._late,
+                **self._lateness.figures(),
+                names.STALE: self.stale,
+                names.RELEASED: self.released,
+                names.JUMPS: self.jumps,
+                names.RUNG: rung,
+                names.TAU_BREACHES: self._tau_breaches,
+                names.PERIOD_BREACHES: self._period_breaches,
+                names.CLIPPED: guard.clipped,
+                **names.dropped_frames(joints),
+            },
+            {names.TAU: self._tau.percentiles(), names.PERIOD: self._true_period.percentiles()},
+        )

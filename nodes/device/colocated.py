@@ -1,0 +1,171 @@
+"""A device and the couplings of its own ports in one process (Remark 2 of [Bianchini2010]_): two messages less a tick.
+
+Each stays a node of its own, with its own bundle, keys, line to the supervisor, ledger and report; what falls away is
+the link between them. The device's loop carries the couplings along: where it would send x(k) to a coupling's process
+and wait for f_v(k), a :class:`Within` has the block say p(k) to the environment and waits for its answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, Peer, load
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.coupling.block import Block
+from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.exchange import Heard, Joint, Listener
+from manyhands.nodes.greeting import establish, hello_to, positions
+from manyhands.nodes.life import Life
+from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.process import Node
+from manyhands.nodes.reunion import meet, part
+from manyhands.protocol.clock import Duration, RealtimeClock
+from manyhands.protocol.messages import (
+    Absent,
+    Force,
+    Reaction,
+    Report,
+    Return,
+    Role,
+    Rung,
+    SignalMessage,
+    Start,
+)
+from manyhands.protocol.transport import Link
+
+
+class CarriedBlock:
+    """A :class:`manyhands.nodes.process.Node` for a coupling whose loop is its device's."""
+
+    def __init__(self, bundle: CouplingBundle) -> None:
+        """Make the node; its block waits for the link to the environment."""
+        self.bundle = bundle
+        self.control: ControlLine | None = None
+        self.block: Block | None = None
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        """Shake hands with the environment, which is told D_V."""
+        admits: dict[str, type[SignalMessage]] = {peer.name: Reaction for peer in self.bundle.common.peers}
+        (environment,), _ = establish(self.bundle.common, links, admits, RealtimeClock(), self.bundle.block.D)
+        self.block = Block(self.bundle, environment)
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        """Begin: what there is to do in a tick the device does. ``control`` is the coupling's own line."""
+        if self.block is None:
+            raise ValueError("the coupling was started before its handshake")
+        self.control = control
+        self.block.begin(life)
+
+    def listen(self) -> None:
+        """Do as the supervisor says."""
+        if self.block is None or self.control is None:
+            return
+        while (word := self.control.listen()) is not None:
+            match word:
+                case Absent():
+                    part(word, [self.block.environment], self.control)
+                case Return():
+                    meet(word, [self.block.environment], self.control)
+
+    def end(self) -> None:
+        """The loop is over."""
+        if self.block is not None and self.control is not None and self.bundle.common.traces:
+            self.block.publish_rest(self.control)
+
+    def report(self) -> Report:
+        """The block's."""
+        return Report(0, {}, {}, {}) if self.block is None else self.block.report()
+
+
+class Within(Joint):
+    """What stands in the device for the link to a coupling in its own process."""
+
+    def __init__(self, carried: CarriedBlock, device: DeviceBundle, block: Block) -> None:
+        """Join a device to ``block``, at those of its ports that the block couples."""
+        common = device.common
+        peer = Peer(carried.bundle.common.name, Role.COUPLING, carried.bundle.common.ports, binds=False)
+        where = positions(common.ports, peer.ports)
+        super().__init__(hello_to(common, peer, None), peer, None, Force, where, RealtimeClock())
+        self._carried, self._block = carried, block
+        self._said = -1
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the environment is there."""
+        return self._block.environment.reachable
+
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+        """Have the block say p(k) for x(k); for the same tick a second time, say again what it said."""
+        if tick == self._said:
+            self._block.say_again(tick)
+        else:
+            self._said = tick
+            self._block.say(self.share(values), tick, stamp)
+        return True
+
+    def send_again(self) -> None:
+        """Say p(k) again."""
+        self._block.say_again(self._said)
+
+    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+        """Listen for the environment's answer, and put the block's force into the device's ``values``."""
+        heard = self._block.hear(tick, patience)
+        if heard is Heard.SIGNAL or heard is Heard.TURNED:
+            self.put(values, self._block.applied)
+            rung = self._block.climb()
+            if rung is not None:
+                listener.aside(self, Rung(rung))
+        if heard is Heard.SIGNAL:
+            self.tick = tick
+        elif heard is Heard.TURNED:
+            self.told, self.zero = self._block.environment.told, True
+        return heard
+
+    def settle(self, tick: int) -> None:
+        """The force is applied: step the block, and tell of it when it is time."""
+        self._block.settle(tick)
+        if self._carried.control is not None:
+            self._block.publish(self._carried.control)
+
+
+class ColocatedNode(DeviceNode):
+    """A device that carries couplings."""
+
+    def __init__(self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock]) -> None:
+        """Make the node; ``carried`` shake hands before it does."""
+        super().__init__(bundle, driver)
+        self._bundle, self._carried = bundle, tuple(carried)
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        """Shake hands with the couplings in other processes, and take up those in this one."""
+        super().establish(links)
+        for carried in self._carried:
+            if carried.block is not None:
+                self._joints.append(Within(carried, self._bundle, carried.block))
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        """The device's loop."""
+        try:
+            super().loop(start, life, control)
+        finally:
+            for carried in self._carried:
+                carried.end()
+
+    def _listen(self, control: ControlLine, idle: bool = False) -> None:
+        super()._listen(control, idle)
+        for carried in self._carried:
+            carried.listen()
+
+
+def colocated(device: DeviceBundle, couplings: Sequence[Path]) -> list[tuple[DeviceBundle | CouplingBundle, Node]]:
+    """The nodes of a process: the device, and what it carries, in the order of ``couplings``, which is the session's.
+
+    Raises:
+        BundleError: a coupling's bundle cannot be read.
+    """
+    carried = [CarriedBlock(load(path, CouplingBundle)) for path in couplings]
+    node = ColocatedNode(device, simulated_driver(device), carried)
+    return [(device, node), *((one.bundle, one) for one in carried)]

@@ -1,0 +1,299 @@
+"""The environment's tick where its forces come from a model of which nothing is known, or that is not to be relied on.
+
+At every tick the model says the forces f_m that it wants, and where its promise is *enforced* the passivity controller
+(:mod:`manyhands.nodes.passivity_controller`) decides how much of them is exerted:
+
+    f_e = part f_m + (1 - part) h,     x_e = r + S D_V S f_e,     h = (S D_V S)^{-1} (x_e(k-1) - r),
+
+with the greatest part in [0, 1] that keeps the ledger from falling below zero. S and r are those of the blocks'
+clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled; at a port with s = 0 the
+tool rests whatever the force is, and h does not matter. Two kinds of models are asked:
+
+- a black box (:mod:`manyhands.nodes.environment.model`), which is told where the tools would be under its force of the
+  tick before: explicit, so that nothing has to be known about it to close the algebraic loop;
+- matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, and the controller a safety
+  net that never acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.statespace import StateSpace
+from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
+from manyhands.nodes.environment.model import AskedModel
+from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.passivity_controller import PassivityController
+
+Vector = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+class ForceLaw(Protocol):
+    """Where the raw forces of an :class:`EnforcedCore` come from."""
+
+    @property
+    def failure(self) -> str | None:
+        """Why it cannot be asked any more; None while it can."""
+        ...
+
+    def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
+        """The forces wanted at this tick, N; may be asked again for another r.
+
+        Args:
+            r: tool positions without force, m.
+            compliance: S D_V S, m/N; the same array as long as it does not change.
+            x_e: tool positions under the forces of the tick before, r + S D_V S f_e(k-1), m; an array of its own.
+        """
+        ...
+
+    def advance(self, x_e: Vector) -> None:
+        """Step to the next tick, with the tools at x_e(k), m."""
+        ...
+
+
+class BlackBox:
+    """The law of a model that is asked at the predicted tool position."""
+
+    def __init__(self, model: AskedModel) -> None:
+        """Ask ``model`` from its tick 0 on."""
+        self._model, self._k = model, 0
+        self._answer: Vector | None = None  # of this tick: a model is asked once
+
+    @property
+    def failure(self) -> str | None:
+        """What was wrong with the model's answer."""
+        return self._model.failure
+
+    def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
+        """The model's forces at x_e."""
+        if self._answer is None:
+            self._answer = self._model.forces(x_e, self._k)
+        return self._answer
+
+    def advance(self, x_e: Vector) -> None:
+        """The next tick."""
+        self._k += 1
+        self._answer = None
+
+
+class LinearLaw:
+    """The law f_e = -(I + D_E S D_V S)^{-1} (C_E eta + D_E r), eta(k+1) = A_E eta + B_E x_e: E as it is proved."""
+
+    failure: str | None = None
+
+    def __init__(self, E: StateSpace) -> None:
+        """Start at rest."""
+        self._output, self._D = np.hstack([E.C, E.D]), E.D
+        self._state = np.hstack([E.A, E.B])  # over (eta, x_e)
+        self._eta = np.zeros(E.order)
+        self._compliance: Vector | None = None
+        self._force: Vector = self._output
+
+    def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
+        """The force that solves the algebraic loop, which a certificate says is one."""
+        if compliance is not self._compliance:
+            loop = np.eye(len(self._D)) + self._D @ compliance
+            self._force = np.asarray(-np.linalg.solve(loop, self._output), dtype=np.float64)
+            self._compliance = compliance
+        f: Vector = self._force @ np.concatenate([self._eta, r])
+        return f
+
+    def advance(self, x_e: Vector) -> None:
+        """One step of E."""
+        self._eta = self._state @ np.concatenate([self._eta, x_e])
+
+
+class EnforcedCore:
+    """An environment between ticks, with the interface of :class:`manyhands.nodes.environment.core.EnvironmentCore`.
+
+    Attributes:
+        ledger: its energy ledger; None when it has promised nothing.
+        controller: what keeps the ledger from falling below zero; None where nothing is enforced.
+        ill_posed: ticks in which the loop had no unique solution: none, by construction or by the certificate.
+    """
+
+    def __init__(
+        self,
+        law: ForceLaw,
+        D_V: Vector,
+        Phi_E: Vector | None,
+        T: float,
+        enforce: bool,
+        blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
+        ramp: int = RAMP,
+    ) -> None:
+        """Start at rest, all tools at 0, all blocks coupled.
+
+        Args:
+            law: where the raw forces come from.
+            D_V: the couplings' feedthrough, m x m, m/N, as told at the handshake.
+            Phi_E: the declared level, m x m, N*s/m, or None.
+            T: period, s.
+            enforce: whether the level is kept by a controller.
+            blocks: the ports of each coupling, in its own order; None for one block of all ports.
+            ramp: ticks from frozen to coupled.
+
+        Raises:
+            ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that no
+                force needs to hold a tool.
+        """
+        m = len(D_V)
+        if enforce and Phi_E is None:
+            raise ValueError("found no level to enforce; expected the environment's Phi_E")
+        self._law, self._Phi, self._T = law, Phi_E, T
+        self._D_V = np.array(D_V, dtype=np.float64)
+        self._clutches = tuple(
+            Clutch(np.arange(m)[part], ramp) for part in ([slice(None)] if blocks is None else blocks)
+        )
+        self._unsettled: list[Clutch] = []
+        self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before, until react
+        self._next = np.zeros(m)  # x_e of this tick
+        self._S = np.ones(m)
+        self.ledger = None if Phi_E is None else Ledger()
+        self.controller = PassivityController(T) if enforce else None
+        self.ill_posed = 0
+        self._stiffness = self._stiffness_of(self._D_V)
+        self._compliance = self._D_V
+
+    @property
+    def failure(self) -> str | None:
+        """Why the model is not asked any more, in one sentence; None while it is. Its forces are zero from then on."""
+        return self._law.failure
+
+    def react(self, p: Vector) -> Vector:
+        """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m."""
+        if self._unsettled:
+            return self._through_clutches(p)
+        f = self._law.propose(p, self._D_V, p + self._D_V @ self._f)
+        return self._exert(f, p)
+
+    def settle(self) -> None:
+        """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
+        w = self._w
+        if self.ledger is not None and self._Phi is not None:
+            self.ledger.enter(self._T * float(-(w @ self._f) + w @ self._Phi @ w))
+        if self.controller is not None:
+            self.controller.settle()
+        self._x_e = self._next
+        self._law.advance(self._x_e)
+
+    def freeze(self, block: int) -> None:
+        """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
+        self._happens(block, Event.FREEZE)
+
+    def engage(self, block: int) -> None:
+        """Take the block's next p as its reference, and raise s to 1 over the ticks of a ramp after it."""
+        self._happens(block, Event.ENGAGE)
+
+    def disengage(self, block: int) -> None:
+        """Lower s to 0 from where it is; then the block is frozen."""
+        self._happens(block, Event.DISENGAGE)
+
+    def ratio(self, block: int) -> float:
+        """The ratio of the last tick, or 0 if the block has been frozen since."""
+        return self._clutches[block].ratio
+
+    def frozen(self, block: int) -> bool:
+        """Whether s = 0."""
+        return self._clutches[block].ratio == 0.0
+
+    def settled(self, block: int) -> bool:
+        """Whether s = 1 and the tool is where the coupling's end is."""
+        return self._clutches[block].settled
+
+    def exchange(self, block: int, D_V: Vector) -> None:
+        """Give a frozen block another feedthrough, m_i x m_i, m/N.
+
+        Raises:
+            ValueError: the block is not frozen, or the feedthrough is none that this core could have been made with;
+                nothing has changed then.
+        """
+        clutch = self._clutches[block]
+        if clutch.phase not in (Phase.FROZEN, Phase.JOINING):
+            raise ValueError(f"found block {block} at the ratio {clutch.ratio:.3g}; expected it frozen: disengage it")
+        size = len(clutch.ports)
+        if np.shape(D_V) != (size, size):
+            raise ValueError(f"found a feedthrough of shape {np.shape(D_V)}; expected {size} x {size}")
+        whole = self._D_V.copy()
+        whole[np.ix_(clutch.ports, clutch.ports)] = D_V
+        self._stiffness = self._stiffness_of(whole)
+        self._D_V = whole
+        self._compliance = self._S[:, None] * whole * self._S
+
+    def _stiffness_of(self, D_V: Vector) -> Vector:
+        """D_V^{-1}, N/m: what the couplings oppose to a displacement within one tick; needed by a controller alone."""
+        if self.controller is None:
+            return D_V
+        if not float(np.linalg.eigvalsh((D_V + D_V.T) / 2.0)[0]) > 0.0:
+            raise ValueError(
+                "found a D_V whose symmetric part is not positive definite; an enforced environment needs a coupling, "
+                "every one of whose ports gives way to a force; see 'design: coupling' in the session"
+            )
+        return np.asarray(np.linalg.inv(D_V), dtype=np.float64)
+
+    def _happens(self, block: int, event: Event) -> None:
+        clutch = self._clutches[block]
+        was_settled = clutch.settled
+        clutch.handle(event)
+        if was_settled and not clutch.settled:
+            self._unsettled.append(clutch)
+
+    def _exert(self, f: Vector, r: Vector) -> Vector:
+        """What is exerted of the raw forces f, N."""
+        w = (r + self._compliance @ f - self._x_e) / self._T
+        if self.controller is not None and self.ledger is not None and self._Phi is not None:
+            # s is 0 where nothing moves, or at least a step of the ramp
+            hold = self._stiffness @ (self._x_e - r) / np.where(self._S > 0.0, self._S * self._S, 1.0)
+            part = self.controller.part(self.ledger.total, f, w, hold, float(w @ self._Phi @ w))
+            if part < 1.0:
+                f = part * f + (1.0 - part) * hold
+                w *= part  # and not from f anew: a tool that is held must stand still to the last bit
+        self._f, self._w, self._next = f, w, self._x_e + self._T * w
+        return f
+
+    def _through_clutches(self, p: Vector) -> Vector:
+        """f_c(k) where some block is not settled. Allocates, as what it makes depends on who that is."""
+        for clutch in self._unsettled:
+            if clutch.fresh:
+                clutch.seize(self._x_e[clutch.ports])
+            clutch.advance(p[clutch.ports], self._f[clutch.ports])
+        # one a tick, so that its own sign of energy decides
+        going = next((clutch for clutch in self._unsettled if clutch.ready), None)
+        for clutch in self._unsettled:
+            clutch.ready = clutch is going
+        if going is not None:
+            going.let_go()
+        before = self._f
+        f = self._asked(p, before)
+        if going is not None and going.gains(f[going.ports]):
+            going.keep()
+            f = self._asked(p, before)
+        f_c = self._S * f
+        for clutch in self._unsettled:
+            ports = clutch.ports
+            self._next[ports] = clutch.conclude(self._D_V[np.ix_(ports, ports)] @ f_c[ports])
+        if going is not None and going.settled:
+            self._unsettled.remove(going)
+            self._linked(p)
+        return f_c
+
+    def _asked(self, p: Vector, before: Vector) -> Vector:
+        """f_e(k) at the clutches' present ratios, after the forces of the tick ``before``, N."""
+        r = self._linked(p)
+        return self._exert(self._law.propose(r, self._compliance, r + self._compliance @ before), r)
+
+    def _linked(self, p: Vector) -> Vector:
+        """Make S and S D_V S anew where a ratio has changed; returns r, m."""
+        r, S = p.copy(), np.ones(len(p))
+        for clutch in self._unsettled:
+            r[clutch.ports], S[clutch.ports] = clutch.reference, clutch.ratio
+        if np.any(S != self._S):
+            self._S, self._compliance = S, S[:, None] * self._D_V * S
+        if not self._unsettled:
+            self._compliance = self._D_V
+        return r

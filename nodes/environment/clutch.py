@@ -1,0 +1,217 @@
+"""The clutch between one coupling block and the environment: an ideal transformer whose ratio s may change.
+
+With x_c = p + D_V f_c the end of the coupling and x_e the tool in the environment, at every tick k
+
+    x_e(k) - x_e(k-1) = s(k) (x_c(k) - x_c(k-1)),      f_c(k) = s(k) f_e(k),      0 <= s <= 1,
+
+so that f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1)): no energy is made or lost, whatever s does. s = 1 is
+coupled; s = 0 is frozen, with the tool at rest and no force to the user. One ratio for all ports of a block keeps the
+session's certificate (docs/decisions/0015-the-clutch.md).
+
+**Ramps.** s = sin^2(pi j/(2 RAMP)), where j moves by at most one a tick, so that s moves by at most pi/(2 RAMP).
+
+**The offset.** While s < 1 the tool and the coupling's end drift apart. Afterwards the tool lags (s down to SLOWEST)
+whenever the end moves towards where the tool already is; since
+
+    o(k) = o(k-1) - (1 - s(k)) (x_c(k) - x_c(k-1)),      o = x_e - x_c,
+
+this shortens o. s is chosen by p(k) - p(k-1) alone, which the forces of the tick do not move: no algebraic loop is
+closed through s, and any s is lossless. 1 - s fades as o does, over WORK_OFF of motion. What is left at last, at most
+LET_GO, is let go in one tick in which the force on the tool pushes that way: the clutch then gives up -f_e^T o >= 0,
+and never gains. So that such a tick comes, the lag aims at an end of half LET_GO on that side of zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import Enum
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+RAMP: Final = 100
+"""Ticks from s = 0 to s = 1."""
+
+SLOWEST: Final = 0.8
+"""The least ratio by which an offset is worked off."""
+
+WORK_OFF: Final = 5e-3
+"""Motion over which an offset shrinks by e, once it is below (1 - SLOWEST) of this; m."""
+
+LET_GO: Final = 1e-6
+"""Euclidean norm of the offset that may be given up in one tick, m: less than a hand or a sensor tells."""
+
+
+class Phase(Enum):
+    """Where a clutch is."""
+
+    COUPLED = "coupled"  # s = 1, rises to it, or lags to work an offset off
+    LEAVING = "leaving"  # s falls to 0
+    FROZEN = "frozen"  # s = 0; the block's p is not looked at
+    JOINING = "joining"  # s = 0, and the p of the next tick becomes the reference
+
+
+class Event(Enum):
+    """What happens to a clutch."""
+
+    FREEZE = "freeze"
+    ENGAGE = "engage"
+    DISENGAGE = "disengage"
+    REFERRED = "referred"  # the reference has been taken
+    FALLEN = "fallen"  # the ratio has reached 0
+
+
+NEXT: Final[Mapping[tuple[Phase, Event], Phase]] = MappingProxyType(
+    {
+        (Phase.COUPLED, Event.FREEZE): Phase.FROZEN,
+        (Phase.COUPLED, Event.ENGAGE): Phase.COUPLED,
+        (Phase.COUPLED, Event.DISENGAGE): Phase.LEAVING,
+        (Phase.LEAVING, Event.FREEZE): Phase.FROZEN,
+        (Phase.LEAVING, Event.ENGAGE): Phase.COUPLED,
+        (Phase.LEAVING, Event.DISENGAGE): Phase.LEAVING,
+        (Phase.LEAVING, Event.FALLEN): Phase.FROZEN,
+        (Phase.FROZEN, Event.FREEZE): Phase.FROZEN,
+        (Phase.FROZEN, Event.ENGAGE): Phase.JOINING,
+        (Phase.FROZEN, Event.DISENGAGE): Phase.FROZEN,
+        (Phase.JOINING, Event.FREEZE): Phase.FROZEN,
+        (Phase.JOINING, Event.ENGAGE): Phase.JOINING,
+        (Phase.JOINING, Event.DISENGAGE): Phase.FROZEN,
+        (Phase.JOINING, Event.REFERRED): Phase.COUPLED,
+    }
+)
+"""Every transition; the pairs that are missing cannot occur."""
+
+
+class Clutch:
+    """The clutch of one block between ticks; it decides s, and the core solves for the forces.
+
+    A tick is :meth:`advance`, perhaps :meth:`let_go` and :meth:`keep`, and :meth:`conclude`. A clutch that is
+    ``settled`` (s = 1 and no offset) needs none of them, for x_e = x_c.
+
+    Attributes:
+        ports: indices of the block's ports.
+        phase: where it is.
+        ratio: s of the last tick; 0 from the moment it is frozen.
+        settled: s = 1 and x_e = x_c.
+        fresh: no longer settled, and :meth:`seize` has not told it the tool's position yet.
+        reference: r = x_e(k-1) - s x_c(k-1) + s p(k), m, so that x_e(k) = r + s D_V f_c(k).
+        ready: whether the offset of this tick may be let go.
+    """
+
+    __slots__ = (
+        "_at",
+        "_p",
+        "_ramp",
+        "_x_c",
+        "_x_e",
+        "fresh",
+        "phase",
+        "ports",
+        "ratio",
+        "ready",
+        "reference",
+        "settled",
+    )
+
+    def __init__(self, ports: Indices, ramp: int) -> None:
+        """Coupled and settled, everything at 0.
+
+        Args:
+            ports: indices of the block's ports.
+            ramp: ticks from s = 0 to s = 1.
+        """
+        self.ports, self._ramp = ports, ramp
+        self.phase, self.ratio, self.settled = Phase.COUPLED, 1.0, True
+        self._at = float(ramp)  # j, ticks
+        self._p = self._x_c = self._x_e = self.reference = np.zeros(len(ports))
+        self.fresh = self.ready = False
+
+    @property
+    def offset(self) -> Vector:
+        """x_e - x_c, m; what it was when the block was frozen, while it is."""
+        return self._x_e - self._x_c
+
+    def seize(self, x_e: Vector) -> None:
+        """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
+        self._p = self._x_c = self._x_e = self.reference = x_e
+        self.fresh = False
+
+    def handle(self, event: Event) -> None:
+        """Change the phase; a settled clutch that is to leave 1 is settled no more."""
+        self.phase = NEXT[self.phase, event]
+        if self.phase is Phase.FROZEN:
+            self._at = self.ratio = 0.0
+            self.reference, self.ready = self._x_e, False
+        if self.settled and self.phase is not Phase.COUPLED:
+            self.settled, self.fresh = False, True
+
+    def advance(self, p: Vector, f_e: Vector) -> None:
+        """Choose s(k).
+
+        Args:
+            p: the block's p(k), m; anything while frozen.
+            f_e: the force at the tool of the tick before, N.
+        """
+        self.ready = False
+        if self.phase is Phase.FROZEN:
+            self.reference = self._x_e
+            return
+        if self.phase is Phase.JOINING:
+            self._p = p  # with no force x_c(k) is p(k)
+            self.reference = self._x_e
+            self.handle(Event.REFERRED)
+            return
+        offset = self._x_e - self._x_c
+        goal = 0.0 if self.phase is Phase.LEAVING else self._goal(offset, p - self._p, f_e)
+        self._p = p
+        self._at += max(-1.0, min(1.0, goal - self._at))
+        self.ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
+        self.reference = self._x_e + self.ratio * (p - self._x_c)
+        if self._at == 0.0:
+            self.handle(Event.FALLEN)
+        elif self.phase is Phase.COUPLED and self._at >= self._ramp - 1.0:
+            self.ready = bool(offset @ offset <= LET_GO**2 and offset @ f_e <= 0.0)
+
+    def _goal(self, offset: Vector, moved: Vector, f_e: Vector) -> float:
+        """Where j should go: RAMP, or less where lagging behind p's motion ``moved`` (m) shortens the offset."""
+        force = math.sqrt(f_e @ f_e)
+        excess = offset + f_e * (0.5 * LET_GO / force) if force > 0.0 else offset
+        towards, path = float(excess @ moved), math.sqrt(moved @ moved)
+        if not (towards > 0.0 and path > 0.0):
+            return float(self._ramp)
+        lag = min(1.0 - SLOWEST, towards / (path * WORK_OFF))
+        return self._ramp * 2.0 / math.pi * math.asin(math.sqrt(1.0 - lag))
+
+    def let_go(self) -> None:
+        """Try s = 1 and x_e = x_c in this tick; s is a step of the ramp away at most."""
+        self._at, self.ratio, self.reference = float(self._ramp), 1.0, self._p
+
+    def gains(self, f_e: Vector) -> bool:
+        """Whether energy would be made by letting the offset go under f_e(k), N."""
+        return bool((self._x_e - self._x_c) @ f_e > 0.0)
+
+    def keep(self) -> None:
+        """Do not let go after all: s = 1 with the offset."""
+        self.reference, self.ready = self._x_e + (self._p - self._x_c), False
+
+    def conclude(self, deflection: Vector) -> Vector:
+        """Close the tick.
+
+        Args:
+            deflection: D_V f_c(k), m.
+
+        Returns:
+            x_e(k), m: exactly x_e(k-1) while s = 0, exactly x_c(k) once the offset is let go.
+        """
+        self._x_e = self.reference + self.ratio * deflection
+        if self.phase is not Phase.FROZEN:
+            self._x_c = self._p + deflection
+        if self.ready and self.ratio == 1.0:
+            self.settled = True
+        return self._x_e

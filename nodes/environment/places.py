@@ -1,0 +1,277 @@
+"""The couplings around an environment: who is awaited, who is frozen, who comes back, and who changes its rung.
+
+A place joins a coupling's link, its seat (:mod:`manyhands.nodes.environment.attendance`) and its block in the
+core's clutches. Frames and the supervisor's words move the seats, the seats move the clutches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from manyhands.nodes.control import ControlLine, Word
+from manyhands.nodes.environment.attendance import Attendance, Event, Seat
+from manyhands.nodes.environment.cores import Core
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.nodes.life import Life
+from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.log import Event as LogEvent
+from manyhands.nodes.log import Log
+from manyhands.nodes.reunion import meet, part
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.messages import Absent, Reaction, Return, Rung, Shift, Values
+
+
+class Place:
+    """One coupling's.
+
+    Attributes:
+        joint: the link to it.
+        index: its block in the core.
+        attendance: its seat.
+        rung: the coupling of the ladder that it runs.
+        wanted: the one that it is to run.
+        due: the tick at which it is expected, where it is.
+        early: a signal of a tick whose turn has not come, and that tick.
+    """
+
+    __slots__ = ("attendance", "due", "early", "index", "joint", "rung", "wanted")
+
+    def __init__(self, joint: Joint, index: int, seat: Seat) -> None:
+        self.joint, self.index, self.attendance = joint, index, Attendance(seat)
+        self.rung = self.wanted = 0
+        self.due = 0
+        self.early: tuple[int, bytes] | None = None
+
+    def missing(self, tick: int) -> bool:
+        """Whether its signal of ``tick`` is waited for."""
+        if self.joint.tick == tick:
+            return False
+        return self.attendance.seat is Seat.SEATED or (self.attendance.seat is Seat.EXPECTED and self.due <= tick)
+
+
+class Places:
+    """All of them; the :class:`manyhands.nodes.exchange.Listener` on their links.
+
+    Attributes:
+        all: one for each coupling.
+        seated: those who are sent a tick's forces; kept, so that a tick need not look for them.
+        all_seated: whether that is everybody.
+        last: the tick after the session's last; 0 for none.
+        log: where it is noted who was frozen, lost or back; None for nowhere.
+        ahead: the latest tick heard from who is ahead of a resumed environment.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        core: Core,
+        rungs: Mapping[str, Sequence[Values]],
+        life: Life,
+        resumes: bool,
+    ) -> None:
+        """Seat everybody; in a session that goes on already everybody is expected, and let in by the ramp.
+
+        Args:
+            joints: the couplings, in the order of the core's blocks.
+            core: the environment.
+            rungs: by coupling, D_V of its rungs from 1 on.
+            life: fails when a coupling floods its link.
+            resumes: whether the session goes on already.
+        """
+        self._core, self._rungs = core, rungs
+        self._digests: dict[str, str] = {}
+        self.all = [Place(joint, i, Seat.EXPECTED if resumes else Seat.SEATED) for i, joint in enumerate(joints)]
+        self._of = {place.joint.peer.name: place for place in self.all}
+        self._resumes, self._tick = resumes, 0
+        self.ahead = self.last = 0
+        self.log: Log | None = None
+        if resumes:
+            for place in self.all:
+                core.freeze(place.index)
+        self._shifting = False
+        self._life = life
+        self._sort()
+
+    @property
+    def frozen(self) -> int:
+        """How many couplings are not seated."""
+        return sum(place.attendance.seat is not Seat.SEATED for place in self.all)
+
+    @property
+    def absences(self) -> int:
+        """Times that any of them was frozen or lost."""
+        return sum(place.attendance.absences for place in self.all)
+
+    def hear(self, place: Place, p: Floats, tick: int, patience: Duration) -> Heard:
+        """Listen to one of them for its signal of ``tick``."""
+        self._tick = tick
+        early = place.early
+        if early is not None and early[0] <= tick:
+            place.early = None
+            came = early[0] == tick and place.joint.take(early[1], p, tick)
+            heard = Heard.SIGNAL if came else Heard.NOTHING
+        else:
+            heard = place.joint.hear(p, tick, patience, self)
+        if heard is Heard.SIGNAL:
+            if place.attendance.seat is not Seat.SEATED:
+                self._seat(place, tick)
+        elif heard is Heard.MET:
+            self._welcome_back(place, tick)
+        return heard
+
+    def give_up(self, place: Place, tick: int) -> None:
+        """It is silent while others are there: freeze it."""
+        self._event(place, Event.SILENT, tick)
+
+    def let_go(self, tick: int) -> None:
+        """The devices have waited too long and exert no force by now: let everybody in by the ramp again."""
+        for place in self.all:
+            if place.attendance.seat is Seat.SEATED and place.wanted == place.rung:
+                self._core.freeze(place.index)
+                self._core.engage(place.index)
+            place.joint.gate.forget()
+
+    def obey(self, word: Word, control: ControlLine, tick: int) -> None:
+        """Do as the supervisor says."""
+        match word:
+            case Absent(peer):
+                joint = part(word, [place.joint for place in self.all], control)
+                if joint is not None:
+                    self._of[peer].early = None
+                    self._event(self._of[peer], Event.LOST, tick)
+            case Return():
+                meet(word, [place.joint for place in self.all], control)
+            case Shift(node, rung):
+                place = self._of.get(node)
+                if place is not None and rung <= len(self._rungs.get(node, ())):
+                    place.wanted = rung
+                    self._shifting = True
+
+    def shift(self) -> None:
+        """After the forces of a tick were found and before they are sent: change rungs, block by block, at s = 0."""
+        if not self._shifting:
+            return
+        core = self._core
+        for place in self.all:
+            if place.wanted == place.rung or place.attendance.seat is not Seat.SEATED:
+                continue
+            if not core.frozen(place.index):
+                core.disengage(place.index)
+                continue
+            name = place.joint.peer.name
+            core.freeze(place.index)  # had it been about to join
+            core.exchange(place.index, self._rungs[name][place.wanted - 1] if place.wanted else self._first(place))
+            place.joint.say(Rung(place.wanted))
+            if self.log is not None:
+                self.log.note(LogEvent.RUNG, peer=name, rung=place.wanted, tick=self._tick)
+            place.rung = place.wanted
+            core.engage(place.index)
+        self._shifting = any(place.wanted != place.rung for place in self.all)
+
+    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+        """A signal of another tick: who is behind is told where the session is, if it may come again."""
+        place = self._of[joint.peer.name]
+        if told > awaited:
+            if self._resumes and told - awaited <= _MOST_AHEAD:
+                self.ahead = max(self.ahead, told)
+                place.early = told, joint.stray
+                return True
+            if place.attendance.seat is Seat.EXPECTED and told == place.due:
+                place.early = told, joint.stray
+                joint.gate.dropped["future_tick"] -= 1  # it was counted as a stray, and is none
+                return True
+            return False
+        if told == awaited - 1 and joint.tick == told:
+            joint.send_again()  # it was answered, and the answer was lost
+            return False
+        if self.last and awaited + LEAD >= self.last:
+            return False  # it is told at the end
+        if not self.seated:
+            place.attendance.pardon()
+        if self._event(place, Event.BEHIND, awaited):
+            place.due = awaited + LEAD
+        if place.attendance.seat is Seat.EXPECTED:
+            joint.send_zero(Reaction, max(place.due, awaited) - 1)
+        return False
+
+    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+        """A coupling has lost a device: it will be silent."""
+        if isinstance(message, Absent):
+            self._event(self._of[joint.peer.name], Event.PAUSES, self._tick)
+            return True
+        return False
+
+    def flooded(self, text: str) -> None:
+        """A coupling floods its link: there is no telling its signals from the rest in time."""
+        self._life.fail(text)
+
+    def soonest(self, tick: int) -> int:
+        """The tick to wait at: ``tick``, or where nobody is awaited before, the first at which somebody is expected."""
+        dues = [place.due for place in self.all if place.attendance.seat is Seat.EXPECTED]
+        return tick if self.seated or self._resumes or not dues else max(tick, min(dues))
+
+    def catch_up(self, tick: int) -> None:
+        """A resumed environment goes on at ``tick``: who has said less is told so."""
+        for place in self.all:
+            if 0 <= place.joint.tick < tick:
+                place.joint.send_zero(Reaction, tick - 1)
+
+    def resumed(self) -> None:
+        """From now on the ticks are the environment's."""
+        self._resumes = False
+
+    def _seat(self, place: Place, tick: int) -> None:
+        if self._event(place, Event.SIGNAL, tick) and place.wanted == place.rung:  # otherwise it changes its rung first
+            self._core.engage(place.index)
+
+    def _welcome_back(self, place: Place, tick: int) -> None:
+        """It has shaken hands again: whether it is a new process, at the first rung, or the old one is all the same."""
+        hello = place.joint.hello
+        name = place.joint.peer.name
+        if hello is None or feedthrough_digest(hello.feedthrough or ()) != self._digests.get(name):
+            place.joint.lose()
+            return
+        self._event(place, Event.MET, tick)
+        self._core.freeze(place.index)
+        if place.rung or name not in self._feedthrough:
+            self._feedthrough[name] = np.array(hello.feedthrough, dtype=np.float64)
+            self._core.exchange(place.index, self._feedthrough[name])
+            place.rung = 0
+            self._shifting = place.wanted != 0 or self._shifting
+        place.joint.send_zero(Reaction, tick - 1)
+
+    def _first(self, place: Place) -> Values:
+        """D_V of rung 0."""
+        return self._feedthrough[place.joint.peer.name]
+
+    def know(self, feedthrough: Mapping[str, Values], digests: Mapping[str, str]) -> None:
+        """By coupling: D_V of rung 0 of those that have said it, and the digest by which each is known."""
+        self._feedthrough, self._digests = dict(feedthrough), dict(digests)
+
+    def _event(self, place: Place, event: Event, tick: int) -> bool:
+        if not place.attendance.on(event, tick):
+            return False
+        if self.log is not None and (noted := _NOTED.get(place.attendance.seat)) is not None:
+            self.log.note(noted, peer=place.joint.peer.name, tick=tick, heard=event.value)
+        if place.attendance.seat is not Seat.SEATED:
+            self._core.freeze(place.index)
+            place.joint.gate.forget()  # it is let in from where it is then
+        self._sort()
+        return True
+
+    def _sort(self) -> None:
+        self.seated = [place for place in self.all if place.attendance.seat is Seat.SEATED]
+        self.all_seated = len(self.seated) == len(self.all)
+
+
+_NOTED = {Seat.FROZEN: LogEvent.FROZEN, Seat.GONE: LogEvent.LOST, Seat.SEATED: LogEvent.RETURNED}
+_MOST_AHEAD = 2**40
+
+LEAD = 3
+"""Ticks that a coupling is given to come back in: nobody waits for it in them.
+
+More than a device waits for its force, with the first tick's own, and it would have let go again meanwhile.
+"""

@@ -1,0 +1,53 @@
+"""What a recorder is given to start with: where to write, what of, and where its supervisor finds it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from manyhands.nodes.recorder.layout import Recorded
+
+
+class PlanError(Exception):
+    """A plan cannot be read; names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A recorder's plan.
+
+    Attributes:
+        file: the recording, absolute.
+        directory: the run's own directory, mode 0700, where the recorder binds its socket.
+        recorded: what it will be told.
+    """
+
+    file: Path
+    directory: Path
+    recorded: Recorded
+
+    def save(self, path: Path) -> None:
+        """Write it for its owner's eyes only (mode 0600).
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        path.touch(mode=0o600, exist_ok=False)
+        plain = {"file": str(self.file), "directory": str(self.directory), "recorded": self.recorded.as_metadata()}
+        path.write_text(json.dumps(plain))
+
+    @classmethod
+    def load(cls, path: Path) -> Plan:
+        """Read it.
+
+        Raises:
+            PlanError: not readable, or no plan.
+        """
+        try:
+            data = json.loads(path.read_text())
+            return cls(Path(data["file"]), Path(data["directory"]), Recorded.from_metadata(data["recorded"]))
+        except OSError as error:
+            raise PlanError(f"{path}: cannot be read: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise PlanError(f"{path}: not a recorder's plan: {type(error).__name__}: {error}") from error

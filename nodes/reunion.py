@@ -1,0 +1,43 @@
+"""What a node in its loop does when the supervisor tells that a peer is lost, or back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.exchange import Joint, joint_of
+from manyhands.nodes.greeting import handshake_of
+from manyhands.protocol.messages import Absent, Return
+from manyhands.protocol.transport import TransportError
+
+
+def part(absent: Absent, joints: Sequence[Joint], control: ControlLine) -> Joint | None:
+    """Close the link to a peer that is lost; where it is ours to bind, bind a new one and offer it.
+
+    Returns:
+        The joint with that peer; None if there is none.
+    """
+    joint = joint_of(joints, absent.peer)
+    if joint is None:
+        return None
+    joint.lose()
+    if joint.peer.binds:
+        try:
+            link, endpoint = control.bind_anew(joint.peer)
+        except TransportError:  # the peer stays away: there is nowhere to come back to
+            return joint
+        joint.greet(link, handshake_of(joint))
+        control.offer(joint.peer.name, endpoint)
+    return joint
+
+
+def meet(back: Return, joints: Sequence[Joint], control: ControlLine) -> None:
+    """Connect to a peer that is back and binds the link to us."""
+    joint = joint_of(joints, back.peer)
+    if joint is None or joint.peer.binds:
+        return
+    try:
+        link = control.connect(back.endpoint, joint.peer)
+    except TransportError:  # no endpoint of this transport: it stays away
+        return
+    joint.greet(link, handshake_of(joint))

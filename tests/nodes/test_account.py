@@ -1,0 +1,145 @@
+"""What a device keeps of its ticks: rows that follow each other, breaches, and what is told when the session jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.nodes.bundle import Common, Limits
+from manyhands.nodes.device.account import PERIOD_TOLERANCE, Account
+from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.guard import Guard
+from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.messages import Role
+
+MS = 1_000_000
+ROWS = 10
+TAU = Duration(MS // 4)
+
+COMMON = Common(
+    session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=TAU / 1e9, clock="realtime",
+    transport="ipc", public={}, private="", directory="", control="", ports=("dx",), peers=(), telemetry_ticks=ROWS,
+    traces=True,
+)  # fmt: skip
+CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)
+GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
+
+
+class Device:
+    """An account, and a session that it is told of tick by tick."""
+
+    def __init__(self, line: Any) -> None:
+        self.account, self.line, self.at = Account(COMMON, TAU), line, 0
+
+    def tick(self, tick: int, after: int = MS, tau: int = 0, value: float | None = None) -> None:
+        """A tick that comes ``after`` ns, and whose force is there ``tau`` ns after the sample."""
+        self.at += after
+        due, applied = Instant(self.at), Instant(self.at + tau)
+        x = np.array([float(tick) if value is None else value])
+        self.account.tick(tick, x, -x, 0.5, (due, due, due, due, applied, applied))
+        self.account.publish(tick + 1, self.line, CORE, GUARD, [])
+
+    def jump(self, tick: int) -> None:
+        self.account.jump(tick, self.line, CORE, GUARD, [])
+
+    def end(self) -> dict[str, Any]:
+        self.account.publish_rest(self.line, CORE, GUARD, [])
+        report = self.account.report(CORE, GUARD, [], 2)
+        return {"ticks": report.ticks, **report.counts}
+
+
+@pytest.fixture
+def device(new_line: Callable[[], Any]) -> Device:
+    return Device(new_line())
+
+
+@given(steps=st.lists(st.one_of(st.integers(1, 25), st.just(0), st.integers(-40, -1)), max_size=30))
+def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Callable[[], Any]) -> None:
+    """Positive: so many ticks; 0: a period without a force; negative: the session is so many ticks further on."""
+    device, tick, done = Device(new_line()), 0, []
+    jumps = released = 0
+    for step in steps:
+        if step < 0:
+            tick -= step
+            device.jump(tick)
+            jumps += 1
+        elif step == 0:
+            device.account.release()
+            released += 1
+        for _ in range(step):
+            device.tick(tick)
+            done.append(tick)
+            tick += 1
+    counts = device.end()
+    assert counts["ticks"] == (done[-1] + 1 if done else 0)  # the session's, whatever was missed
+    assert (counts["jumps"], counts["released"], counts["rung"]) == (jumps, released, 2)
+    told: list[int] = []
+    for telemetry in device.line.telemetry:
+        rows = telemetry.traces["x"][:, 0]
+        assert 0 < len(rows) <= ROWS
+        assert list(rows) == list(range(telemetry.tick - len(rows), telemetry.tick))
+        np.testing.assert_array_equal(telemetry.traces["f_v"][:, 0], -rows)
+        told += [int(row) for row in rows]
+    assert told == done
+
+
+def test_telemetry_is_told_when_it_is_time_and_nothing_is_told_twice(device: Device) -> None:
+    for tick in range(2 * ROWS):
+        device.tick(tick)
+    assert [telemetry.tick for telemetry in device.line.telemetry] == [ROWS, 2 * ROWS]
+    device.end()
+    assert len(device.line.telemetry) == 2
+
+
+def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(device: Device) -> None:
+    for tick, tau in enumerate([TAU, TAU + 1, 3 * TAU]):
+        device.tick(tick, tau=tau)
+    assert device.end()["tau_breaches"] == 2
+    device.account.assume(Duration(3 * TAU))
+    device.tick(3, tau=3 * TAU)
+    device.tick(4, tau=3 * TAU + 1)
+    assert device.end()["tau_breaches"] == 3
+
+
+def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> None:
+    for tick in range(2 * ROWS):
+        device.tick(tick, tau=5000 if tick == 1 else 1000)
+    assert [telemetry.figures["tau_worst_us"] for telemetry in device.line.telemetry] == [5.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("after", "breaches"),
+    [
+        (MS, 0),
+        (round(MS * (1 + PERIOD_TOLERANCE)), 0),
+        (round(MS * (1 + PERIOD_TOLERANCE)) + 1, 1),
+        (round(MS * (1 - PERIOD_TOLERANCE)), 0),
+        (round(MS * (1 - PERIOD_TOLERANCE)) - 1, 1),
+    ],
+)
+def test_periods_that_are_none_are_counted(device: Device, after: int, breaches: int) -> None:
+    device.tick(0)
+    device.tick(1, after=after)
+    assert device.end()["period_breaches"] == breaches
+
+
+def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) -> None:
+    device.tick(0)
+    device.account.release()
+    device.tick(1, after=7 * MS)
+    device.jump(5)
+    device.tick(5, after=9 * MS)
+    assert device.end()["period_breaches"] == 0
+
+
+def test_a_tick_is_late_when_its_force_comes_after_the_next_was_due(device: Device) -> None:
+    device.tick(0, tau=MS)
+    device.tick(1, tau=MS + 1)
+    counts = device.end()
+    assert counts["late"] == 1
+    assert counts["late_own"] + counts["late_partner"] + counts["late_descheduled"] == 1

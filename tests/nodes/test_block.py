@@ -1,0 +1,250 @@
+"""One block of V towards the environment: what it says, what it makes of the answer, and how it changes its rung."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.coupling.block import Block
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.greeting import handshake_of, hello_to
+from manyhands.protocol.clock import Duration, RealtimeClock
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import Absent, LinkHello, Message, Reaction, Rung, Tool
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+NOW = Duration(0)
+LIMIT = 2.5  # N
+
+
+class Held:
+    """The block's link to an environment that is the test's."""
+
+    def __init__(self) -> None:
+        self.coming: deque[bytes] = deque()
+        self.said: list[Message] = []
+
+    def say(self, *messages: Message) -> None:
+        self.coming.extend(map(encode, messages))
+
+    def recv(self, _timeout: Duration | None) -> bytes | None:
+        return self.coming.popleft() if self.coming else None
+
+    def send(self, frame: bytes) -> bool:
+        self.said.append(decode(frame, MAX_CONTROL_BYTES))  # type: ignore[arg-type]
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
+
+
+@pytest.fixture
+def bundle(prepared: Prepared) -> CouplingBundle:
+    bundle = cut(prepared, Run("simulated", None, "", traces=True))["cx"]
+    assert isinstance(bundle, CouplingBundle)
+    assert len(bundle.rungs) > 2
+    return dataclasses.replace(bundle, limits=dataclasses.replace(bundle.limits, force=(LIMIT,)))
+
+
+@pytest.fixture
+def world() -> Held:
+    return Held()
+
+
+@pytest.fixture
+def block(bundle: CouplingBundle, world: Held) -> Block:
+    common = bundle.common
+    (peer,) = (peer for peer in common.peers if not peer.binds)
+    own = hello_to(common, peer, bundle.block.D)
+    return Block(bundle, Joint(own, peer, world, Reaction, slice(0, 1), RealtimeClock()))  # type: ignore[arg-type]
+
+
+def force(tick: int, value: float) -> Reaction:
+    return Reaction(tick, 0, np.array([value]))
+
+
+def step(block: Block, world: Held, tick: int, x: float, f: float) -> None:
+    """A tick in which all goes well."""
+    block.say(np.array([x]), tick, tick)
+    world.say(force(tick, f))
+    assert block.hear(tick, NOW) is Heard.SIGNAL
+    block.climb()
+    block.settle(tick)
+
+
+def test_a_force_within_the_limits_is_applied_as_it_came(block: Block, world: Held, bundle: CouplingBundle) -> None:
+    step(block, world, 0, 0.001, 1.5)
+    assert block.applied == [1.5]
+    block.say(np.array([0.001]), 1, 9)
+    p = 0.001 + (bundle.block.C @ bundle.block.B @ [1.5])[0]
+    (first, second) = world.said
+    assert first == Tool(0, 0, [0.001])
+    assert isinstance(second, Tool)
+    assert (second.tick, second.stamp) == (1, 9)
+    np.testing.assert_allclose(second.values, [p], rtol=1e-12)
+
+
+def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: Held, bundle: CouplingBundle) -> None:
+    step(block, world, 0, 0.0, 5 * LIMIT)
+    assert block.applied == [LIMIT]
+    block.say(np.zeros(1), 1, 0)
+    np.testing.assert_allclose(world.said[-1].values, bundle.block.C @ bundle.block.B @ [LIMIT])  # type: ignore[union-attr]
+    assert block.report().counts["saturated"] == 1
+
+
+def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, world: Held) -> None:
+    step(block, world, 0, 0.001, 1.5)
+    block.say(np.array([0.001]), 1, 0)
+    world.say(force(7, 0.0))
+    assert block.hear(1, NOW) is Heard.TURNED
+    assert block.environment.told == 7
+    assert block.applied == [0.0]
+    assert (block.jumps, block.report().counts["jumps"]) == (1, 1)
+    block.settle(7)
+    assert block.ticks == block.report().ticks == 8
+
+
+@pytest.mark.parametrize("stray", [force(7, 0.5), force(0, 0.0), force(0, 0.5)])
+def test_any_other_force_of_another_tick_is_none(block: Block, world: Held, stray: Reaction) -> None:
+    step(block, world, 0, 0.001, 1.5)
+    block.say(np.zeros(1), 1, 0)
+    world.say(stray)
+    assert block.hear(1, NOW) is Heard.NOTHING
+    assert block.jumps == 0
+    world.say(force(1, 0.25))
+    assert block.hear(1, NOW) is Heard.SIGNAL
+    assert block.applied == [0.25]
+
+
+def test_what_was_said_is_said_again_with_its_stamp(block: Block, world: Held) -> None:
+    block.say(np.array([0.5]), 3, 77)
+    block.say_again(3)
+    block.say_again(5)  # the session has gone on
+    assert world.said == [Tool(3, 77, [0.5]), Tool(3, 77, [0.5]), Tool(5, 77, [0.5])]
+
+
+def shift(block: Block, world: Held, tick: int, rung: int) -> int | None:
+    """The environment changes the block at a ratio of 0."""
+    block.say(np.zeros(1), tick, 0)
+    world.say(Rung(rung), force(tick, 0.0))
+    assert block.hear(tick, NOW) is Heard.SIGNAL
+    climbed = block.climb()
+    block.settle(tick)
+    return climbed
+
+
+def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
+    block: Block, world: Held, bundle: CouplingBundle
+) -> None:
+    step(block, world, 0, 0.001, 5 * LIMIT)
+    ledger = block.core.ledger
+    assert shift(block, world, 1, 2) == 2
+    assert (block.rung, block.report().counts["rung"]) == (2, 2)
+    assert block.core.ledger is ledger
+    assert block.report().counts["saturated"] == 1
+    block.say(np.array([0.001]), 2, 0)
+    np.testing.assert_array_equal(world.said[-1].values, [0.001])  # type: ignore[union-attr] -- at rest
+    world.say(force(2, 1.0))
+    block.hear(2, NOW)
+    assert block.climb() is None
+    block.settle(2)
+    block.say(np.zeros(1), 3, 0)
+    of = bundle.rungs[2].block
+    np.testing.assert_allclose(world.said[-1].values, of.C @ of.B @ [1.0])  # type: ignore[union-attr]
+
+
+def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
+    block: Block, world: Held, bundle: CouplingBundle
+) -> None:
+    core = block.core
+    assert shift(block, world, 0, 0) is None
+    assert shift(block, world, 1, len(bundle.rungs)) is None
+    assert (block.rung, block.core) == (0, core)
+    assert block.environment.gate.dropped["wrong_kind"] == 0
+
+
+def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world: Held) -> None:
+    world.say(Absent("dx"), force(0, 0.5))
+    block.say(np.zeros(1), 0, 0)
+    assert block.hear(0, NOW) is Heard.SIGNAL
+    assert block.climb() is None
+
+
+def meet_environment(block: Block, tick: int) -> Held:
+    joint, fresh = block.environment, Held()
+    joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
+    own = joint.own
+    hello = LinkHello(own.version, own.certificate, own.session, joint.peer.name, joint.peer.role, joint.peer.ports)
+    fresh.say(hello)
+    assert block.hear(tick, NOW) is Heard.MET
+    return fresh
+
+
+def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, world: Held) -> None:
+    block.say(np.array([0.5]), 3, 77)
+    fresh = meet_environment(block, 3)
+    assert fresh.said[-1] == Tool(3, 77, [0.5])
+    assert len(world.said) == 1
+
+
+def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Block, world: Held) -> None:
+    """Of which it was told D_V at the handshake: it knows of no other before it is told to shift."""
+    assert shift(block, world, 0, 2) == 2
+    block.say(np.zeros(1), 1, 0)
+    fresh = meet_environment(block, 1)
+    fresh.say(force(1, 0.0))
+    assert block.hear(1, NOW) is Heard.SIGNAL
+    assert block.climb() == 0
+    block.settle(1)
+    block.say(np.zeros(1), 2, 0)
+    fresh.say(Rung(2), force(2, 0.0))  # it was told, and shifts
+    block.hear(2, NOW)
+    assert block.climb() == 2
+
+
+def test_a_flood_ends_the_node(block: Block, world: Held, new_life: Callable[[], Any]) -> None:
+    life = new_life()
+    block.begin(life)
+    world.coming.extend([b"\xc1"] * (MAX_STRAY_FRAMES + 1))
+    assert block.hear(0, NOW) is Heard.NOTHING
+    assert life.failure.startswith("cx: environment sent 513 stray frames")
+
+
+def test_rows_follow_each_other(bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]) -> None:
+    line, rows = new_line(), bundle.common.telemetry_ticks
+    for tick in range(rows + 3):
+        step(block, world, tick, tick / 1e3, 0.1)
+        block.publish(line)
+    block.publish_rest(line)
+    block.publish_rest(line)
+    assert [(told.tick, len(told.traces["p"])) for told in line.telemetry] == [(rows, rows), (rows + 3, 3)]
+    assert line.telemetry[-1].figures["rung"] == 0.0
+
+
+def test_without_a_recording_no_trace_is_kept(
+    bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]
+) -> None:
+    quiet = dataclasses.replace(bundle, common=dataclasses.replace(bundle.common, traces=False))
+    block, line = Block(quiet, block.environment), new_line()
+    for tick in range(bundle.common.telemetry_ticks):
+        step(block, world, tick, 0.0, 0.1)
+        block.publish(line)
+    (told,) = line.telemetry
+    assert told.traces == {}
+    assert told.tick == bundle.common.telemetry_ticks

@@ -1,0 +1,184 @@
+"""A device whose force does not come: it lets go in time, goes on sampling and guarding, and hears again."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import REALTIME, DeviceBundle
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.exchange import Joint
+from manyhands.nodes.greeting import hello_to
+from manyhands.nodes.patience import STALE_TICKS
+from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Force, Sample, Start
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+PERIOD = 1_000_000  # ns
+SILENT = 5  # the tick from which on the coupling says nothing
+REACH = 0.25  # m
+
+
+class Time:
+    """Time that passes where something waits."""
+
+    def __init__(self) -> None:
+        self.ns = 0
+
+    def now(self) -> Instant:
+        return Instant(self.ns)
+
+    def sleep_until(self, instant: Instant) -> None:
+        self.ns = max(self.ns, instant)
+
+
+class Coupling:
+    """The other end of the device's link: it answers at once, until it is silent, and again when ``later`` says so."""
+
+    def __init__(self, time: Time, later: Callable[[int], Force | None]) -> None:
+        self._time, self._later = time, later
+        self._coming: deque[bytes] = deque()
+        self.samples: list[Sample] = []
+
+    def send(self, frame: bytes) -> bool:
+        sample = decode(frame, MAX_CONTROL_BYTES)
+        assert isinstance(sample, Sample)
+        self.samples.append(sample)
+        answer = Force(sample.tick, 0, np.array([1.0])) if sample.tick < SILENT else self._later(sample.tick)
+        if answer is not None:
+            self._coming.append(encode(answer))
+        return True
+
+    def recv(self, timeout: Duration) -> bytes | None:
+        if self._coming:
+            return self._coming.popleft()
+        self._time.ns += timeout
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class Hand:
+    """A driver that moves a little every period, notes when force is applied, and ends the session at last."""
+
+    axes = 1
+
+    def __init__(self, time: Time, life: Any, periods: int, speed: float = 0.01) -> None:
+        self._time, self._life, self._periods, self._speed = time, life, periods, speed
+        self.sampled: list[int] = []
+        self.exerted: list[tuple[int, float]] = []
+
+    def sample(self, turn: int) -> np.ndarray:
+        self._life.stopping = turn + 1 >= self._periods
+        self.sampled.append(self._time.ns)
+        return np.array([self._speed * turn * PERIOD / 1e9])
+
+    def apply(self, f: np.ndarray) -> None:
+        self.exerted.append((self._time.ns, float(f[0])))
+
+    def release(self) -> None:
+        self.exerted.append((self._time.ns, 0.0))
+
+    def idle(self) -> None:
+        """Nothing was put off."""
+
+    def intended_work(self) -> float:
+        return 0.0
+
+
+class Alone:
+    """A device in its loop, with everything around it the test's."""
+
+    def __init__(
+        self, prepared: Prepared, life: Any, line: Any, later: Callable[[int], Force | None], **hand: Any
+    ) -> None:
+        bundle = cut(prepared, Run(REALTIME, None, "", traces=True))["dx"]
+        assert isinstance(bundle, DeviceBundle)
+        self.time, self.line, self.life = Time(), line, life
+        self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)
+        node = self.node = DeviceNode(bundle, self.hand)  # type: ignore[arg-type]
+        node._realtime = node._clock = self.time  # type: ignore[assignment]
+        (peer,) = bundle.common.peers
+        own = hello_to(bundle.common, peer, None)
+        node._joints = [Joint(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node.loop(Start(0, 0), life, line)
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml", [f"devices.dx.limits={{displacement: {REACH}}}"]))
+
+
+@pytest.fixture
+def alone(prepared: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]) -> Callable[..., Alone]:
+    return lambda later, **hand: Alone(prepared, new_life(), new_line(), later, **hand)
+
+
+def nothing(_tick: int) -> None:
+    return None
+
+
+def test_a_stale_force_is_let_go_and_the_device_runs_free(alone: Callable[..., Alone]) -> None:
+    one = alone(nothing, periods=40)
+    due = SILENT * PERIOD
+    held = [at for at, force in one.hand.exerted if force != 0.0]
+    assert held == [tick * PERIOD for tick in range(SILENT)]
+    first_zero = min(at for at, force in one.hand.exerted if force == 0.0)
+    assert first_zero == due + STALE_TICKS * PERIOD
+    after = [at for at in one.hand.sampled if at > first_zero]
+    assert np.all(np.diff(after) == PERIOD)  # it goes on, period by period
+    assert len(after) > 20
+    asked = one.coupling.samples[SILENT:]
+    assert {sample.tick for sample in asked} == {SILENT}
+    assert len({float(sample.values[0]) for sample in asked}) == len(asked)  # where it is, not where it was
+    report = one.node.report()
+    assert (report.ticks, report.counts["stale"]) == (SILENT, 1)
+    assert report.counts["released"] >= len(after) - 1
+    assert report.counts["jumps"] == 0
+
+
+def test_while_it_runs_free_its_limits_hold(alone: Callable[..., Alone]) -> None:
+    one = alone(nothing, periods=400, speed=5.0)
+    assert "displacement" in one.life.failure
+    assert len(one.hand.sampled) == int(REACH / (5.0 * PERIOD / 1e9)) + 2
+
+
+def test_it_hears_again_and_goes_on_where_the_session_is(alone: Callable[..., Alone]) -> None:
+    asked: list[int] = []
+
+    def later(tick: int) -> Force | None:
+        asked.append(tick)
+        if tick == SILENT:
+            return Force(77, 0, np.array([0.0])) if len(asked) >= 10 else None
+        return Force(tick, 0, np.array([0.5]))
+
+    one = alone(later, periods=40)
+    after = asked[10:]
+    assert after[0] == 78  # the tick after the one that was over
+    assert after == list(range(78, 78 + len(after)))
+    assert one.hand.exerted[-2][1] == 0.5
+    report = one.node.report()
+    assert (report.counts["stale"], report.counts["jumps"]) == (1, 1)
+    assert report.ticks >= 78 + len(after) - 1
+    first, second = one.line.telemetry
+    assert (first.tick, len(first.traces["x"])) == (SILENT, SILENT)
+    assert second.tick == report.ticks
+    assert len(second.traces["x"]) == report.ticks - 77  # the tick that was over is its first
+
+
+def test_a_force_of_a_later_tick_that_is_not_zero_is_not_followed(alone: Callable[..., Alone]) -> None:
+    one = alone(lambda _tick: Force(77, 0, np.array([0.5])), periods=40)
+    assert one.node.report().counts["jumps"] == 0
+    assert one.node.report().ticks == SILENT
+    assert {force for _, force in one.hand.exerted} == {1.0, 0.0}

@@ -1,0 +1,273 @@
+"""Nodes that are lost and come back, over the in-memory transport, in threads: who waits, who goes on, from where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.launch.topology import ENVIRONMENT
+from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.environment.attendance import Seat
+from manyhands.nodes.environment.clutch import SLOWEST
+from manyhands.protocol.messages import Absent, Report, Shift
+
+from .stage import Stage
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+TICKS = 1000
+HELD = 300  # the tick at which dz waits for the test
+ROUNDING = -1e-12  # J: ledgers add some thousand terms of about 1e-4 J
+SEATED_SOON = (Seat.EXPECTED, Seat.SEATED)
+CHAIN = {"dx": "cx", "cx": "cx"}
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
+
+
+@pytest.fixture(scope="module")
+def colocated() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml", ["colocate=true"]))
+
+
+def hold_dz(name: str, line: Any) -> None:
+    """While dz waits for the test nobody can finish: the environment waits for it."""
+    if name == "dz":
+        line.pause = HELD
+
+
+def held(prepared: Prepared, new_life: Callable[[], Any], **more: Any) -> Stage:
+    """A session under the simulated clock that stands still at a tick until dz is released."""
+    stage = Stage(prepared, new_life, ticks=TICKS, **more)
+    stage.prepare = hold_dz
+    return stage
+
+
+def check(reports: dict[str, Report], ticks: int = TICKS) -> None:
+    """All are done, and have kept their promises."""
+    for name, report in reports.items():
+        assert report.ticks == ticks, name
+        assert report.figures["ledger_min"] >= ROUNDING, name
+
+
+def check_rows(stage: Stage) -> None:
+    """What every node told is of ticks that follow each other, and its last row is of the tick before ``tick``."""
+    for line in stage.all_lines:
+        before = 0
+        for telemetry in line.told:
+            for trace in telemetry.traces.values():
+                assert telemetry.tick - len(trace) >= before
+            before = telemetry.tick
+
+
+@pytest.mark.parametrize("who", ["dx", "cx", ENVIRONMENT])
+def test_a_node_that_is_lost_comes_back_and_the_session_is_done(
+    prepared: Prepared, new_life: Callable[[], Any], who: str
+) -> None:
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        stage.lose(who)
+        stage.bring_back(who, HELD)
+        if who in CHAIN:
+            stage.await_seat(CHAIN[who], *SEATED_SOON)
+        stage.release("dz")
+        reports = stage.reports()
+        check(reports)
+        check_rows(stage)
+    assert reports[ENVIRONMENT].counts["absences"] == (0 if who == ENVIRONMENT else 1)
+    for other in ("dy", "dz"):
+        assert reports[other].counts["jumps"] == 0
+    x = {name: np.vstack([told.traces["x"] for told in stage.lines[name].told]) for name in ("dy", "dz")}
+    assert all(len(trace) == TICKS for trace in x.values())
+
+
+def test_a_node_is_lost_twice(prepared: Prepared, new_life: Callable[[], Any]) -> None:
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        for _ in range(2):
+            stage.lose("cx")
+            stage.bring_back("cx", HELD)
+            stage.await_seat("cx", *SEATED_SOON)
+        stage.release("dz")
+        check(stage.reports())
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("cx", "dx"), (ENVIRONMENT, "cx")], ids=["device and coupling", "coupling and environment"]
+)
+def test_both_ends_of_a_link_are_lost_at_once(
+    prepared: Prepared, new_life: Callable[[], Any], first: str, second: str
+) -> None:
+    """Who binds the link comes back before the other, is told that it is absent, and offers it a place."""
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        stage.lose(first, second)
+        stage.bring_back(first, HELD, absent=[second])
+        stage.bring_back(second, HELD)
+        stage.await_seat("cx", *SEATED_SOON)
+        stage.release("dz")
+        reports = stage.reports()
+        check(reports)
+        check_rows(stage)
+    assert reports["dy"].counts["jumps"] == 0
+
+
+def test_a_peer_lost_in_the_middle_of_its_return_is_met_at_the_next(
+    prepared: Prepared, new_life: Callable[[], Any]
+) -> None:
+    """The environment is told of an absence while the place that it offered before still waits."""
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        stage.lose("cx")
+        assert stage.lines[ENVIRONMENT].offers.get(timeout=60)[0] == "cx"
+        stage.lines[ENVIRONMENT].words.put(Absent("cx"))
+        stage.bring_back("cx", HELD)
+        stage.await_seat("cx", *SEATED_SOON)
+        stage.release("dz")
+        check(stage.reports())
+
+
+def test_a_user_that_stays_away_does_not_hold_the_others_up(prepared: Prepared, new_life: Callable[[], Any]) -> None:
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        stage.lose("dx")
+        stage.release("dz")
+        reports = stage.reports("dy", "dz", "cy", "cz", ENVIRONMENT)
+        check(reports)
+    assert TICKS - HELD - 2 <= reports[ENVIRONMENT].counts["frozen_ticks"] <= TICKS - HELD + 1
+    assert reports[ENVIRONMENT].counts["absences"] == 1
+
+
+@pytest.mark.parametrize("first", ["dx", ENVIRONMENT])
+def test_an_environment_comes_back_though_a_user_stays_away(
+    prepared: Prepared, new_life: Callable[[], Any], first: str
+) -> None:
+    """The coupling without a device shakes hands with it all the same, and says whom it misses."""
+    with held(prepared, new_life) as stage:
+        stage.paused("dz")
+        stage.lose(first)
+        stage.lose(ENVIRONMENT if first == "dx" else "dx")
+        stage.bring_back(ENVIRONMENT, HELD)
+        stage.release("dz")
+        reports = stage.reports("dy", "dz", "cy", "cz", ENVIRONMENT)
+        check(reports)
+    assert reports[ENVIRONMENT].counts["frozen_ticks"] >= TICKS - HELD - 2
+
+
+@pytest.mark.parametrize("session", ["prepared", "colocated"])
+def test_couplings_change_their_rungs(
+    session: str, new_life: Callable[[], Any], request: pytest.FixtureRequest
+) -> None:
+    with held(request.getfixturevalue(session), new_life) as stage:
+        stage.paused("dz")
+        stage.lines[ENVIRONMENT].words.put(Shift("cx", 1))
+        stage.lines[ENVIRONMENT].words.put(Shift("cy", 2))
+        stage.release("dz")
+        reports = stage.reports()
+        check(reports)
+    rungs = {name: report.counts["rung"] for name, report in reports.items() if "rung" in report.counts}
+    assert rungs == {"dx": 1, "cx": 1, "dy": 2, "cy": 2, "dz": 0, "cz": 0}
+    assert all(report.counts.get("jumps", 0) == 0 for report in reports.values())
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["told again", "not told again"])
+def test_an_environment_that_comes_back_finds_the_rungs_that_it_knows_of(
+    prepared: Prepared, new_life: Callable[[], Any], told: bool
+) -> None:
+    with held(prepared, new_life) as stage:
+        stage.lines[ENVIRONMENT].words.put(Shift("cx", 1))
+        stage.paused("dz")
+        stage.lines["cx"].reach(lambda telemetry: telemetry.figures["rung"] == 1.0 or telemetry.tick >= HELD)
+        stage.lose(ENVIRONMENT)
+        stage.bring_back(ENVIRONMENT, HELD)
+        if told:
+            stage.lines[ENVIRONMENT].words.put(Shift("cx", 1))
+        stage.release("dz")
+        reports = stage.reports()
+        check(reports)
+    assert {reports[name].counts["rung"] for name in ("dx", "cx")} == {int(told)}
+    core = stage.nodes[ENVIRONMENT]._core  # type: ignore[attr-defined]
+    assert core.ratio(0) >= SLOWEST - 1e-12  # it may still work an offset off
+    rung = stage.nodes["cx"]._bundle.rungs[int(told)].block  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(core._D_V[:1, :1], rung.D)
+
+
+@pytest.mark.parametrize("who", ["dx", ENVIRONMENT])
+def test_a_process_of_several_nodes_is_lost_and_comes_back(
+    colocated: Prepared, new_life: Callable[[], Any], who: str
+) -> None:
+    with held(colocated, new_life) as stage:
+        stage.paused("dz")
+        stage.lose(who)
+        if who == ENVIRONMENT:  # nobody goes on without it, and cz shakes hands with it in the process of dz
+            stage.release("dz")
+        stage.bring_back(who, HELD)
+        stage.await_seat("cx", *SEATED_SOON)
+        stage.release("dz")
+        check(stage.reports())
+        check_rows(stage)
+
+
+class Test_in_real_time:
+    @pytest.mark.parametrize("who", ["dx", "cx", ENVIRONMENT])
+    def test_a_node_that_is_lost_comes_back(self, prepared: Prepared, new_life: Callable[[], Any], who: str) -> None:
+        with Stage(prepared, new_life, clock=REALTIME) as stage:
+            tick = stage.reach("dy", 200)
+            stage.lose(who)
+            tick = stage.reach("dy", tick + 100) if who != ENVIRONMENT else tick  # the others go on
+            stage.bring_back(who, tick)
+            for name in ("dx", "dy", ENVIRONMENT):
+                stage.reach(name, tick + 200)
+            reports = stage.end()
+            check_rows(stage)
+        for name, report in reports.items():
+            assert report.figures["ledger_min"] >= ROUNDING, name
+
+    @pytest.mark.parametrize("session", ["prepared", "colocated"])
+    def test_a_user_that_is_silent_for_a_while_is_frozen_and_let_in_again(
+        self, session: str, new_life: Callable[[], Any], request: pytest.FixtureRequest
+    ) -> None:
+        stage = Stage(request.getfixturevalue(session), new_life, clock=REALTIME)
+
+        def pause_dx(name: str, line: Any) -> None:
+            line.pause = 200 if name == "dx" else -1
+
+        stage.prepare = pause_dx
+        with stage:
+            stage.paused("dx")
+            stage.await_seat("cx", Seat.FROZEN)
+            tick = stage.reach("dy", stage.lines["dy"].told[-1].tick + 100)  # the others go on
+            stage.release("dx")
+            stage.reach("dx", tick + 100)
+            reports = stage.end()
+            check_rows(stage)
+        assert reports["dx"].counts["jumps"] >= 1
+        for name, report in reports.items():
+            assert report.figures["ledger_min"] >= ROUNDING, name
+
+    def test_a_device_without_force_runs_free_until_it_hears_again(
+        self, prepared: Prepared, new_life: Callable[[], Any]
+    ) -> None:
+        stage = Stage(prepared, new_life, clock=REALTIME)
+
+        def pause_cx(name: str, line: Any) -> None:
+            line.pause = 200 if name == "cx" else -1
+
+        stage.prepare = pause_cx
+        with stage:
+            stage.paused("cx")
+            account = stage.nodes["dx"]._account  # type: ignore[attr-defined]
+            stage.see("dx", lambda: account.released >= 20)  # it goes on sampling, in every period
+            stage.release("cx")
+            stage.reach("dx", stage.lines["dy"].told[-1].tick + 100)
+            reports = stage.end()
+        assert reports["dx"].counts["stale"] >= 1
+        assert reports["dx"].counts["released"] >= 20
+        assert reports["dx"].figures["ledger_min"] >= ROUNDING

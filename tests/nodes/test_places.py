@@ -1,0 +1,542 @@
+"""The couplings around an environment: frozen, expected, let in again, and changed to other rungs, by what is heard.
+
+With a real core; links, line and time are the test's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.design.statespace import StateSpace
+from manyhands.nodes.bundle import Peer
+from manyhands.nodes.environment.attendance import FIRST_PAUSE, Seat
+from manyhands.nodes.environment.clutch import RAMP
+from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.environment.places import LEAD, Place, Places
+from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Absent,
+    LinkHello,
+    Message,
+    Reaction,
+    Role,
+    Rung,
+    Shift,
+    Tool,
+    Welcome,
+)
+
+T, STIFFNESS, DAMPING = 1e-3, 100.0, 0.1  # s, N/m, N s/m: a spring and a damper to ground at each port
+NAMES = ("cx", "cy")
+D_V = 1e-3  # m/N, at rung 0; divided by the rung + 1 above
+RUNGS = {name: tuple(np.array([[D_V / (rung + 1)]]) for rung in (1, 2)) for name in NAMES}
+NOW = Duration(0)
+
+
+class Held:
+    """A coupling's end of its link."""
+
+    def __init__(self) -> None:
+        self.coming: deque[bytes] = deque()
+        self.said: list[Message] = []
+
+    def say(self, *messages: Message) -> None:
+        self.coming.extend(map(encode, messages))
+
+    def recv(self, _timeout: Duration | None) -> bytes | None:
+        return self.coming.popleft() if self.coming else None
+
+    def send(self, frame: bytes) -> bool:
+        self.said.append(decode(frame, MAX_CONTROL_BYTES))  # type: ignore[arg-type]
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+class Line:
+    """The environment's line to its supervisor, and the links that it binds anew."""
+
+    def __init__(self) -> None:
+        self.fresh: dict[str, Held] = {}
+
+    def bind_anew(self, peer: Peer) -> tuple[Held, str]:
+        self.fresh[peer.name] = Held()
+        return self.fresh[peer.name], "memory://fresh"
+
+    def offer(self, _peer: str, _endpoint: str) -> None:
+        pass
+
+
+class World:
+    """An environment of two couplings with one port each, tick by tick."""
+
+    def __init__(self, life: Any, resumes: bool = False, tick: int = 0) -> None:
+        walls, each = STIFFNESS + DAMPING / T, np.eye(2)
+        E = StateSpace(np.zeros((2, 2)), each, -DAMPING / T * each, walls * each)
+        self.core = EnvironmentCore(E, D_V * each, None, T, [slice(0, 1), slice(1, 2)])
+        self.life, self.line, self.tick, self.p = life, Line(), tick, np.zeros(2)
+        self.ends = {name: Held() for name in NAMES}
+        own = LinkHello(PROTOCOL_VERSION, "c", "s", "environment", Role.ENVIRONMENT, ("p",))
+        joints = [
+            Joint(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
+            for i, (name, end) in enumerate(self.ends.items())
+        ]
+        self.places = Places(joints, self.core, RUNGS, life, resumes)
+        self.places.know({name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]])))
+        self.cx, self.cy = self.places.all
+
+    def hear(self, place: Place) -> Heard:
+        return self.places.hear(place, self.p, self.tick, NOW)
+
+    def say(self, name: str, tick: int | None = None, value: float = 0.01) -> None:
+        """A coupling says its p(k), m: of this tick by default."""
+        self.ends[name].say(Tool(self.tick if tick is None else tick, 0, np.array([value])))
+
+    def finish(self) -> np.ndarray:
+        """Solve, answer, and go on to the next tick; returns the forces."""
+        f = self.core.react(self.p)
+        self.places.shift()
+        for place in self.places.seated:
+            place.joint.send(Reaction, self.tick, 0, f)
+        self.core.settle()
+        self.tick += 1
+        return f
+
+    def together(self, ticks: int = 1, *, but: str = "") -> None:
+        """Everybody else but one speaks, is heard and answered."""
+        for _ in range(ticks):
+            for place in self.places.all:
+                if place.joint.peer.name != but:
+                    self.say(place.joint.peer.name)
+                    assert self.hear(place) is Heard.SIGNAL
+            self.finish()
+
+    def forces(self, name: str) -> dict[int, float]:
+        """What it was told, by tick."""
+        return {told.tick: told.values[0] for told in self.ends[name].said if isinstance(told, Reaction)}
+
+    def lose(self, name: str) -> None:
+        self.places.obey(Absent(name), self.line, self.tick)  # type: ignore[arg-type]
+
+    def come_back(self, name: str, feedthrough: float = D_V) -> Heard:
+        """A coupling's next process shakes hands."""
+        end = self.ends[name] = self.line.fresh[name]
+        hello = LinkHello(PROTOCOL_VERSION, "c", "s", name, Role.COUPLING, ("p",), ((feedthrough,),))
+        end.say(hello, Welcome())
+        return self.hear(self.places.all[NAMES.index(name)])
+
+
+@pytest.fixture
+def world(new_life: Callable[[], Any]) -> World:
+    return World(new_life())
+
+
+def test_together_everybody_is_heard_and_answered(world: World) -> None:
+    world.together(3)
+    assert world.places.all_seated
+    assert (world.places.frozen, world.places.absences) == (0, 0)
+    forces = world.forces("cx")
+    assert forces.keys() == {0, 1, 2}
+    assert all(force < 0.0 for force in forces.values())
+
+
+def test_who_is_given_up_is_frozen_and_not_answered(world: World) -> None:
+    world.together()
+    world.say("cx")
+    world.hear(world.cx)
+    assert world.cy.missing(world.tick)
+    world.places.give_up(world.cy, world.tick)
+    assert not world.cy.missing(world.tick)
+    assert world.core.frozen(1)
+    assert world.places.seated == [world.cx]
+    before = world.core.offset(1)
+    world.finish()
+    assert world.forces("cy").keys() == {0}
+    world.together(50, but="cy")
+    assert world.core.frozen(1)
+    np.testing.assert_array_equal(world.core.offset(1), before)
+    assert (world.places.frozen, world.places.absences) == (1, 1)
+
+
+def frozen_for(world: World, ticks: int) -> int:
+    """The coupling cy is silent for so long; returns the tick that it is at."""
+    world.together(200)
+    behind = world.tick
+    world.say("cx")
+    world.hear(world.cx)
+    world.places.give_up(world.cy, world.tick)
+    world.finish()
+    world.together(ticks - 1, but="cy")
+    return behind
+
+
+def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    assert world.hear(world.cy) is Heard.NOTHING
+    due = world.tick + LEAD
+    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    assert world.forces("cy")[due - 1] == 0.0
+    while world.tick < due:
+        assert not world.cy.missing(world.tick)  # nobody waits in the meantime
+        world.together(but="cy")
+    assert world.cy.missing(due)
+
+
+def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    world.together(LEAD, but="cy")
+    first = world.tick
+    world.together(RAMP + 1)
+    assert world.places.all_seated
+    forces = world.forces("cy")
+    assert forces[first] == 0.0
+    steps = np.diff([forces[first + k] for k in range(RAMP + 1)])
+    # s moves by at most pi/(2 RAMP) a tick, and f_c = s f_e with x_e moved by s as well
+    assert np.max(np.abs(steps)) <= np.pi / RAMP * (STIFFNESS + DAMPING / T) * 0.01
+    assert world.core.ratio(1) == 1.0
+
+
+def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    due = world.cy.due
+    dropped = dict(world.cy.joint.gate.dropped)
+    world.say("cy", due, 0.02)
+    assert world.hear(world.cy) is Heard.TURNED
+    assert world.cy.joint.gate.dropped == dropped  # it is no stray
+    while world.tick < due:
+        world.together(but="cy")
+        assert world.p[1] == 0.01
+    assert world.hear(world.cy) is Heard.SIGNAL
+    assert (world.p[1], world.cy.attendance.seat) == (0.02, Seat.SEATED)
+
+
+def test_an_early_signal_of_another_tick_is_a_stray(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    world.say("cy", world.cy.due + 1)
+    assert world.hear(world.cy) is Heard.NOTHING
+    assert world.cy.early is None
+    assert world.cy.joint.gate.dropped["future_tick"] == 1
+
+
+def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    world.say("cy", world.cy.due)
+    world.hear(world.cy)
+    world.lose("cy")
+    for _ in range(LEAD + 2):
+        assert world.hear(world.cy) is Heard.NOTHING
+        world.together(but="cy")
+    assert world.cy.attendance.seat is Seat.GONE
+    assert world.core.frozen(1)
+
+
+def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    world.together(LEAD, but="cy")
+    world.say("cx")
+    world.hear(world.cx)
+    world.places.give_up(world.cy, world.tick)
+    world.finish()
+    said = len(world.ends["cy"].said)
+    for _ in range(FIRST_PAUSE - 1):
+        world.say("cy", behind)
+        world.hear(world.cy)
+        assert world.cy.attendance.seat is Seat.FROZEN
+        world.together(but="cy")
+    assert len(world.ends["cy"].said) == said
+    world.say("cy", behind)
+    world.hear(world.cy)
+    assert world.cy.attendance.seat is Seat.EXPECTED
+
+
+def test_a_signal_that_was_answered_is_answered_again_as_before(world: World) -> None:
+    world.together(3)
+    said = world.ends["cy"].said
+    last = said[-1]
+    world.say("cy", world.tick - 1)
+    assert world.hear(world.cy) is Heard.NOTHING
+    assert said[-1] == last
+    assert len(said) == 4
+    world.say("cy", world.tick - 2)  # nobody asks so late
+    world.hear(world.cy)
+    assert len(said) == 4
+    assert world.places.all_seated
+
+
+def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: World) -> None:
+    world.together(200)
+    world.ends["cy"].say(Absent("dy"))
+    assert world.hear(world.cy) is Heard.TURNED
+    assert world.cy.attendance.seat is Seat.FROZEN
+    assert not world.cy.missing(world.tick)
+    world.say("cy")  # its device is back already
+    assert world.hear(world.cy) is Heard.SIGNAL
+    assert world.cy.attendance.seat is Seat.SEATED
+
+
+def test_after_the_last_ticks_nobody_is_invited_any_more(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.places.last = world.tick + LEAD
+    said = len(world.ends["cy"].said)
+    world.say("cy", behind)
+    world.hear(world.cy)
+    assert (world.cy.attendance.seat, len(world.ends["cy"].said)) == (Seat.FROZEN, said)
+
+
+def test_a_flood_ends_the_environment(world: World) -> None:
+    world.ends["cy"].coming.extend([b"\xc1"] * (MAX_STRAY_FRAMES + 1))
+    assert world.hear(world.cy) is Heard.NOTHING
+    assert world.life.failure.startswith("environment: cy sent 513 stray frames")
+
+
+def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: World) -> None:
+    world.together(3)
+    world.places.let_go(world.tick)
+    first = world.tick
+    world.together(2)
+    assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
+    assert world.places.all_seated
+    assert 0.0 < world.core.ratio(0) < 0.01
+
+
+class Test_a_coupling_that_was_lost:
+    def test_is_welcomed_told_the_tick_and_let_in(self, world: World) -> None:
+        world.together(200)
+        world.lose("cy")
+        assert world.cy.attendance.seat is Seat.GONE
+        world.together(5, but="cy")
+        assert world.come_back("cy") is Heard.MET
+        assert world.cy.attendance.seat is Seat.FROZEN
+        assert world.forces("cy") == {world.tick - 1: 0.0}
+        world.together()
+        assert world.places.all_seated
+        assert world.forces("cy")[world.tick - 1] == 0.0
+        assert world.places.absences == 1
+
+    def test_is_not_let_in_with_another_feedthrough(self, world: World) -> None:
+        world.together(200)
+        world.lose("cy")
+        world.come_back("cy", 2 * D_V)
+        assert (world.cy.attendance.seat, world.cy.joint.reachable) == (Seat.GONE, False)
+        world.together(3, but="cy")
+        assert world.core.frozen(1)
+
+    def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: World) -> None:
+        world.together(200)
+        world.places.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
+        world.together(2 * RAMP)
+        assert world.cy.rung == 2
+        world.lose("cy")
+        world.together(3, but="cy")
+        world.come_back("cy")
+        assert (world.cy.rung, world.cy.wanted) == (0, 2)
+        world.together()
+        said = [told for told in world.ends["cy"].said if isinstance(told, Rung | Reaction)]
+        assert [type(told) for told in said] == [Reaction, Rung, Reaction]
+        assert (said[1], said[2].values) == (Rung(2), [0.0])  # type: ignore[union-attr]
+        assert world.core._D_V[1, 1] == RUNGS["cy"][1][0, 0]
+        world.together(RAMP + 1)
+        assert world.core.ratio(1) == 1.0
+
+
+class Test_a_change_of_rung:
+    def test_is_said_at_no_force_and_before_it(self, world: World) -> None:
+        world.together(200)
+        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.ends["cy"].said.clear()
+        while world.cy.rung == 0:
+            world.together()
+            assert world.tick < 200 + 2 * RAMP
+        said = world.ends["cy"].said
+        assert said[-2] == Rung(1)
+        assert isinstance(said[-1], Reaction)
+        assert said[-1].values == [0.0]
+        assert not any(isinstance(told, Rung) for told in said[:-2])
+        forces = [told.values[0] for told in said if isinstance(told, Reaction)]
+        assert np.all(np.diff(forces) >= 0.0)  # it only fades
+        assert world.core._D_V[1, 1] == RUNGS["cy"][0][0, 0]
+        world.together(RAMP + 1)
+        assert world.core.ratio(1) == 1.0
+        assert not any(isinstance(told, Rung) for told in world.ends["cx"].said)
+
+    @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
+    def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: World, word: Shift) -> None:
+        world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
+        world.together(3)
+        assert (world.cy.rung, world.cy.wanted, world.core.ratio(1)) == (0, 0, 1.0)
+
+    def test_of_a_frozen_coupling_waits_until_it_is_seated(self, world: World) -> None:
+        frozen_for(world, 20)
+        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.together(but="cy")
+        assert world.cy.rung == 0
+        world.together()
+        assert world.cy.rung == 1
+        assert world.ends["cy"].said[-2] == Rung(1)
+
+
+class Test_an_environment_that_comes_back:
+    @pytest.fixture
+    def back(self, new_life: Callable[[], Any]) -> World:
+        return World(new_life(), resumes=True, tick=400)
+
+    def test_awaits_everybody_with_nobody_let_in(self, back: World) -> None:
+        assert [place.missing(400) for place in back.places.all] == [True, True]
+        assert back.places.seated == []
+        assert all(back.core.frozen(block) for block in (0, 1))
+
+    def test_takes_the_greatest_tick_and_tells_the_others(self, back: World) -> None:
+        back.say("cx", 430)
+        assert back.hear(back.cx) is Heard.TURNED
+        assert back.places.ahead == 430
+        back.tick = 430
+        back.places.catch_up(430)
+        back.say("cy", 429)
+        assert back.hear(back.cy) is Heard.NOTHING
+        assert back.forces("cy") == {429: 0.0}  # it is awaited at 430
+        assert back.cy.missing(430)
+        back.say("cx", 430)
+        assert back.hear(back.cx) is Heard.SIGNAL
+        assert back.cx.attendance.seat is Seat.SEATED
+
+    def test_is_not_led_astray_by_nonsense(self, back: World) -> None:
+        back.say("cx", 2**62)
+        assert back.hear(back.cx) is Heard.NOTHING
+        assert back.places.ahead == 0
+
+    def test_leads_again_once_a_tick_is_done(self, back: World) -> None:
+        back.places.resumed()
+        back.say("cx", 430)
+        assert back.hear(back.cx) is Heard.NOTHING
+        assert back.places.ahead == 0
+
+
+sayings = st.sampled_from(["now", "before", "long ago", "next", "due", "rung", "absent", "junk", "wrong kind"])
+words = st.one_of(
+    st.sampled_from([Absent(name) for name in (*NAMES, "dx")]),
+    st.builds(Shift, st.sampled_from(NAMES), st.integers(0, 3)),
+)
+events = st.one_of(
+    st.tuples(st.just("say"), st.sampled_from(NAMES), sayings),
+    st.tuples(st.just("word"), words, st.none()),
+    st.tuples(st.sampled_from(["give up", "come back"]), st.sampled_from(NAMES), st.none()),
+    st.tuples(st.just("let go"), st.none(), st.none()),
+    st.tuples(st.just("ticks"), st.integers(1, RAMP + 5), st.sampled_from([*NAMES, ""])),
+)
+
+
+@settings(max_examples=80)
+@given(happening=st.lists(events, max_size=40))
+def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
+    """Who is seated is answered, who is not is frozen, and rungs change without force alone."""
+    world = World(new_life())
+    rungs = dict.fromkeys(NAMES, 0)
+    absences = 0
+    for what, one, other in happening:
+        if what == "say":
+            tick = world.tick
+            place = world.places.all[NAMES.index(one)]
+            frame = {
+                "now": encode(Tool(tick, 0, np.array([0.01]))),
+                "before": encode(Tool(max(0, tick - 1), 0, np.array([0.01]))),
+                "long ago": encode(Tool(max(0, tick - 30), 0, np.array([0.01]))),
+                "next": encode(Tool(tick + 1, 0, np.array([0.01]))),
+                "due": encode(Tool(place.due, 0, np.array([0.01]))),
+                "rung": encode(Rung(1)),
+                "absent": encode(Absent("dx")),
+                "junk": b"\xc1",
+                "wrong kind": encode(Reaction(tick, 0, np.array([0.01]))),
+            }[other]
+            world.ends[one].coming.append(frame)
+            world.hear(place)
+        elif what == "word":
+            world.places.obey(one, world.line, world.tick)
+        elif what == "give up":
+            world.places.give_up(world.places.all[NAMES.index(one)], world.tick)
+        elif what == "come back":
+            if world.places.all[NAMES.index(one)].joint.handshake is not None:
+                world.come_back(one)
+        elif what == "let go":
+            world.places.let_go(world.tick)
+        else:
+            for _ in range(one):
+                for place in world.places.all:
+                    if place.joint.peer.name != other and place.joint.here:
+                        world.say(place.joint.peer.name)
+                        world.hear(place)
+                    if place.missing(world.tick):
+                        world.places.give_up(place, world.tick)
+                before = {name: len(world.ends[name].said) for name in NAMES}
+                world.finish()
+                for place in world.places.all:
+                    name = place.joint.peer.name
+                    told = world.ends[name].said[before[name] :]
+                    assert (place in world.places.seated) == any(isinstance(one, Reaction) for one in told)
+                    if place.rung != rungs[name]:
+                        assert told[0] == Rung(place.rung)
+                        assert told[1].values == [0.0]  # type: ignore[union-attr]
+                    else:
+                        assert not any(isinstance(one, Rung) for one in told)
+        for place in world.places.all:
+            seated = place.attendance.seat is Seat.SEATED
+            assert seated == (place in world.places.seated)
+            assert seated or world.core.frozen(place.index)
+            rungs[place.joint.peer.name] = place.rung
+        assert world.places.all_seated == (world.places.frozen == 0)
+        assert world.places.absences >= absences
+        absences = world.places.absences
+        assert all(count >= 0 for place in world.places.all for count in place.joint.gate.dropped.values())
+    assert world.life.failure == ""
+
+
+class Ticking:
+    """Time that passes by a millisecond with every look at it."""
+
+    def __init__(self) -> None:
+        self.looks = 0
+
+    def now(self) -> Instant:
+        self.looks += 1
+        return Instant(self.looks * 10**6)
+
+
+def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: World) -> None:
+    behind = frozen_for(world, 20)
+    world.lose("cx")  # nobody to talk to
+    end = world.places.last = world.tick
+    node = EnvironmentNode.__new__(EnvironmentNode)
+    clock = node._clock = Ticking()  # type: ignore[assignment]
+    said = world.ends["cy"].said
+    said.clear()
+    for _ in range(3):
+        world.say("cy", behind)
+    node._say_goodbye(world.places, world.p, end)
+    assert said
+    assert all(told == Reaction(end - 1, 0, [0.0]) for told in said)
+    assert clock.looks <= 60
+    assert not any(isinstance(told, Reaction) for told in world.line.fresh["cx"].said)

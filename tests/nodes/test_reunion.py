@@ -1,0 +1,120 @@
+"""What a node does at its links when the supervisor says that a peer is lost, or back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from manyhands.nodes.bundle import Peer
+from manyhands.nodes.control import NOT_AT_ALL
+from manyhands.nodes.exchange import Joint
+from manyhands.nodes.reunion import meet, part
+from manyhands.protocol.clock import RealtimeClock
+from manyhands.protocol.codec import decode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Return, Role, Sample
+from manyhands.protocol.transport import Link, TransportError
+from manyhands.protocol.transport.memory import MemoryTransport
+
+OWN = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("x",))
+DEVICE = Peer("dx", Role.DEVICE, ("x",), binds=True)
+ENVIRONMENT = Peer("environment", Role.ENVIRONMENT, ("x",), binds=False)
+
+
+class Line:
+    """A node's line to a supervisor, over a transport that may have no place left."""
+
+    def __init__(self, transport: MemoryTransport) -> None:
+        self.transport, self.full = transport, False
+        self.bound: list[Link] = []
+        self.offers: list[tuple[str, str]] = []
+
+    def bind_anew(self, peer: Peer) -> tuple[Link, str]:
+        if self.full:
+            raise TransportError("no place left")
+        link, endpoint = self.transport.bind(f"cx-{peer.name}.{len(self.bound)}", peer.name)
+        self.bound.append(link)
+        return link, endpoint
+
+    def connect(self, endpoint: str, peer: Peer) -> Link:
+        return self.transport.connect(endpoint, peer.name)
+
+    def offer(self, peer: str, endpoint: str) -> None:
+        self.offers.append((peer, endpoint))
+
+
+@pytest.fixture
+def transport() -> Iterator[MemoryTransport]:
+    transport = MemoryTransport()
+    yield transport
+    transport.close()
+
+
+@pytest.fixture
+def line(transport: MemoryTransport) -> Line:
+    return Line(transport)
+
+
+@pytest.fixture
+def joints(transport: MemoryTransport) -> list[Joint]:
+    links = [transport.bind("cx-dx", "dx")[0], transport.connect(transport.bind("environment-cx", "cx")[1], "e")]
+    return [
+        Joint(OWN, peer, link, Sample, slice(0, 1), RealtimeClock())
+        for peer, link in zip((DEVICE, ENVIRONMENT), links, strict=True)
+    ]
+
+
+def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[Joint], line: Line) -> None:
+    before = joints[0].link
+    assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
+    assert joints[0].link is line.bound[0] is not before
+    assert joints[0].reachable
+    assert not joints[0].here  # not before hands are shaken
+    ((peer, endpoint),) = line.offers
+    returned = line.transport.connect(endpoint, "dx")
+    assert peer == "dx"
+    assert returned.send(b"hello")
+    with pytest.raises(TransportError):
+        before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
+
+
+def test_who_connects_waits_to_be_told(joints: list[Joint], line: Line) -> None:
+    assert part(Absent("environment"), joints, line) is joints[1]  # type: ignore[arg-type]
+    assert not joints[1].reachable
+    assert not line.offers
+    bound, endpoint = line.transport.bind("environment-cx.1", "cx")
+    meet(Return("environment", endpoint), joints, line)  # type: ignore[arg-type]
+    assert joints[1].reachable
+    assert not joints[1].here
+    frame = bound.recv(NOT_AT_ALL)
+    assert frame is not None
+    assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
+
+
+def test_every_absence_of_the_same_peer_has_a_place_of_its_own(joints: list[Joint], line: Line) -> None:
+    for _ in range(3):
+        part(Absent("dx"), joints, line)  # type: ignore[arg-type]
+    assert len({endpoint for _, endpoint in line.offers}) == 3
+    assert joints[0].link is line.bound[-1]
+    for old in line.bound[:-1]:
+        with pytest.raises(TransportError):
+            old.recv(NOT_AT_ALL)
+
+
+def test_a_peer_for_whom_there_is_no_place_stays_away(joints: list[Joint], line: Line) -> None:
+    line.full = True
+    assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
+    assert not joints[0].reachable
+    assert not line.offers
+
+
+def test_strangers_and_wrong_ends_are_nobodys_business(joints: list[Joint], line: Line) -> None:
+    before = [joint.link for joint in joints]
+    assert part(Absent("dz"), joints, line) is None  # type: ignore[arg-type]
+    meet(Return("dz", "memory://nowhere"), joints, line)  # type: ignore[arg-type]
+    meet(Return("dx", "memory://nowhere"), joints, line)  # type: ignore[arg-type] -- its own to bind
+    meet(Return("environment", "carrier pigeon"), joints, line)  # type: ignore[arg-type]
+    assert [joint.link for joint in joints] == before
+    assert all(joint.here for joint in joints)
+    assert not line.offers
