@@ -5,31 +5,34 @@ This is the only place where the data of one user and of another are in the same
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from manyhands.design.contract import DeviceShare
-from manyhands.design.statespace import Matrix, symmetric_part
-from manyhands.launch.port_bounds import limits_at, tool_bounds
+from manyhands.design.declared import DeclaredEnvironment
+from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.launch.port_bounds import PortBounds, limits_at, tool_bounds
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import IPC, Reach
-from manyhands.launch.session import Device, TraceData
+from manyhands.launch.session import Device, PythonEnvironment, TraceData
 from manyhands.launch.topology import ENVIRONMENT, Topology, topology
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     Bundle,
     Common,
     CouplingBundle,
+    CouplingRung,
     DeviceBundle,
+    DeviceRung,
     EnvironmentBundle,
-    Limits,
     ObserverBundle,
     Peer,
     SimulatedHand,
 )
+from manyhands.nodes.environment.model import ModelName
 from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
@@ -66,29 +69,95 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         prepared: the session with its coupling and certificate.
         run: how it is to be run.
     """
-    session, loop, certificate = prepared.session, prepared.loop, prepared.certificate
+    session = prepared.session
     graph = topology(session)
     commons = {name: _common(prepared, run, graph, name) for name in graph.nodes}
-    share = DeviceShare() if certificate is None else certificate.levels.device
-    bundles: dict[str, Bundle] = {
-        name: _device(commons[name], device, session.osp_level(name), share, limits_at(session, commons[name].ports))
-        for name, device in session.devices.items()
-    }
-    levels: tuple[Matrix | None, ...] = (None,) * len(prepared.blocks)
-    if certificate is not None:
-        levels = certificate.levels.Delta_V
-    for name, block, K, level in zip(
-        loop.partition.names, prepared.blocks, loop.loop_gain(share.kappa), levels, strict=True
-    ):
-        bundles[name] = CouplingBundle(commons[name], block, K, level, limits_at(session, commons[name].ports))
+    rungs = _rungs(prepared)
+    bundles: dict[str, Bundle] = {}
+    for name, device in session.devices.items():
+        first, *longer = (_promise(rung, session.period, session.osp_level(name)) for rung in rungs)
+        limits = limits_at(session, commons[name].ports)
+        bundles[name] = DeviceBundle(commons[name], first.level, first.K, _hand(device), limits, tuple(longer))
+    for index, name in enumerate(prepared.loop.partition.names):
+        own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
+        limits = limits_at(session, commons[name].ports)
+        bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer))
+    E, Phi_E, model = _environment(prepared)
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
-        loop.environment.environment(loop.period),
-        None if certificate is None else certificate.levels.Phi_E,
-        *tool_bounds(session, prepared.blocks),
+        E,
+        Phi_E,
+        *_widest([tool_bounds(session, rung.blocks) for rung in rungs]),
         {name: feedthrough_digest(block.D) for name, block in zip(session.couplings, prepared.blocks, strict=True)},
+        {name: tuple(rung.blocks[i].D for rung in rungs[1:]) for i, name in enumerate(session.couplings)},
+        enforce=session.environment.enforce and Phi_E is not None,
+        model=model,
     )
     return bundles
+
+
+def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, ModelName | None]:
+    """E, the level that it promises, and the model in its place.
+
+    Of a model the *declared* level is kept, certified or not; without a controller it promises none.
+    """
+    given, environment = prepared.session.environment, prepared.loop.environment
+    if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
+        level = environment.level if environment.enforced else None
+        return None, level, ModelName(given.model, given.parameters)
+    E = environment.environment(prepared.session.period)
+    if prepared.certificate is None:
+        return E, None, None
+    return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
+
+
+@dataclass(frozen=True, eq=False)
+class _Rung:
+    """What is in force at one rung.
+
+    Attributes:
+        tau: delay that it covers, s.
+        share: of the devices' level.
+        gains: K of each block, m/N.
+        blocks: of V.
+        levels: of the blocks; None for each where nothing is certified.
+    """
+
+    tau: float
+    share: DeviceShare
+    gains: tuple[Matrix, ...]
+    blocks: tuple[StateSpace, ...]
+    levels: tuple[Matrix | None, ...]
+
+
+def _rungs(prepared: Prepared) -> list[_Rung]:
+    """What is in force, and then what may be once a coupling was softened."""
+    loop, certificate, ladder = prepared.loop, prepared.certificate, prepared.ladder
+    if certificate is None:
+        share = DeviceShare()
+        return [_Rung(0.0, share, loop.loop_gain(share.kappa), prepared.blocks, (None,) * len(prepared.blocks))]
+    rungs = []
+    for proof in (certificate,) if ladder is None else ladder.rungs:
+        share = proof.levels.device
+        rungs.append(_Rung(proof.tau, share, loop.loop_gain(share.kappa), proof.blocks, proof.levels.Delta_V))
+    return [replace(rungs[0], blocks=prepared.blocks), *rungs[1:]]
+
+
+def _promise(rung: _Rung, period: float, level: Matrix) -> DeviceRung:
+    """What a device promises behind its sampler: share Delta_D, with K = kappa T Delta_D^{-1}."""
+    K = symmetric_part(rung.share.kappa * period * np.linalg.inv(level))
+    return DeviceRung(rung.tau, rung.share.share * level, K)
+
+
+def _widest(bounds: Sequence[tuple[PortBounds, PortBounds]]) -> tuple[PortBounds, PortBounds]:
+    """The bounds on |p| and on its steps that hold at every rung; None where one has none."""
+    magnitudes, steps = (zip(*of_one_kind, strict=True) for of_one_kind in zip(*bounds, strict=True))
+    return tuple(map(_greatest, magnitudes)), tuple(map(_greatest, steps))
+
+
+def _greatest(bounds: tuple[float | None, ...]) -> float | None:
+    stated = [bound for bound in bounds if bound is not None]
+    return max(stated) if len(stated) == len(bounds) else None
 
 
 def bundle_of(prepared: Prepared, run: Run, name: str) -> Bundle:
@@ -130,12 +199,6 @@ def _telemetry_ticks(period: float, ports: int) -> int:
     """Ticks between two telemetry messages: as the channel table says, but no more than two traces have room for."""
     room = MOST_TRACE_VALUES // (2 * max(1, ports))  # an observer has none
     return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
-
-
-def _device(common: Common, device: Device, level: Matrix, share: DeviceShare, limits: Limits) -> DeviceBundle:
-    """What a device promises behind its sampler: share Delta_D, with K = kappa T Delta_D^{-1}."""
-    K = symmetric_part(share.kappa * common.period * np.linalg.inv(level))
-    return DeviceBundle(common, share.share * level, K, _hand(device), limits)
 
 
 def _hand(device: Device) -> SimulatedHand:

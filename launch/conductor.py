@@ -1,27 +1,32 @@
 """What the supervisor decides, without any I/O: events of the nodes go in, instructions come out.
 
 The nodes' states and what moves them stand in :data:`TRANSITIONS`. The session as a whole starts up, runs, ends
-and is over; the first thing that goes wrong is its reason, and everything after that is only clearing up.
+and is over; the first thing that goes wrong is its reason, and everything after that is only clearing up. What a
+running session withstands is the business of :mod:`manyhands.launch.recovery`.
 """
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 
+from manyhands.launch.endings import ending, signal_name
+from manyhands.launch.incidents import Incidents
+from manyhands.launch.instructions import Instruction, Kill, KillProcess, Release, Send, StartProcess, Terminate
+from manyhands.launch.node_states import RETURNING, TRANSITIONS, NodeState, Phase
+from manyhands.launch.reception import Reception
+from manyhands.launch.recovery import Recovery
+from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.topology import Topology
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
-from manyhands.protocol.handshake import check_node_hello
 from manyhands.protocol.messages import (
-    Connect,
     Echo,
     Fault,
-    Message,
     NodeHello,
+    Offer,
     Probe,
     Ready,
+    Refusal,
     Report,
     Role,
     Start,
@@ -30,72 +35,22 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
-
-class NodeState(StrEnum):
-    """Where a node stands in its life."""
-
-    STARTING = "starting"
-    WELCOMED = "connecting"
-    CONNECTED = "shaking hands"
-    READY = "ready"
-    RUNNING = "running"
-    REPORTED = "done"
-    FAULTED = "failed"
-    ENDED = "ended"
-
-
-class Phase(StrEnum):
-    """Where the session stands."""
-
-    STARTING = "starting"
-    RUNNING = "running"
-    ENDING = "ending"
-    OVER = "over"
-
-
-TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
-    (NodeState.STARTING, NodeHello): NodeState.WELCOMED,
-    (NodeState.WELCOMED, Probe): NodeState.WELCOMED,
-    (NodeState.CONNECTED, Probe): NodeState.CONNECTED,
-    (NodeState.CONNECTED, Ready): NodeState.READY,
-    (NodeState.RUNNING, Probe): NodeState.RUNNING,
-    (NodeState.RUNNING, Telemetry): NodeState.RUNNING,
-    (NodeState.RUNNING, Report): NodeState.REPORTED,
-    (NodeState.STARTING, Fault): NodeState.FAULTED,
-    (NodeState.WELCOMED, Fault): NodeState.FAULTED,
-    (NodeState.CONNECTED, Fault): NodeState.FAULTED,
-    (NodeState.READY, Fault): NodeState.FAULTED,
-    (NodeState.RUNNING, Fault): NodeState.FAULTED,
-}
-"""Every message a node may send, and where it leaves the node. Anything else is counted and ignored."""
-
-
-@dataclass(frozen=True)
-class Send:
-    """Instruction: send a message to a node."""
-
-    node: str
-    message: Message
-
-
-@dataclass(frozen=True)
-class Release:
-    """Instruction: an observer was told all it needs; the next one of its name may come."""
-
-    observer: str
-
-
-@dataclass(frozen=True)
-class Terminate:
-    """Instruction: ask every process that still runs to end (SIGTERM)."""
-
-
-@dataclass(frozen=True)
-class Kill:
-    """Instruction: end every process that still runs (SIGKILL)."""
-
-
-Instruction = Send | Release | Terminate | Kill
+# what a decision is made of lives next door; who carries it out need not know that
+__all__ = [
+    "EPOCH_DELAY_NS",
+    "TRANSITIONS",
+    "Conductor",
+    "Instruction",
+    "Kill",
+    "KillProcess",
+    "NodeState",
+    "Phase",
+    "Release",
+    "Send",
+    "StartProcess",
+    "Terminate",
+    "signal_name",
+]
 
 
 @dataclass
@@ -109,6 +64,7 @@ class Conductor:
         ticks: number of ticks to run; 0 runs until interrupted.
         remote: nodes that are started elsewhere; of those no process can be seen to end.
         observers: where each observer is served.
+        budget: how often a node may come back; without restarts, the first death ends the session.
         phase: where the session stands.
         states: where each node stands.
         reports: the last words received.
@@ -123,6 +79,7 @@ class Conductor:
     ticks: int
     remote: frozenset[str] = frozenset()
     observers: Mapping[str, str] = field(default_factory=dict)
+    budget: RestartBudget = field(default_factory=RestartBudget)
     phase: Phase = Phase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
@@ -130,9 +87,23 @@ class Conductor:
     interrupted: bool = False
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
+    _reception: Reception = field(init=False)
+    _recovery: Recovery = field(init=False)
 
     def __post_init__(self) -> None:
         self.states = dict.fromkeys(self.graph.nodes, NodeState.STARTING)
+        self._reception = Reception(self.graph, self.certificate, self.session)
+        self._recovery = Recovery(self.graph, self.remote, self.budget, self.states, self.faults)
+
+    @property
+    def incidents(self) -> Incidents:
+        """What the session withstood."""
+        return self._recovery.incidents
+
+    @property
+    def rungs(self) -> Mapping[str, int]:
+        """The rung of the ladder that each coupling was asked to change to; those that never were are absent."""
+        return self._recovery.rungs
 
     def hear(self, sender: str, received: Received, now: int) -> list[Instruction]:
         """A message from a node.
@@ -144,67 +115,72 @@ class Conductor:
         """
         if isinstance(received, NodeHello | ForeignHello):
             if sender in self.observers:
-                return self._greet_observer(sender, received)
-            if self.states.get(sender) in (None, NodeState.STARTING):
-                return self._greet(sender, received)
+                answer = self._reception.greet_observer(sender, received, self.observers)
+                self.ignored += any(isinstance(one, Send) and isinstance(one.message, Refusal) for one in answer)
+                return answer
+            if sender not in self.states or self._is_awaited(sender, received):
+                return self._greet(sender, received, now)
+            return self._out_of_turn(sender)
         state = self.states.get(sender)
-        if state is None or isinstance(received, ForeignHello | Malformed):
+        if state is None:
             self.ignored += 1
             return []
+        if isinstance(received, Offer) and self.phase is Phase.RUNNING:
+            told = self._recovery.hear_offer(sender, received, now)
+            return self._out_of_turn(sender) if told is None else told
+        if isinstance(received, Malformed):
+            return self._out_of_turn(sender)
         target = TRANSITIONS.get((state, type(received)))
         if target is None:
-            self.ignored += 1
-            return []
+            return self._out_of_turn(sender)
         self.states[sender] = target
         match received:
             case Probe(sent):
                 return [Send(sender, Echo(sent, now, now))]
             case Ready():
-                return self._start_if_all_ready(now)
-            case Report(ticks):
-                self.reports[sender] = received
-                told: list[Instruction] = [Send(sender, Stop("reported"))]
-                if self.phase is Phase.RUNNING and not 0 < self.ticks <= ticks:  # the others would wait for it for ever
-                    told += self._fail(f"{sender} left after {ticks} ticks, before the session was over")
-                self._gone_if_remote(sender)
-                return told
+                return self._ready(sender, now)
+            case Telemetry(tick) if self.graph.nodes[sender] is Role.ENVIRONMENT:
+                self._recovery.reached = max(self._recovery.reached, tick)
+            case Report():
+                return self._reported(sender, received, now)
             case Fault(text):
-                told = [Send(sender, Stop("heard")), *self._fail(text)]
-                self._gone_if_remote(sender)
-                return told
+                return self._faulted(sender, state, text, now)
         return []
 
-    def exited(self, node: str, code: int) -> list[Instruction]:
-        """A node's process has ended with ``code`` (negative: the signal that killed it)."""
-        how = f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
-        return self._ended(node, how)
+    def exited(self, node: str, code: int, now: int) -> list[Instruction]:
+        """A node's process has ended with ``code`` (negative: the signal that killed it), as seen at ``now``."""
+        return self._ended(node, ending(code), now)
 
-    def silent(self, node: str) -> list[Instruction]:
+    def started(self, node: str, pid: int) -> None:
+        """The process of a node that is to come back has this id: a hello of the former one may still be on its way."""
+        self._recovery.pids[node] = pid
+
+    def not_started(self, node: str, why: str, now: int) -> list[Instruction]:
+        """There was no process to be had for a node that is to come back."""
+        return self._ended(node, f"could not be started ({why})", now)
+
+    def silent(self, node: str, now: int) -> list[Instruction]:
         """Nothing was heard of a remote node for so long that it must be gone."""
-        return self._ended(node, "fell silent") if self.states[node] is not NodeState.ENDED else []
+        if self.states[node] in (NodeState.ENDED, NodeState.LOST, NodeState.GONE):
+            return []
+        return self._ended(node, "fell silent", now)
+
+    def look(self, now: int) -> list[Instruction]:
+        """What falls due by time alone: a return that takes too long."""
+        return self._withstood(self._recovery.overdue(now)) if self.phase is Phase.RUNNING else []
+
+    def shift(self, coupling: str, rung: int) -> list[Instruction]:
+        """Have ``coupling`` changed to ``rung`` of the ladder."""
+        return self._recovery.shift(coupling, rung) if self.phase is Phase.RUNNING else []
+
+    def stop(self, reason: str) -> list[Instruction]:
+        """End the session because of what a node has measured; ``reason`` is told as its fault."""
+        return self._fail(reason) if self.phase is Phase.RUNNING else []
 
     @property
     def awaited(self) -> tuple[str, ...]:
         """Remote nodes that have not joined yet; people start those, and people take their time."""
         return tuple(n for n in self.graph.nodes if n in self.remote and self.states[n] is NodeState.STARTING)
-
-    def _ended(self, node: str, how: str) -> list[Instruction]:
-        state, self.states[node] = self.states[node], NodeState.ENDED
-        out: list[Instruction] = []
-        if state not in (NodeState.REPORTED, NodeState.FAULTED) and self.phase is not Phase.ENDING:
-            out = self._fail(f"{node} {how} while {state}")
-        self._over_if_all_ended()
-        return out
-
-    def _gone_if_remote(self, node: str) -> None:
-        """A remote node's last word is all that is seen of its end."""
-        if node in self.remote:
-            self.states[node] = NodeState.ENDED
-            self._over_if_all_ended()
-
-    def _over_if_all_ended(self) -> None:
-        if all(state is NodeState.ENDED for state in self.states.values()):
-            self.phase = Phase.OVER
 
     def interrupt(self) -> list[Instruction]:
         """The user wants the session to end; who asks again wants it at once."""
@@ -215,56 +191,135 @@ class Conductor:
 
     def too_late(self) -> list[Instruction]:
         """The time for the present phase is over: start-up failed, or a process does not end."""
-        if self.phase is Phase.STARTING:
-            waiting = ", ".join(f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
-            return self._fail(f"not every node became ready in time; still waiting for {waiting}")
-        if self.phase is not Phase.ENDING:
-            return []
-        for node in self.remote:  # which nobody here can kill
-            self.states[node] = NodeState.ENDED
-        self._over_if_all_ended()
-        return [Kill()]
+        match self.phase:
+            case Phase.STARTING:
+                waiting = (f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
+                return self._fail(f"not every node became ready in time; still waiting for {', '.join(waiting)}")
+            case Phase.RUNNING if self.reports:
+                return self._leave_behind()
+            case Phase.ENDING:
+                for node in self.remote:  # which nobody here can kill
+                    self.states[node] = NodeState.ENDED
+                self._over_if_all_ended()
+                return [Kill()]
+        return []
 
-    def _greet(self, sender: str, hello: NodeHello | ForeignHello) -> list[Instruction]:
-        """Accept or refuse a node; once all are here, tell each where its peers are."""
-        binds = [link.connector for link in self.graph.links_of(sender) if link.binder == sender]
-        refusal = check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
-        if refusal is not None:
-            told: list[Instruction] = [Send(sender, refusal)]
-            if sender not in self.states:  # a stranger: refused, and no reason to end a session that is not its own
-                self.ignored += 1
-                return told
-            self.states[sender] = NodeState.FAULTED  # heard once; what it says after that is out of turn
-            return [*told, *self._fail(refusal.text)]
-        if isinstance(hello, NodeHello):
-            self.states[sender] = NodeState.WELCOMED
-            self._endpoints.update({(sender, peer): endpoint for peer, endpoint in hello.endpoints.items()})
-        out: list[Instruction] = [Send(sender, Welcome())]
-        if all(state is NodeState.WELCOMED for state in self.states.values()):
-            self.states = dict.fromkeys(self.states, NodeState.CONNECTED)
-            for node in self.graph.nodes:
-                binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
-                out.append(Send(node, Connect({b: self._endpoints.get((b, node), "") for b in binders})))
-        return out
+    def _is_awaited(self, node: str, hello: NodeHello | ForeignHello) -> bool:
+        """Whether a hello of ``node`` is in turn."""
+        if node in self.remote and self.phase is Phase.RUNNING:
+            return self.states[node] is NodeState.LOST
+        pid = self._recovery.pids.get(node)
+        ours = pid is None or not isinstance(hello, NodeHello) or hello.pid == pid
+        return self.states[node] is NodeState.STARTING and ours
 
-    def _greet_observer(self, sender: str, hello: NodeHello | ForeignHello) -> list[Instruction]:
-        """Tell an observer where it is served; the session goes on as if it were not there."""
-        roles = {**self.graph.nodes, **dict.fromkeys(self.observers, Role.OBSERVER)}
-        refusal = check_node_hello(hello, self.certificate, self.session, roles, sender)
+    def _out_of_turn(self, node: str) -> list[Instruction]:
+        self.ignored += 1
+        return self._recovery.disown(node) if self.phase is Phase.RUNNING else []
+
+    def _greet(self, sender: str, hello: NodeHello | ForeignHello, now: int) -> list[Instruction]:
+        """Accept or refuse a node."""
+        refusal = self._reception.refusal(sender, hello)
         if refusal is not None:
+            return [Send(sender, refusal), *self._refused(sender, refusal, now)]
+        endpoints = dict(hello.endpoints) if isinstance(hello, NodeHello) else {}
+        if self.phase is Phase.RUNNING:
+            return [Send(sender, Welcome()), *self._recovery.greet(sender, endpoints, now)]
+        self.states[sender] = NodeState.WELCOMED
+        self._endpoints.update({(sender, peer): endpoint for peer, endpoint in endpoints.items()})
+        return [Send(sender, Welcome()), *self._connect_if_all_here()]
+
+    def _refused(self, sender: str, refusal: Refusal, now: int) -> list[Instruction]:
+        """What follows the refusal of a hello."""
+        if sender not in self.states:  # a stranger: no reason to end a session that is not its own
             self.ignored += 1
-            return [Send(sender, refusal), Release(sender)]
-        endpoints = {Role.SUPERVISOR.value: self.observers[sender]}
-        return [Send(sender, Welcome()), Send(sender, Connect(endpoints)), Release(sender)]
+            return []
+        if self.phase is not Phase.RUNNING:
+            self.states[sender] = NodeState.FAULTED  # heard once; what it says after that is out of turn
+            return self._fail(refusal.text)
+        if sender in self.remote:  # it stays lost; its user may come with the right bundle
+            self.ignored += 1
+            return [Release(sender)]
+        return self._withstood(self._recovery.lose(sender, f"was refused: {refusal.text}", now, alive=True))
 
-    def _start_if_all_ready(self, now: int) -> list[Instruction]:
+    def _connect_if_all_here(self) -> list[Instruction]:
+        """Once all are here, tell each where its peers are."""
+        if self.phase is not Phase.STARTING or set(self.states.values()) != {NodeState.WELCOMED}:
+            return []
+        self.states.update(dict.fromkeys(self.states, NodeState.CONNECTED))
+        return self._reception.connects(self._endpoints)
+
+    def _ready(self, sender: str, now: int) -> list[Instruction]:
+        if self.phase is Phase.RUNNING:
+            return self._recovery.ready(sender, now)
         if self.phase is not Phase.STARTING or any(state is not NodeState.READY for state in self.states.values()):
             return []
         self.phase = Phase.RUNNING
-        self.states = dict.fromkeys(self.states, NodeState.RUNNING)
-        start = Start(now + EPOCH_DELAY_NS, self.ticks)
+        start = self._recovery.start = Start(now + EPOCH_DELAY_NS, self.ticks)
+        for node in self.graph.nodes:
+            self.states[node] = NodeState.RUNNING
+            self.budget.ran(node, now)
         # those that wait for others first, so that nobody's first tick finds a partner still in the handshake
         return [Send(node, start) for node in reversed(list(self.graph.nodes))]
+
+    def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
+        self.reports[sender] = report
+        told: list[Instruction] = [Send(sender, Stop("reported"))]
+        if self.phase is Phase.RUNNING and not 0 < self.ticks <= report.ticks:  # the others would wait for it for ever
+            told += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
+        elif self.phase is Phase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
+            told += self._recovery.close(now)
+        self._gone_if_remote(sender)
+        return told
+
+    def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
+        """A node ends by its own decision: the session's end, unless it was only on its way back."""
+        told: list[Instruction] = [Send(sender, Stop("heard"))]
+        if self.phase is Phase.RUNNING and state in RETURNING:
+            lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
+            return told + self._withstood(lost)
+        told += self._fail(text)
+        self._gone_if_remote(sender)
+        return told
+
+    def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
+        state = self.states[node]
+        if self.phase is Phase.RUNNING:
+            if state is NodeState.LEAVING:
+                return self._withstood(self._recovery.left(node, now))
+            if self.budget.restarts > 0 and (state is NodeState.RUNNING or state in RETURNING):
+                return self._withstood(self._recovery.lose(node, f"{how} while {state}", now))
+        self.states[node] = NodeState.ENDED
+        out: list[Instruction] = []
+        expected = (NodeState.REPORTED, NodeState.FAULTED, NodeState.LEAVING)
+        if state not in expected and self.phase is not Phase.ENDING:
+            out = self._fail(f"{node} {how} while {state}")
+        self._over_if_all_ended()
+        return out
+
+    def _withstood(self, out: list[Instruction]) -> list[Instruction]:
+        """What the recovery does about a loss, and the session's end where nothing is left to recover."""
+        if self._recovery.hopeless:
+            return out + self._end()
+        self._over_if_all_ended()
+        return out
+
+    def _gone_if_remote(self, node: str) -> None:
+        """A remote node's last word is all that is seen of its end."""
+        if node in self.remote:
+            self.states[node] = NodeState.ENDED
+        self._over_if_all_ended()
+
+    def _over_if_all_ended(self) -> None:
+        if all(state is NodeState.ENDED for state in self.states.values()):
+            self.phase = Phase.OVER
+
+    def _leave_behind(self) -> list[Instruction]:
+        """Some were done long ago and others are not: no fault of the session if the environment is among the done."""
+        left = ", ".join(node for node, state in self.states.items() if state is NodeState.RUNNING)
+        if not self._recovery.closing:
+            return self._fail(f"{', '.join(self.reports)} had done every tick long before {left}")
+        self.incidents.tell(f"{left} had not finished when the session was over")
+        return self._end()
 
     def _fail(self, reason: str) -> list[Instruction]:
         self.faults.append(reason)
@@ -275,18 +330,11 @@ class Conductor:
             return []
         self.phase = Phase.ENDING
         farewell = [Send(node, Stop("the session ends")) for node in self.graph.nodes if node in self.remote]
-        for node in self.awaited:
-            self.states[node] = NodeState.ENDED  # nobody to wait for
+        for node, state in self.states.items():
+            if node in self.awaited or state in (NodeState.LOST, NodeState.GONE):
+                self.states[node] = NodeState.ENDED  # nobody to wait for
         self._over_if_all_ended()
         return [Terminate(), *farewell]
-
-
-def signal_name(number: int) -> str:
-    """A signal's name; the realtime signals between the first and the last have none."""
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
 
 
 EPOCH_DELAY_NS = 20_000_000

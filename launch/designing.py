@@ -73,7 +73,9 @@ def run_design(
         print_certificate(out, certificate)
         if output is not None:
             say(err, f"written to {output}; prove it again with: manyhands verify {output}")
-    if pictures is not None:
+    if pictures is not None and certificate.loop.enforced:
+        say(err, "no pictures: they show how the environment responds, and of a model no more than its level is known")
+    elif pictures is not None:
         with telling(err, "drawing") as progress:
             paths = _draw(designed, pictures, progress)
         say(err, "pictures: " + ", ".join(str(path) for path in paths))
@@ -147,7 +149,9 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     if failing:
         return EXIT_NOT_CERTIFIED
     if not as_json:
-        say(out, f"{certificate.loop.session}: proved; certificate {certificate.id}")
+        enforced = ", ".join(certificate.loop.enforced)
+        proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
+        say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
 
 

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.conductor import Phase
+from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
 from manyhands.launch.topology import Topology
 from manyhands.nodes import telemetry as names
@@ -48,6 +48,7 @@ class LiveTable:
         self._rates: dict[str, tuple[float, int, float]] = {}
         self._line_at = 0.0
         self._phase: Phase | None = None
+        self._said: set[str] = set()
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -68,6 +69,10 @@ class LiveTable:
         if progress.phase is not self._phase:
             self._phase = progress.phase
             say(self._console, f"{self._title}: {progress.phase}")
+        for incident in progress.incidents:
+            if incident not in self._said:
+                say(self._console, f"! {incident}")
+        self._said = {*progress.incidents}
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed
             done = max((t.tick for t in progress.telemetry.values()), default=0)
@@ -81,16 +86,18 @@ class LiveTable:
         table = Table(title=f"{self._title}: {progress.phase}", title_justify="left")
         table.add_column("node")
         table.add_column("role")
-        for column in ("tick", "rate [Hz]", "late", "τ p50 [µs]", "τ p99 [µs]", "speed [m/s]", "ledger [J]", "refused"):
+        for column in ("tick", "rate [Hz]", *_COLUMN_NAMES):
             table.add_column(column, justify="right")
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
-            if telemetry is None or progress.phase is Phase.STARTING:
-                table.add_row(name, role.value, progress.states[name], *[""] * 7)
+            away = progress.states[name] in _AWAY
+            if telemetry is None or progress.phase is Phase.STARTING or away:
+                table.add_row(name, role.value, progress.states[name], *[""] * (1 + len(_COLUMNS)))
                 continue
-            table.add_row(name, role.value, str(telemetry.tick), self._rate(name, telemetry, progress.elapsed),
+            rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)
+            table.add_row(name, role.value, str(telemetry.tick), rate,
                           *(_figure(telemetry, key, form) for key, form in _COLUMNS))  # fmt: skip
-        notices = [*progress.notices, *not_admitted(progress.refused)]
+        notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
         return Group(table, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
@@ -109,10 +116,19 @@ def not_admitted(refused: Mapping[str, int]) -> list[str]:
     return [f"not admitted by the supervisor: {counts}"] if counts else []
 
 
+_AWAY = {state.value for state in NodeState} - {
+    NodeState.RUNNING.value,
+    NodeState.REPORTED.value,
+    NodeState.ENDED.value,
+}
+_INCIDENTS_SHOWN = 5
+_COLUMN_NAMES = ("late", "τ p50 [µs]", "τ p99 [µs]", "rung", "frozen", "speed [m/s]", "ledger [J]", "refused")
 _COLUMNS = (
     (names.LATE, ".0f"),
     (f"{names.TAU}_p50", ".0f"),
     (f"{names.TAU}_p99", ".0f"),
+    (names.RUNG, ".0f"),
+    (names.FROZEN, ".0f"),
     (names.SPEED, ".2e"),
     (names.LEDGER, ".2e"),
     (names.NOT_ADMITTED, ".0f"),

@@ -47,11 +47,15 @@ def graph_object(session: Session) -> dict[str, Any]:
     """Nodes, links and observers, as ``--json`` prints them.
 
     ``signals`` of a link are the channels that each of its ends writes; an observer's ``reads`` are as in the session.
+    A node that runs in another one's process has that one's name as its ``process``.
     """
     graph = topology(session)
     return {
         "session": session.name,
-        "nodes": {name: {"role": role, "ports": list(graph.ports[name])} for name, role in graph.nodes.items()},
+        "nodes": {
+            name: {"role": role, "ports": list(graph.ports[name]), **_process(graph, name)}
+            for name, role in graph.nodes.items()
+        },
         "links": [
             {
                 "between": [link.binder, link.connector],
@@ -86,6 +90,10 @@ def access_object(session: Session) -> dict[str, Any]:
     }
 
 
+def _process(graph: Topology, name: str) -> dict[str, str]:
+    return {"process": graph.carriers[name]} if name in graph.carriers else {}
+
+
 def _signals(graph: Topology, sender: str, receiver: str) -> list[str]:
     return [channel.name for channel in DATA if joins(channel, graph.nodes[sender], graph.nodes[receiver])]
 
@@ -94,7 +102,8 @@ def _print_graph(out: Console, session: Session) -> None:
     graph = topology(session)
     nodes = _table(f"{session.name}: nodes", "node", "role", "ports")
     for name, role in graph.nodes.items():
-        nodes.add_row(name, role, ", ".join(graph.ports[name]))
+        carrier = graph.carriers.get(name)
+        nodes.add_row(name, role if carrier is None else f"{role}, in {carrier}", ", ".join(graph.ports[name]))
     for name, observer in session.observers.items():
         nodes.add_row(name, "observer", f"reads {', '.join(observer.reads)}")
     out.print(nodes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
 from manyhands.design.environment import (
     DelayedNetwork,
     Environment,
@@ -28,7 +29,7 @@ from manyhands.design.problem import (
 from manyhands.design.statespace import StateSpace
 from manyhands.design.weighted_loop import Transparency
 from manyhands.design.weights import Filter
-from manyhands.launch.session import Session
+from manyhands.launch.session import PythonEnvironment, Session
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
 from manyhands.launch.session.interval import Interval
@@ -56,6 +57,8 @@ def haptic_loop(session: Session) -> HapticLoop:
 def _environment(session: Session) -> Environment:
     """The environment as design knows it."""
     given, ports = session.environment, session.ports
+    if isinstance(given, PythonEnvironment):
+        return DeclaredEnvironment(ports, given.level_matrix(len(ports)), given.enforce)
     if isinstance(given, NetworkEnvironment):
         low = _network(given, ports, high=False)
         if given.uncertain:

@@ -23,6 +23,8 @@ class Progress:
         elapsed: since the first tick, s.
         notices: assumptions found broken, each told once.
         refused: what strangers tried at the supervisor's door, and what members sent out of turn, by kind.
+        silent: nodes that run, and whose telemetry has not come for a while.
+        incidents: what the session withstood, the latest of it.
     """
 
     phase: Phase
@@ -32,6 +34,8 @@ class Progress:
     elapsed: float
     notices: tuple[str, ...]
     refused: Mapping[str, int]
+    silent: frozenset[str] = frozenset()
+    incidents: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -39,13 +43,15 @@ class Outcome:
     """How a run went.
 
     Attributes:
-        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP).
+        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP). A process that failed
+            and came back, or was on its way back at the end, is no failure of the run: it is an incident.
         faults: what went wrong, empty for a good run.
         notices: assumptions of the certificate that the run broke.
         report: the report's object.
         recording: every x and f_v, when wanted and any were received.
         lost: ticks missing from the recording, by device.
         refused: what strangers tried at the supervisor's door, and what members sent out of turn, by kind.
+        incidents: what the session withstood, the latest of it.
     """
 
     code: int
@@ -55,3 +61,4 @@ class Outcome:
     recording: Recording | None
     lost: Mapping[str, int]
     refused: Mapping[str, int]
+    incidents: tuple[str, ...] = ()

@@ -25,6 +25,7 @@ from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.session import Session
 
 if TYPE_CHECKING:
+    from manyhands.design.ladder import Ladder
     from manyhands.design.synthesis import Designed
 
 Progress = Callable[[str], None]
@@ -46,6 +47,8 @@ class Prepared:
         blocks: the realisation of each block of V, in the session's order.
         certificate: what proves it stable; None for a run that nothing proves.
         id: what all processes of the run must agree on.
+        ladder: the certificate and those for longer delays; None where there are none.
+        notes: why a delay of the ladder has none, a sentence each.
     """
 
     session: Session
@@ -53,6 +56,8 @@ class Prepared:
     blocks: tuple[StateSpace, ...]
     certificate: Certificate | None
     id: str
+    ladder: Ladder | None = None
+    notes: tuple[str, ...] = ()
 
 
 def certify(session: Session, progress: Progress | None = None) -> Designed:
@@ -110,7 +115,9 @@ def prepare(
     uncertified: bool = False,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Settle the coupling of a run.
+    """Settle the coupling of a run, and the ladder of softer ones that it may change to.
+
+    A certificate's file holds no ladder: one is designed for it here, and the same again wherever it is read.
 
     Args:
         session: the session.
@@ -133,7 +140,19 @@ def prepare(
         if not uncertified:
             raise NotCertified(f"{session.name} is not certified: {error}") from error
         return Prepared(session, loop, _unproved_blocks(session, loop, error), None, _uncertified_id(session))
-    return Prepared(session, loop, proof.blocks, proof, proof.id)
+    ladder, notes = _ladder(session, proof, progress)
+    return Prepared(session, loop, proof.blocks, proof, proof.id, ladder, notes)
+
+
+def _ladder(session: Session, first: Certificate, progress: Progress | None) -> tuple[Ladder | None, tuple[str, ...]]:
+    """The ladder that the session asks for, with ``first`` as its rung 0, and what it lacks."""
+    stated = session.design.ladder
+    if stated == () or (stated is None and first.tau == first.loop.period):
+        return None, ()
+    from manyhands.design.ladder import automatic_delays, design_ladder  # the solver takes a second to import
+
+    delays = automatic_delays(first.loop) if stated is None else stated
+    return design_ladder(first, coupling_request(session), delays, progress)
 
 
 def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError) -> tuple[StateSpace, ...]:

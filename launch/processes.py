@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from manyhands.protocol.messages import Role
@@ -15,7 +15,7 @@ from manyhands.protocol.messages import Role
 _LOG_SHOWN = 2000  # characters of a process's own error output that a message quotes
 
 # Matrices of a few rows gain nothing from threads, and idle BLAS threads spin beside the loop.
-_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Processes:
@@ -25,7 +25,7 @@ class Processes:
         """Bundles and logs of the processes go into ``directory``."""
         self._directory = directory
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self._fds: dict[int, str] = {}
+        self._fds: dict[int, tuple[str, ...]] = {}
 
     @property
     def fds(self) -> tuple[int, ...]:
@@ -37,22 +37,34 @@ class Processes:
         """Process ids of those that still run, by node."""
         return {name: process.pid for name, process in self._running.items()}
 
-    def start(self, name: str, role: Role, bundle: Path, processor: int | None = None) -> None:
-        """Start one node, on one processor if that is given.
+    def start(self, nodes: Sequence[str], role: Role, bundles: Sequence[Path], processor: int | None = None) -> None:
+        """Start a node, and those that share its process; its log goes on where an earlier process left it.
 
         In a session of its own, so that Ctrl-C in a terminal reaches the supervisor alone.
+
+        Args:
+            nodes: the node, whose log is the process's, and those that it carries.
+            role: the node's.
+            bundles: one for each.
+            processor: the one to run on; any by default.
+
+        Raises:
+            OSError: there is no process to be had.
         """
-        with (self._directory / f"{name}.log").open("wb") as log:
+        for node in nodes:
+            self._sweep(node)
+        first, *others = map(str, bundles)
+        with (self._directory / f"{nodes[0]}.log").open("ab") as log:
             process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
-                [sys.executable, "-P", "-m", f"manyhands.nodes.{role.value}", str(bundle), str(os.getpid())],
+                [sys.executable, "-P", "-m", f"manyhands.nodes.{role.value}", first, str(os.getpid()), *others],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                env={**os.environ, **_ONE_THREAD},
+                env={**os.environ, **ONE_THREAD},
             )
-        self._running[name] = process
-        self._fds[os.pidfd_open(process.pid)] = name
+        self._running.update(dict.fromkeys(nodes, process))
+        self._fds[os.pidfd_open(process.pid)] = tuple(nodes)
         if processor is not None:
             with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor tells
                 os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
@@ -61,15 +73,26 @@ class Processes:
         """The nodes behind the readable ``fds`` and their exit codes (negative: killed by that signal)."""
         out = {}
         for fd in fds & self._fds.keys():
-            name = self._fds.pop(fd)
+            nodes = self._fds.pop(fd)
             os.close(fd)
-            out[name] = self._running.pop(name).wait()
+            out.update({name: self._running.pop(name).wait() for name in nodes})
         return out
 
     def send(self, which: signal.Signals) -> None:
         """Send a signal to every process that still runs."""
-        for process in self._running.values():
+        for process in set(self._running.values()):
             process.send_signal(which)
+
+    def _sweep(self, name: str) -> None:
+        """Remove the sockets that a killed process has left; it binds ``NAME-PEER``, and no name has a hyphen."""
+        for path in self._directory.glob(f"{name}-*"):
+            if path.is_socket():
+                path.unlink()
+
+    def kill(self, name: str) -> None:
+        """Kill one node's process if it still runs; its end is seen as any other."""
+        if name in self._running:
+            self._running[name].send_signal(signal.SIGKILL)
 
     def end_all(self) -> None:
         """Kill and reap whatever still runs; for the way out of an error."""

@@ -1,14 +1,16 @@
 """Every x and f_v of a run, tick by tick, and the files they are kept in.
 
-Two formats, chosen by the file's suffix: ``.npz`` (arrays ``x`` and ``f_v``, ticks x ports, with the port
-names, the period, the session and the certificate's id; exact) and ``.csv`` (one row a tick, for a spreadsheet).
+Two formats are written from here, chosen by the file's suffix: ``.npz`` (arrays ``x`` and ``f_v``, ticks x ports, with
+the port names, the period, the session and the certificate's id; exact) and ``.csv`` (one row a tick, for a
+spreadsheet). The third, ``.mcap``, is written while the session runs by a process of its own
+(:mod:`manyhands.launch.recorder`) and read by :mod:`manyhands.launch.recording_file`.
 """
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,10 @@ from manyhands.launch.files import replacing, require_target
 Array = NDArray[np.float64]
 
 SUFFIXES = (".npz", ".csv")
+STREAMED = ".mcap"
+RUN_SUFFIXES = (*SUFFIXES, STREAMED)
+"""What a run of processes can be recorded to; a simulation in one process keeps all in memory anyway."""
+
 MOST_MISSING_TICKS = 1_000_000  # of one device in all; more would be nonsensical ticks, and memory for them, not a loss
 
 
@@ -37,6 +43,8 @@ class Recording:
         ports: names of the m ports.
         x: ticks x m, m.
         f_v: ticks x m, N.
+        missing: ticks that were not recorded, NaN in x and f_v, by device, those devices that miss some.
+        cut: why the file it was read from is not whole, and up to which tick it is; None for one that is.
     """
 
     session: str
@@ -45,6 +53,8 @@ class Recording:
     ports: tuple[str, ...]
     x: Array
     f_v: Array
+    missing: Mapping[str, int] = field(default_factory=dict)
+    cut: str | None = None
 
     @property
     def time(self) -> Array:
@@ -91,16 +101,25 @@ class Recording:
                 writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
 
 
-def require_suffix(path: Path) -> None:
-    """Refuse a file name whose suffix names no format; before a run, not after it.
+def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
+    """Refuse a file name that cannot be recorded to; before a run, not after it.
 
     Raises:
-        RecordingError: unknown suffix.
+        RecordingError: the suffix is none of ``suffixes``.
         TargetError: the file cannot be there.
     """
-    if path.suffix not in SUFFIXES:
-        raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}")
+    require_format(path, suffixes)
     require_target(path)
+
+
+def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file name whose suffix is none of ``suffixes``.
+
+    Raises:
+        RecordingError: so it is.
+    """
+    if path.suffix not in suffixes:
+        raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(suffixes)}")
 
 
 class Collector:
@@ -111,9 +130,9 @@ class Collector:
         refused: messages whose traces fit no device, its ports, or its ticks so far.
     """
 
-    def __init__(self, ports: Mapping[str, tuple[str, ...]]) -> None:
-        """``ports`` of each device."""
-        self._ports = ports
+    def __init__(self, ports: Mapping[str, tuple[str, ...]], most_missing: int = MOST_MISSING_TICKS) -> None:
+        """``ports`` of each device, and the most ticks that one of them may miss."""
+        self._ports, self._most_missing = ports, most_missing
         self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
         self._next = dict.fromkeys(ports, 0)
         self.lost = dict.fromkeys(ports, 0)
@@ -129,15 +148,29 @@ class Collector:
             self.refused += 1
             return
         gap = tick - x.shape[0] - self._next[device]
-        if not 0 <= gap <= MOST_MISSING_TICKS - self.lost[device]:
+        if not 0 <= gap <= self._most_missing - self.lost[device]:
             self.refused += 1
             return
-        if gap > 0:
-            hole = np.full((gap, x.shape[1]), np.nan)
-            self._chunks[device].append((hole, hole))
-            self.lost[device] += gap
+        self._skip(device, gap)
         self._chunks[device].append((x, f_v))
         self._next[device] = tick
+
+    def _skip(self, device: str, ticks: int) -> None:
+        if ticks > 0:
+            hole = np.full((ticks, len(self._ports[device])), np.nan)
+            self._chunks[device].append((hole, hole))
+            self._next[device] += ticks
+            self.lost[device] += ticks
+
+    @property
+    def tick(self) -> int:
+        """The number of ticks of the device that did most."""
+        return max(self._next.values())
+
+    def level(self) -> None:
+        """Make all devices as long as the longest: what the others did not do counts as lost."""
+        for device, done in self._next.items():
+            self._skip(device, min(self.tick - done, self._most_missing - self.lost[device]))
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
         """The whole run; devices that did fewer ticks than others are cut to the shortest."""
@@ -150,6 +183,7 @@ class Collector:
             tuple(port for ports in self._ports.values() for port in ports),
             np.hstack([x for x, _ in columns]),
             np.hstack([f for _, f in columns]),
+            {device: lost for device, lost in self.lost.items() if lost > 0},
         )
 
     def _column(self, device: str, ticks: int) -> tuple[Array, Array]:

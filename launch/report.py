@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from manyhands.launch.files import replacing
+from manyhands.launch.incidents import Incidents
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.distribution import PERCENTILES
+from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Report, Role
 
+_INCIDENTS: Final = {"frozen": names.FROZEN_TICKS, "released": names.RELEASED, "jumps": names.JUMPS}
+"""Counts of what a node withstood: ticks with a frozen coupling, periods without force, jumps to a later tick."""
 
-def node_entry(role: Role, report: Report) -> dict[str, Any]:
-    """A node's part of the report; keys that its role does not have, or that it did not tell properly, are absent."""
+
+def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
+    """A node's part of the report; keys that its role does not have, or that it did not tell properly, are absent.
+
+    Args:
+        role: the node's.
+        report: its last word; of a node that came back, what its last process did.
+        restarts: how often it came back.
+    """
     figures = {name: value for name, value in report.figures.items() if math.isfinite(value)}  # JSON has no other
     counts = report.counts
     entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks}
@@ -26,15 +37,29 @@ def node_entry(role: Role, report: Report) -> dict[str, Any]:
         percentiles = {name: told[name] for name in PERCENTILES if math.isfinite(told.get(name, math.nan))}
         if percentiles:
             entry[quantity] = percentiles
+    causes = {key.removeprefix(names.LATE_CAUSE): n for key, n in counts.items() if key.startswith(names.LATE_CAUSE)}
+    if causes:
+        entry["late_causes"] = causes
     if {names.LEDGER, names.LEDGER_MIN} <= figures.keys():
         entry["ledger"] = {"min": figures[names.LEDGER_MIN], "final": figures[names.LEDGER]}
+        if 0 <= (tick := figures.get(names.LEDGER_MIN_TICK, -1.0)) <= MAX_COUNT:
+            entry["ledger"]["at"] = int(tick)
+        if names.LEDGER_MARGIN in figures:
+            entry["ledger"]["margin"] = figures[names.LEDGER_MARGIN]
+    if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
+        ticks = min(max(figures[names.ENFORCED_TICKS], 0.0), MAX_COUNT)
+        entry["enforcement"] = {"ticks": int(ticks), "energy": figures[names.ENFORCED_ENERGY]}
+    granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
+    if granted:
+        entry["realtime"] = granted
     if {names.PEAK_SPEED, names.FINAL_SPEED} <= figures.keys():
         entry |= {speed: figures[speed] for speed in (names.PEAK_SPEED, names.FINAL_SPEED)}
-    if names.TAU_BREACHES in counts:
-        entry[names.TAU_BREACHES] = counts[names.TAU_BREACHES]
-    for clips in (names.CLIPPED, names.SATURATED):
-        if clips in counts:
-            entry[clips] = counts[clips]
+    for count in (names.TAU_BREACHES, names.PERIOD_BREACHES, names.CLIPPED, names.SATURATED, names.RUNG):
+        if count in counts:
+            entry[count] = counts[count]
+    incidents = {key: counts.get(name, 0) for key, name in _INCIDENTS.items()} | {"restarts": restarts}
+    if any(incidents.values()):
+        entry["incidents"] = {key: n for key, n in incidents.items() if n > 0}
     refused = {
         key.removeprefix(names.REFUSED): n for key, n in counts.items() if key.startswith(names.REFUSED) and n > 0
     }
@@ -54,6 +79,8 @@ def run_report(
     nodes: Mapping[str, Role],
     reports: Mapping[str, Report],
     refused: Mapping[str, int],
+    incidents: Incidents,
+    enforced: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -65,14 +92,21 @@ def run_report(
         nodes: every node's role.
         reports: the last words of those that gave one.
         refused: what the supervisor did not admit, by kind; those kinds that occurred.
+        incidents: what the session withstood.
+        enforced: parties whose promise a controller keeps at run time, and no proof.
     """
+    restarts = incidents.restarts
     return {
         "session": session,
         "certificate": certificate,
         "clock": clock,
         "duration": duration,
-        "nodes": {name: node_entry(role, reports[name]) for name, role in nodes.items() if name in reports},
+        "nodes": {
+            name: node_entry(role, reports[name], restarts[name]) for name, role in nodes.items() if name in reports
+        },
+        **({"enforced": list(enforced)} if enforced else {}),
         **({"refused": dict(refused)} if refused else {}),
+        **({"incidents": list(incidents.sentences)} if incidents.total else {}),
     }
 
 

@@ -1,26 +1,50 @@
-"""A run's own directory: bundles, logs, sockets and the keys of one run, for the session's user alone (mode 0700)."""
+"""Where a run keeps its files: a directory of its own that is gone afterwards, and the one that its user keeps.
+
+Bundles, sockets, keys of one run and the processes' error output are in the first (mode 0700), which goes with the run.
+The logs are in its folder ``log``, which leads to the second where there is one, so that they outlive a supervisor that
+was killed.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+
+from manyhands.design.certificate import save
+from manyhands.launch.files import TargetError, replacing
+from manyhands.launch.report import save_json
+from manyhands.nodes.log import LOG_FOLDER
+
+if TYPE_CHECKING:
+    from manyhands.launch.preparation import Prepared
 
 _PREFIX = "manyhands-"
 
+SESSION: Final = "session.yaml"
+CERTIFICATE: Final = "certificate.json"
+REPORT: Final = "report.json"
+
 
 @contextmanager
-def run_directory() -> Iterator[Path]:
-    """A new directory that is gone afterwards."""
+def run_directory(logs: Path | None = None) -> Iterator[Path]:
+    """A new directory that is gone afterwards; the logs in its folder ``log`` stay if ``logs`` is where they go."""
     sweep_directories()
     directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-"))
     try:
+        if logs is None:
+            (directory / LOG_FOLDER).mkdir(mode=0o700)
+        else:
+            (directory / LOG_FOLDER).symlink_to(logs.absolute(), target_is_directory=True)
         yield directory
     finally:
-        shutil.rmtree(directory)
+        shutil.rmtree(directory)  # a link is removed, not what it leads to
 
 
 def sweep_directories() -> None:
@@ -32,3 +56,73 @@ def sweep_directories() -> None:
         pid = path.name.removeprefix(_PREFIX).split("-")[0]
         if pid.isdigit() and path.is_dir() and path.stat().st_uid == os.getuid() and not Path(f"/proc/{pid}").exists():
             shutil.rmtree(path, ignore_errors=True)  # another supervisor may be sweeping too
+
+
+def require_new(path: Path) -> None:
+    """Refuse what cannot become a run's folder; before a run, not after it.
+
+    Raises:
+        TargetError: it is there and not empty, or no folder, or another user's, or its own folder is not there.
+    """
+    if not path.absolute().parent.is_dir():
+        raise TargetError(f"{path}: found no folder {path.parent}; expected one that exists")
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise TargetError(f"{path}: found a file; expected the name of a new folder")
+    if path.stat().st_uid != os.getuid():
+        raise TargetError(f"{path}: found another user's folder; expected the name of a new one")
+    if any(path.iterdir()):
+        raise TargetError(f"{path}: found a folder that is not empty; expected a new one for each run")
+
+
+class SessionDirectory:
+    """Everything of one run that its user keeps, in one place; never a key.
+
+    Attributes:
+        path: the directory.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the directory, for its user alone (mode 0700).
+
+        Raises:
+            TargetError: as :func:`require_new`, or it cannot be made.
+        """
+        self.path = path
+        try:
+            require_new(path)
+            path.mkdir(mode=0o700, exist_ok=True)
+            path.chmod(0o700)  # whatever the umask, and for one that was there
+            self.logs.mkdir(mode=0o700)
+        except OSError as error:
+            raise TargetError(f"{path}: cannot be made a run's folder: {error.strerror}") from error
+
+    @property
+    def logs(self) -> Path:
+        """Where the processes' logs are."""
+        return self.path / LOG_FOLDER
+
+    def keep_session(self, prepared: Prepared) -> None:
+        """Write the session as it is run, overrides applied, and its certificate if it has one.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        with replacing(self.path / SESSION) as partial:
+            partial.write_text(yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True))
+        if prepared.certificate is not None:
+            save(prepared.certificate, self.path / CERTIFICATE)
+
+    def keep_report(self, report: Mapping[str, Any]) -> None:
+        """Write the report.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        save_json(report, self.path / REPORT)
+
+
+def is_bare(file: Path) -> bool:
+    """Whether a file is named without a folder, and so belongs in a run's directory where there is one."""
+    return file.name == str(file)

@@ -10,7 +10,10 @@ from manyhands.launch.display import LiveTable, not_admitted, say
 from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import Reach
+from manyhands.launch.recorder_process import RecorderProcess
+from manyhands.launch.recording import STREAMED
 from manyhands.launch.report import save_json
+from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import topology
 
@@ -24,6 +27,7 @@ def run_session(
     ticks: int,
     record: Path | None = None,
     report: Path | None = None,
+    directory: SessionDirectory | None = None,
     keep: bool = False,
 ) -> Outcome:
     """Run a session, show its progress on ``console``, and write what was asked for.
@@ -34,13 +38,17 @@ def run_session(
         clock: "realtime" or "simulated".
         reach: how the processes reach each other.
         ticks: number of ticks; 0 runs until interrupted.
-        record: where every x and f_v goes.
+        record: where every x and f_v goes; ``.mcap`` while the session runs, other formats at its end.
         report: where the report goes.
+        directory: where session, certificate, report and logs are kept besides.
         keep: whether to return the recording without writing it.
 
     Raises:
         RecordingError, OSError: a file cannot be written.
     """
+    streamed = record is not None and record.suffix == STREAMED
+    if directory is not None:
+        directory.keep_session(prepared)
     title = f"{prepared.session.name} ({clock}, {reach.transport}), certificate {prepared.id[:16]}"
     with LiveTable(console, title, topology(prepared.session), ticks) as table:
         outcome = Supervisor(
@@ -48,11 +56,15 @@ def run_session(
             clock=clock,
             reach=reach,
             ticks=ticks,
-            record=keep or record is not None,
+            record=keep or (record is not None and not streamed),
+            recorder=RecorderProcess(prepared, clock, record) if record is not None and streamed else None,
+            logs=None if directory is None else directory.logs,
             show=table,
         ).run()
     for notice in outcome.notices:
         say(console, f"notice: {notice}")
+    for incident in outcome.incidents:
+        say(console, f"incident: {incident}")
     for fault in outcome.faults:
         say(console, f"error: {fault}")
     if outcome.lost:
@@ -60,10 +72,14 @@ def run_session(
         say(console, f"warning: ticks missing from the recording (NaN there): {lost}")
     for line in not_admitted(outcome.refused):
         say(console, f"warning: {line}")
-    if record is not None and outcome.recording is not None:
-        outcome.recording.save(record)
+    if record is not None and (streamed or outcome.recording is not None):
+        if outcome.recording is not None and not streamed:
+            outcome.recording.save(record)
         say(console, f"recording written to {record}")
     if report is not None:
         save_json(outcome.report, report)
         say(console, f"report written to {report}")
+    if directory is not None:
+        directory.keep_report(outcome.report)
+        say(console, f"session, report and logs are in {directory.path}")
     return outcome

@@ -2,13 +2,19 @@
 
 It starts from the same bundles and takes the same steps in the same order as the processes do, so that a
 run of the processes under the simulated clock has the same numbers.
+
+A plan of faults tells when a user falls silent: the environment freezes the coupling's ports and sends them no force,
+the devices' hands go on without one, and who returns starts with a coupling at rest, as a new process would.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared
@@ -19,10 +25,27 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.guard import Guard, LimitExceeded
 from manyhands.nodes.device.simulated import simulated_driver
-from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.black_box import EnforcedCore
+from manyhands.nodes.environment.cores import environment_core
+from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.ledger import Ledger
 
 _PROGRESS_TICKS = 1000
+
+
+@dataclass(frozen=True)
+class Silence:
+    """A coupling of which nothing is heard for some ticks.
+
+    Attributes:
+        coupling: its name.
+        begin: the first tick at which it is frozen.
+        end: the tick at which it is back, at rest, and engaged; None for never.
+    """
+
+    coupling: str
+    begin: int
+    end: int | None = None
 
 
 class Simulation:
@@ -31,8 +54,10 @@ class Simulation:
     Attributes:
         devices: the devices' cores by name.
         guards: what watches over the devices' limits, by name.
-        couplings: the blocks' cores by name.
-        ledgers: every party's energy ledger by node; parties that promised nothing are absent.
+        couplings: the blocks' cores by name; one that has been silent has another core than before.
+        environment: the environment's core; its blocks are ``couplings``, in this order.
+        ledgers: every party's energy ledger by node, a coupling's since it was last at rest; parties that promised
+            nothing are absent.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -43,7 +68,8 @@ class Simulation:
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
         self._drivers, self._device_ports = [], []
-        self._coupling_ports = []
+        self._coupling_ports: dict[str, NDArray[np.intp]] = {}
+        self._coupling_bundles: dict[str, CouplingBundle] = {}
         self.devices: dict[str, DeviceCore] = {}
         self.guards: dict[str, Guard] = {}
         self.couplings: dict[str, CouplingCore] = {}
@@ -61,32 +87,60 @@ class Simulation:
                     self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
                     self.ledgers[name] = device.ledger
                 case CouplingBundle():
-                    coupling = CouplingCore(bundle.block, bundle.K, bundle.level, T, bundle.limits.force)
-                    self.couplings[name] = coupling
-                    self._coupling_ports.append(ports)
+                    self._coupling_bundles[name], self._coupling_ports[name] = bundle, ports
+                    self._set_out(name)
                     D_V[np.ix_(ports, ports)] = bundle.block.D
-                    if coupling.ledger is not None:
-                        self.ledgers[name] = coupling.ledger
                 case EnvironmentBundle():
                     environment = bundle
         if environment is None:
             raise AssertionError("every session has an environment")
-        self._environment = EnvironmentCore(environment.E, D_V, environment.Phi_E, T)
-        if self._environment.ledger is not None:
-            self.ledgers[ENVIRONMENT] = self._environment.ledger
+        blocks = tuple(self._coupling_ports.values())
+        self.environment = environment_core(environment, D_V, blocks)
+        if self.environment.ledger is not None:
+            self.ledgers[ENVIRONMENT] = self.environment.ledger
 
-    def run(self, ticks: int, progress: Callable[[int], None] | None = None) -> Recording:
-        """Run ``ticks`` ticks; ``progress`` is told now and then how many are done.
+    def _set_out(self, name: str) -> None:
+        """A coupling starts at rest."""
+        bundle = self._coupling_bundles[name]
+        coupling = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
+        self.couplings[name] = coupling
+        if coupling.ledger is not None:
+            self.ledgers[name] = coupling.ledger
+
+    def run(
+        self, ticks: int, progress: Callable[[int], None] | None = None, faults: Sequence[Silence] = ()
+    ) -> Recording:
+        """Run ``ticks`` ticks.
+
+        Args:
+            ticks: how many.
+            progress: told now and then how many are done.
+            faults: who falls silent, and when; ticks count from the beginning of this run.
 
         Raises:
             LimitExceeded: a device went beyond its displacement or its speed, which would end a session.
+            ModelFailure: the environment's model gave no usable forces, which would end it too.
+            ValueError: a fault of no coupling, that ends before it begins, or two of one coupling at a time.
         """
+        begins, ends = _by_tick(faults, tuple(self.couplings))
+        blocks = {name: block for block, name in enumerate(self.couplings)}
         m = len(self._session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
         p = np.zeros(m)
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
-        couplings = list(zip(self.couplings.values(), self._coupling_ports, strict=True))
+        couplings = self._heard(())
+        silent: set[str] = set()
+        model = self.environment if isinstance(self.environment, EnforcedCore) else None
         for k in range(ticks):
+            if k in begins or k in ends:
+                for name in ends.get(k, ()):
+                    silent.discard(name)
+                    self._set_out(name)
+                    self.environment.engage(blocks[name])
+                for name in begins.get(k, ()):
+                    silent.add(name)
+                    self.environment.freeze(blocks[name])
+                couplings = self._heard(silent)
             for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
                 displacement = driver.sample(k)
                 breach = guard.breach(displacement)
@@ -95,17 +149,53 @@ class Simulation:
                 device.sample(displacement)
                 x[k, ports] = displacement
             for coupling, ports in couplings:
-                p[ports] = coupling.free_position(x[k, ports])
-            f_v[k] = self._environment.react(p)
-            self._environment.settle()
+                p[ports] = coupling.free_position(x[k, ports].tolist())
+            f_v[k] = self.environment.react(p)
+            if model is not None and model.failure is not None:
+                raise ModelFailure(model.failure)
+            self.environment.settle()
             for coupling, ports in couplings:
-                f_v[k, ports] = applied = coupling.limited(f_v[k, ports])
+                f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)
             for driver, device, guard, ports in devices:
-                f_v[k, ports] = force = guard.clip(f_v[k, ports])
+                f_v[k, ports] = force = guard.clip(f_v[k, ports].tolist())
                 driver.apply(force)
                 driver.idle()
                 device.apply(force, driver.intended_work())
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
         return Recording(self._session.name, self._id, self._session.period, self._session.ports, x, f_v)
+
+    def _heard(self, silent: Collection[str]) -> list[tuple[CouplingCore, NDArray[np.intp]]]:
+        """The couplings that are not silent, with their ports."""
+        return [(core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
+
+
+def _by_tick(
+    faults: Sequence[Silence], couplings: tuple[str, ...]
+) -> tuple[dict[int, list[str]], dict[int, list[str]]]:
+    """Who falls silent and who returns, by tick.
+
+    Raises:
+        ValueError: see :meth:`Simulation.run`.
+    """
+    begins: dict[int, list[str]] = {}
+    ends: dict[int, list[str]] = {}
+    for fault in faults:
+        if fault.coupling not in couplings:
+            raise ValueError(f"found a silence of {fault.coupling!r}; expected one of {', '.join(couplings)}")
+        if fault.begin < 0 or (fault.end is not None and fault.end <= fault.begin):
+            raise ValueError(
+                f"found a silence of {fault.coupling} from tick {fault.begin} to {fault.end}; expected it to begin at "
+                "0 or later, and to end after that"
+            )
+        begins.setdefault(fault.begin, []).append(fault.coupling)
+        if fault.end is not None:
+            ends.setdefault(fault.end, []).append(fault.coupling)
+    for before, after in pairwise(sorted(faults, key=lambda fault: (fault.coupling, fault.begin))):
+        if before.coupling == after.coupling and (before.end is None or after.begin <= before.end):
+            raise ValueError(
+                f"found silences of {before.coupling} from tick {before.begin} and from {after.begin}; expected the "
+                "first to end before the second begins"
+            )
+    return begins, ends

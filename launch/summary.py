@@ -50,6 +50,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "period": loop.period,
         "tau": certificate.tau,
         "structure": _structure(loop),
+        "enforced": list(loop.enforced),
     }
 
 
@@ -66,6 +67,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "period": loop.period,
         "tau": None,
         "structure": _structure(loop),
+        "enforced": list(loop.enforced),
         "reason": reason,
         "relax": list(relax),
     }
@@ -95,10 +97,12 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
         table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
-    energy = isinstance(levels.P_E, str)
-    table.add_row(
-        "environment proved by", "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
-    )
+    if loop.enforced:
+        table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
+    else:
+        energy = isinstance(levels.P_E, str)
+        by = "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
+        table.add_row("environment proved by", by)
     table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
     for key, margin in certificate.margins.items():
         if key != CONDITION_10:
@@ -115,6 +119,8 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
     table.add_column("by")
     for finding in _shortened(findings):
         mark = "[green]proved[/green]" if finding.holds else "[bold red]not proved[/bold red]"
+        if finding.enforced:
+            mark = "[yellow]enforced[/yellow]"
         table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", mark, _escaped(finding.argument))
     console.print(table)
 

@@ -7,30 +7,48 @@ poll over all of them, and no waiting for time to pass.
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from manyhands.launch.allowance import Allowance
+from manyhands.launch.assumptions import Assumptions
+from manyhands.launch.attention import Attention
 from manyhands.launch.audience import Audience
 from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import Conductor, Instruction, Kill, NodeState, Phase, Release, Send, Terminate
+from manyhands.launch.conductor import (
+    Conductor,
+    Instruction,
+    Kill,
+    KillProcess,
+    NodeState,
+    Phase,
+    Release,
+    Send,
+    StartProcess,
+    Terminate,
+)
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.placement import placement
+from manyhands.launch.policy import EndSession, ShiftCoupling
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import Processes
 from manyhands.launch.reach import HUB_NAME, Reach
+from manyhands.launch.recorder import Recorder
 from manyhands.launch.recording import Collector
 from manyhands.launch.report import run_report
+from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.run_directory import run_directory
+from manyhands.launch.session import SUPERVISOR
 from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
+from manyhands.nodes.log import Event, Log, log_path
+from manyhands.nodes.realtime import may_raise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
@@ -42,7 +60,9 @@ STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 REFRESH = from_seconds(0.2)
 READING_TIME = from_seconds(0.05)  # at most, before there is a look at processes, signals and deadlines
+CLOSING_TIME = from_seconds(10.0)  # for those who are not done, since the last that was
 REMOTE_SILENCE = from_seconds(3.0)  # a node says something every second
+TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetries; who is silent is told, and nothing else is done about it
 FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest one sends a telemetry in a hundred ticks
 
 
@@ -57,6 +77,8 @@ class Supervisor:
         reach: Reach,
         ticks: int,
         record: bool,
+        recorder: Recorder | None = None,
+        logs: Path | None = None,
         show: Callable[[Progress], None] | None = None,
     ) -> None:
         """Prepare a run; nothing is started yet.
@@ -66,21 +88,29 @@ class Supervisor:
             clock: "realtime" or "simulated".
             reach: how the processes reach each other.
             ticks: number of ticks; 0 runs until interrupted.
-            record: whether to keep every x and f_v.
+            record: whether to keep every x and f_v in memory, for the outcome.
+            recorder: who writes the run down while it goes on; nobody by default.
+            logs: the folder that the processes' logs go to; by default they go with the run.
             show: told about the progress a few times a second.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
         self._clock_name, self._reach, self._record = clock, reach, record
+        self._recorder, self._logs = recorder or Recorder(), logs
         self._show = show
         self._graph = topology(session)
-        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks, reach.remote)
+        budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
+        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget)
+        self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
         self._clock = RealtimeClock()
+        self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._audience = Audience(session)
-        self._heard: dict[str, Instant] = {}
+        self._heard, self._told = Attention(), Attention()
+        self._directory = Path()
+        self._places: Mapping[str, int] = {}
+        self._to_start: set[str] = set()
         self._refused: Mapping[str, int] = {}
         self._telemetry: dict[str, Telemetry] = {}
-        self._notices: dict[str, str] = {}
         self._began: Instant | None = None
         devices = {name: self._graph.ports[name] for name, role in self._graph.nodes.items() if role is Role.DEVICE}
         self._collector = Collector(devices)
@@ -88,8 +118,14 @@ class Supervisor:
     def run(self) -> Outcome:
         """Run the session to its end."""
         with Interrupt() as interrupt:
-            with run_directory() as directory:
-                self._run_in(directory, interrupt)
+            with run_directory(self._logs) as directory:
+                self._log = Log(log_path(str(directory), SUPERVISOR), self._session.name, SUPERVISOR, self._clock)
+                self._log.note(Event.START, pid=os.getpid(), certificate=self._prepared.id, clock=self._clock_name)
+                try:
+                    self._run_in(directory, interrupt)
+                finally:
+                    self._log.note(Event.END, reason=str(interrupt.signal or "over"))
+                    self._log.close()
             return self._outcome(interrupt.signal)
 
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
@@ -102,71 +138,100 @@ class Supervisor:
             members = (*self._graph.nodes, *self._session.observers)
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
             self._conductor.observers = self._audience.serve(transport, reach, self._graph)
-            traces = self._record or self._audience.wants_traces
+            self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
+            traces = self._record or self._recorder.wants_traces or self._audience.wants_traces
             run = Run(self._clock_name, directory, endpoint, traces, reach, private)
-            places = placement(self._graph, sorted(os.sched_getaffinity(0))) if self._clock_name == REALTIME else {}
+            self._directory = directory
+            if self._clock_name == REALTIME:
+                raised = reach.transport == "ipc" and may_raise()
+                self._places = placement(self._graph, sorted(os.sched_getaffinity(0)), raised)
             bundles = cut(self._prepared, run)
             for name in local:
-                path = directory / f"{name}.bundle"
-                bundle_files.save(bundles[name], path)
-                processes.start(name, self._graph.nodes[name], path, places.get(name))
+                bundle_files.save(bundles[name], self._bundle_path(name))
+            for name in local:
+                self._start_process(name, processes)
+            self._recorder.await_ready(interrupt.fd)
             self._watch(hub, transport, processes, interrupt)
+            self._tell_of_recorder(self._recorder.finish(interrupt.fd))
         finally:
+            self._recorder.close()
             processes.end_all()
             transport.close()
 
     def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
         """The loop: wait for anything, tell the conductor, do as it says."""
-        conductor, clock = self._conductor, self._clock
+        conductor, clock, recorder = self._conductor, self._clock, self._recorder
         phase, deadline = conductor.phase, Instant(clock.now() + STARTUP_TIME)
-        shown = Instant(0)
+        shown, reported = Instant(0), 0
         per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
         allowance = Allowance(per_second, clock.now())
         while conductor.phase is not Phase.OVER:
             pause = allowance.pause(clock.now())
             timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
-            ready = hub.wait(Duration(timeout), (*processes.fds, interrupt.fd), frames=pause == 0)
+            fds = (*processes.fds, *recorder.fds, interrupt.fd)
+            ready = hub.wait(Duration(timeout), fds, frames=pause == 0 and recorder.has_room)
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
                 self._carry_out(conductor.interrupt(), hub, processes)
             until = clock.now() + READING_TIME
-            while allowance.pause(clock.now()) == 0 and clock.now() < until:
+            while allowance.pause(clock.now()) == 0 and clock.now() < until and recorder.has_room:
                 before = hub.handled
                 received = hub.recv()
                 allowance.spend(hub.handled - before, clock.now())  # what it dropped counts, too
                 if received is None:
                     break
                 self._hear(*received, hub, processes)
+            self._tell_of_recorder(recorder.attend(ready))
+            if not recorder.has_room:  # who is not listened to is not silent
+                for name in self._reach.remote:
+                    self._heard.note(name, clock.now())
             for name in self._silent():
-                self._carry_out(conductor.silent(name), hub, processes)
+                self._carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
-                self._carry_out(conductor.exited(name, code), hub, processes)
+                self._log.note(Event.EXITED, peer=name, code=code)
+                self._carry_out(conductor.exited(name, code, clock.now()), hub, processes)
+            self._carry_out(conductor.look(clock.now()), hub, processes)
             if conductor.phase is not phase:
                 phase, shown = conductor.phase, Instant(0)
+                self._log.note(Event.PHASE, phase=phase.value)
                 deadline = Instant(clock.now() + ENDING_TIME if phase is Phase.ENDING else 2**62)
                 if phase is Phase.RUNNING:
                     self._began = clock.now()
-                    self._heard = dict.fromkeys(self._reach.remote, self._began)  # who was ready first has waited
+                    for name in self._reach.remote:
+                        self._heard.note(name, self._began)  # who was ready first has waited
             elif conductor.phase is Phase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
+            elif conductor.phase is Phase.RUNNING and len(conductor.reports) > reported:
+                reported, deadline = len(conductor.reports), Instant(clock.now() + CLOSING_TIME)
             elif clock.now() >= deadline:
                 self._carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
             if self._show is not None and clock.now() - shown >= REFRESH:
                 shown = clock.now()
+                self._log.flush()
                 self._tally(hub, transport)
                 self._show(self._progress(processes))
         self._tally(hub, transport)
+        for fault in conductor.faults:
+            self._log.note(Event.FAULT, text=fault)
+        for text in self._assumptions.notices.values():
+            self._log.note(Event.NOTICE, text=text)
+        for text in conductor.incidents.sentences:
+            self._log.note(Event.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
         if self._show is not None:
             self._show(self._progress(processes))
 
+    def _tell_of_recorder(self, incident: str | None) -> None:
+        if incident is not None:
+            self._conductor.incidents.tell(incident)
+
     def _silent(self) -> list[str]:
         """Remote nodes that run and have not been heard for too long."""
-        conductor, now = self._conductor, self._clock.now()
+        conductor = self._conductor
         running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
-        return [name for name in running if now - self._heard.get(name, now) > REMOTE_SILENCE]
+        return self._heard.quiet(running, self._clock.now(), REMOTE_SILENCE)
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
         counts = {**transport.refused(), **hub.dropped, "out_of_turn": self._conductor.ignored}
@@ -175,15 +240,22 @@ class Supervisor:
 
     def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
         if sender in self._reach.remote:
-            self._heard[sender] = self._clock.now()
+            self._heard.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
         self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
-            self._check_assumptions(sender, message)
+            self._told.note(sender, self._clock.now())
+            for deed in self._assumptions.check(sender, message):
+                match deed:
+                    case ShiftCoupling(coupling, rung):
+                        self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
+                    case EndSession(reason):
+                        self._carry_out(self._conductor.stop(reason), hub, processes)
             self._audience.tell(sender, message)
+            self._recorder.tell(sender, message)
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
-            if self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
+            if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
 
     def _carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
@@ -191,42 +263,64 @@ class Supervisor:
             match instruction:
                 case Send(node, message):
                     hub.send(node, encode(message))  # one that is gone hears nothing; its exit is seen
-                case Release(observer):
-                    hub.forget(observer)
+                case Release(name):
+                    hub.forget(name)
+                case StartProcess(node):
+                    self._start_anew(node, hub, processes)
+                case KillProcess(node):
+                    processes.kill(node)
                 case Terminate():
                     processes.send(signal.SIGTERM)
                 case Kill():
                     processes.send(signal.SIGKILL)
 
-    def _check_assumptions(self, node: str, telemetry: Telemetry) -> None:
-        """Tell at once, and once, when a device's loop is not the one the certificate is about."""
-        breaches = telemetry.figures.get(names.TAU_BREACHES, 0.0)
-        if self._certificate is not None and breaches > 0 and node not in self._notices:
-            tau = telemetry.figures.get(f"{names.TAU}_p50", math.nan)
-            self._notices[node] = (
-                f"{node}: the force is applied {tau:.0f} us (median) after the sample; the certificate assumes "
-                f"{self._certificate.tau * 1e6:g} us"
-            )
-        if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
-            self._notices.setdefault(
-                f"{node} limits",
-                f"{node}: a force was clipped to the limits; the certificate is about forces within them",
-            )
+    def _bundle_path(self, name: str) -> Path:
+        return self._directory / f"{name}.bundle"
+
+    def _start_process(self, name: str, processes: Processes) -> None:
+        """Start a node, unless it shares its process with others that are still to be started."""
+        leader = self._graph.carriers.get(name, name)
+        together = [leader, *(node for node, carrier in self._graph.carriers.items() if carrier == leader)]
+        self._to_start.add(name)
+        if self._to_start.issuperset(together):
+            self._to_start.difference_update(together)
+            role, paths = self._graph.nodes[leader], [self._bundle_path(node) for node in together]
+            processes.start(together, role, paths, self._places.get(leader))
+
+    def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
+        """The next process of a node that was lost; of the last one nothing is kept but its bundle and its log."""
+        self._telemetry.pop(name, None)
+        self._told.forget(name)
+        self._assumptions.forget(name)
+        try:
+            self._start_process(name, processes)
+            for node, pid in processes.pids.items():
+                if node == name or self._graph.carriers.get(node) == name or self._graph.carriers.get(name) == node:
+                    self._conductor.started(node, pid)
+        except OSError as error:
+            now = self._clock.now()
+            self._carry_out(self._conductor.not_started(name, str(error.strerror), now), hub, processes)
 
     def _progress(self, processes: Processes) -> Progress:
         elapsed = 0.0 if self._began is None else seconds(Duration(self._clock.now() - self._began))
+        conductor = self._conductor
+        running = [name for name, state in conductor.states.items() if state is NodeState.RUNNING]
         return Progress(
-            self._conductor.phase,
-            {name: state.value for name, state in self._conductor.states.items()},
+            conductor.phase,
+            {name: state.value for name, state in conductor.states.items()},
             dict(processes.pids),
             self._telemetry,
             elapsed,
-            tuple(self._notices.values()),
+            tuple(self._assumptions.notices.values()),
             self._refused,
+            frozenset(self._told.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
+            conductor.incidents.sentences,
         )
 
     def _outcome(self, ended_by: signal.Signals | None) -> Outcome:
-        conductor = self._conductor
+        conductor, recorder = self._conductor, self._recorder
+        if recorder.failure is not None:
+            conductor.faults.append(recorder.failure)
         code = EXIT_FAILED if conductor.faults else EXIT_OK
         if conductor.interrupted and ended_by is not None:
             code = 128 + int(ended_by)
@@ -237,7 +331,7 @@ class Supervisor:
         return Outcome(
             code,
             tuple(conductor.faults),
-            tuple(self._notices.values()),
+            tuple(self._assumptions.notices.values()),
             run_report(
                 self._session.name,
                 conductor.certificate,
@@ -246,10 +340,14 @@ class Supervisor:
                 self._graph.nodes,
                 conductor.reports,
                 self._refused,
-            ),
+                conductor.incidents,
+                self._prepared.loop.enforced,
+            )
+            | recorder.as_plain(),
             recording,
-            {device: n for device, n in self._collector.lost.items() if n > 0},
+            {**{device: n for device, n in self._collector.lost.items() if n > 0}, **recorder.missing},
             self._refused,
+            conductor.incidents.sentences,
         )
 
 
@@ -258,5 +356,6 @@ def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:
     if not conductor.faults:
         return []
     told = "\n".join(conductor.faults)
-    logs = ((name, processes.log(name)) for name in conductor.graph.nodes)
-    return [f"{name} wrote:\n{text}" for name, text in logs if text and text not in told]
+    logs = {name: processes.log(name).splitlines() for name in conductor.graph.nodes}
+    new = {name: "\n".join(line for line in lines if line not in told) for name, lines in logs.items()}
+    return [f"{name} wrote:\n{text}" for name, text in new.items() if text]

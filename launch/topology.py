@@ -1,13 +1,13 @@
 """Which processes a session has and which links join them: derived from its couplings, and nowhere else.
 
-A device is linked to every coupling that holds one of its ports; every coupling is linked to the
-environment. A link carries exactly the ports that both its ends may see.
+A device is linked to every coupling that holds one of its ports, unless the two are one process; every coupling is
+linked to the environment. A link carries exactly the ports that both its ends may see.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.protocol.limits import MAX_PORTS
@@ -33,11 +33,13 @@ class Topology:
         nodes: every process's name and role, devices first, then couplings, then the environment.
         ports: the ports of each node, in order.
         links: in the session's order, which every node follows in its handshakes.
+        carriers: of each coupling that runs in its device's process, the device.
     """
 
     nodes: Mapping[str, Role]
     ports: Mapping[str, tuple[str, ...]]
     links: tuple[LinkPlan, ...]
+    carriers: Mapping[str, str] = field(default_factory=dict)
 
     def links_of(self, node: str) -> tuple[LinkPlan, ...]:
         """The links that end at ``node``, in the session's order."""
@@ -73,8 +75,10 @@ def topology(session: Session) -> Topology:
     device_of = {port: device for device in session.devices for port in ports[device]}
     place = {device: i for i, device in enumerate(session.devices)}
     for coupling in session.couplings:
+        if coupling in session.carriers:  # one process with its device
+            continue
         shared: dict[str, list[str]] = {}
         for port in ports[coupling]:
             shared.setdefault(device_of[port], []).append(port)
         links += [LinkPlan(coupling, device, tuple(shared[device])) for device in sorted(shared, key=place.__getitem__)]
-    return Topology(session.roles, ports, tuple(links))
+    return Topology(session.roles, ports, tuple(links), session.carriers)

@@ -18,10 +18,11 @@ from manyhands.launch.files import TargetError
 from manyhands.launch.preparation import NotCertified, Prepared, prepare
 from manyhands.launch.reach import ReachError
 from manyhands.launch.recording import RecordingError
-from manyhands.launch.session import Session, SessionError
+from manyhands.launch.session import PythonEnvironment, Session, SessionError
 from manyhands.launch.topology import LinkTooWide
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.device.guard import LimitExceeded
+from manyhands.nodes.environment.model import ModelError, ModelFailure
 from manyhands.protocol.key_files import KeyFileError
 from manyhands.protocol.transport import TransportError
 
@@ -116,6 +117,16 @@ def refuse(text: str) -> None:
     raise typer.Exit(EXIT_BAD_INPUT)
 
 
+def warn_of_model(console: Console, session: Session) -> None:
+    """Say whose code a run is going to import; nothing where a session names no model."""
+    if isinstance(session.environment, PythonEnvironment):
+        say(
+            console,
+            f"{session.name}: runs the code of the model {session.environment.model}, which is not confined; run only "
+            "models from people you trust",
+        )
+
+
 def warn_insecure(console: Console) -> None:
     """Say in red that nothing keeps others out."""
     console.print(
@@ -131,6 +142,7 @@ _BAD_INPUT = (
     CertificateError,
     KeyFileError,
     LinkTooWide,
+    ModelError,
     ReachError,
     RecordingError,
     SessionError,
@@ -154,7 +166,7 @@ def errors() -> Iterator[None]:
     except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
-    except LimitExceeded as error:
+    except (LimitExceeded, ModelFailure) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_FAILED) from error
     except OSError as error:

@@ -26,12 +26,14 @@ from manyhands.launch.cli.common import (
     require_one_of,
     ticks_of,
     warn_insecure,
+    warn_of_model,
 )
 from manyhands.launch.display import say
 from manyhands.launch.files import require_target
 from manyhands.launch.keys import load_folder
 from manyhands.launch.reach import Listen, reach
-from manyhands.launch.recording import SUFFIXES, require_suffix
+from manyhands.launch.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
+from manyhands.launch.run_directory import SessionDirectory, is_bare, require_new
 from manyhands.launch.shipped import load_named
 from manyhands.launch.summary import print_report
 from manyhands.launch.topology import require_runnable, topology
@@ -68,6 +70,7 @@ def simulate(
         prepared = prepare_session(loaded, certificate, uncertified=True)
         if prepared.certificate is None and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
+        warn_of_model(err, loaded)
         simulation = Simulation(prepared)
         with Progress(console=err, transient=True) as bar:
             task = bar.add_task("simulating", total=ticks)
@@ -103,9 +106,21 @@ def launch(
     ] = [],  # noqa: B006
     insecure: Insecure = False,
     record: Annotated[
-        Path | None, typer.Option("--record", metavar="FILE", help=f"Keep every x and f_v ({', '.join(SUFFIXES)}).")
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FILE",
+            help=f"Keep every x and f_v ({', '.join(RUN_SUFFIXES)}); {STREAMED} while the session runs, with all "
+            "telemetry. A bare name is put into --directory.",
+        ),
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
+    directory: Annotated[
+        Path | None,
+        typer.Option(
+            "--directory", metavar="DIR", help="Keep session, certificate, report and logs of this run in a new folder."
+        ),
+    ] = None,
     overrides: Overrides = [],  # noqa: B006
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
@@ -118,8 +133,13 @@ def launch(
         require_one_of("--transport", transport, SCHEMES)
         loaded = load_named(session, overrides)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
-        if record is not None:
-            require_suffix(record)
+        if directory is not None:
+            require_new(directory)
+        if record is not None and directory is not None and is_bare(record):
+            record = directory / record
+            require_format(record, RUN_SUFFIXES)
+        elif record is not None:
+            require_suffix(record, RUN_SUFFIXES)
         if report is not None:
             require_target(report)
         require_runnable(topology(loaded))
@@ -134,7 +154,11 @@ def launch(
         if insecure:
             warn_insecure(err)
         prepared = prepare_session(loaded, certificate, uncertified)
-        outcome = run_session(prepared, err, clock=clock, reach=ways, ticks=ticks, record=record, report=report)
+        warn_of_model(err, loaded)
+        kept = None if directory is None else SessionDirectory(directory)
+        outcome = run_session(
+            prepared, err, clock=clock, reach=ways, ticks=ticks, record=record, report=report, directory=kept
+        )
         print_report(out, outcome.report)
         end(outcome.code)
 

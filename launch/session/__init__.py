@@ -4,6 +4,7 @@
 :class:`Session` or a :class:`SessionError`. docs/session-file.md is the reference of the format.
 """
 
+from manyhands.launch.session.black_box import PythonEnvironment
 from manyhands.launch.session.design import Design, Pole
 from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import (
@@ -15,6 +16,7 @@ from manyhands.launch.session.environment import (
     TransferFunctionEnvironment,
 )
 from manyhands.launch.session.error import SessionError
+from manyhands.launch.session.faults import Faults
 from manyhands.launch.session.given import BlockMatrices
 from manyhands.launch.session.hand import DEFAULT_HAND, Hand
 from manyhands.launch.session.interval import Interval, LevelInterval
@@ -37,6 +39,7 @@ __all__ = [
     "Design",
     "Device",
     "Environment",
+    "Faults",
     "Hand",
     "Interval",
     "LevelInterval",
@@ -45,6 +48,7 @@ __all__ = [
     "Observer",
     "Pole",
     "PortLimits",
+    "PythonEnvironment",
     "Rational",
     "Session",
     "SessionError",

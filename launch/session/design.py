@@ -28,6 +28,7 @@ from manyhands.launch.session.limits import (
     MAX_ORDER,
     MAX_POLES,
     MAX_PORT_ORDER,
+    MAX_RUNGS,
     MIN_POSITIVE,
 )
 from manyhands.launch.session.rational import Rational
@@ -39,6 +40,7 @@ Blocks: TypeAlias = Mapping[str, tuple[str, ...]]
 _FREQUENCY: Final = Quantity("a natural frequency", "rad/s", above=0.0, smallest=MIN_POSITIVE)
 _RATIO: Final = Quantity("a damping ratio", above=0.0, most=1.0, smallest=MIN_POSITIVE)
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
+_DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
 _COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
@@ -86,6 +88,9 @@ class Design(SessionModel):
     weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
     tau: Annotated[float, BeforeValidator(_DELAY)] = Field(
         default=0.0, description="the delay inside the tick that the certificate is to allow, in s"
+    )
+    ladder: Annotated[tuple[float, ...] | None, BeforeValidator(optional(_DELAYS))] = Field(
+        default=None, description="longer delays, growing, for each of which a softer coupling is held ready, in s"
     )
     iterations: Annotated[int | None, BeforeValidator(optional(Whole("iterations", 1, MAX_ITERATIONS)))] = Field(
         default=None, description="the most iterations of complementarity"
@@ -135,7 +140,7 @@ class Design(SessionModel):
 
     @model_validator(mode="after")
     def _every_key_has_its_use(self) -> Self:
-        if problems := [*self._search_problems(), *self._objective_problems()]:
+        if problems := [*self._search_problems(), *self._objective_problems(), *self._ladder_problems()]:
             raise refusal(*problems)
         return self
 
@@ -165,6 +170,17 @@ class Design(SessionModel):
             found = "iterations with 'algorithm: convex'"
             yield Problem(("iterations",), found, "'algorithm: complementarity', or no iterations")
 
+    def _ladder_problems(self) -> Iterator[Problem]:
+        """Delays that do not grow, or that nothing is held ready for."""
+        if self.ladder and self.coupling == "none":
+            yield Problem(("ladder",), "a ladder with 'coupling: none'", "a coupling, or no ladder")
+        before, name = self.tau, "tau"
+        for index, delay in enumerate(self.ladder or ()):
+            if not delay > before:
+                yield Problem(("ladder", index), f"{show(delay)} after {name} {show(before)}", "delays that grow, in s")
+                return
+            before, name = delay, "the delay"
+
     def _objective_problems(self) -> Iterator[Problem]:
         """An objective that the coupling leaves nothing to do for, and weights that the objective does not use."""
         allowed: tuple[str, ...] = _OBJECTIVES
@@ -183,6 +199,9 @@ class Design(SessionModel):
         """What does not fit a session with these ports, these ports of each coupling, and this period (s)."""
         if self.tau > period:
             yield Problem(("tau",), f"{show(self.tau)} with a period of {period:g} s", "at most the period")
+        if self.ladder and self.ladder[-1] > period:
+            found = f"{show(self.ladder[-1])} with a period of {period:g} s"
+            yield Problem(("ladder", len(self.ladder) - 1), found, "at most the period")
         for name in ("W1", "W2"):
             weight: Weight | None = getattr(self.weights, name, None)
             if weight is not None and weight.emphasise is not None and weight.emphasise[1] * period > 0.5:

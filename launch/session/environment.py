@@ -1,4 +1,4 @@
-"""The virtual environment of a session: a network of masses, springs and dampers, matrices, or rational functions.
+"""The virtual environment of a session: masses, springs and dampers; matrices; rational functions; or a model.
 
 Whatever its kind, it maps displacements of the session's ports (m) to forces (N), one of each for every port, and
 its own key ``type`` says which keys are there besides.
@@ -10,6 +10,7 @@ from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
+from manyhands.launch.session.black_box import ENFORCE_MEANING, Enforce, PythonEnvironment
 from manyhands.launch.session.error import one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -73,6 +74,7 @@ class NetworkEnvironment(SessionModel):
         description="the springs and dampers"
     )
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+    enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
     @property
     def uncertain(self) -> bool:
@@ -146,6 +148,7 @@ class StateSpaceEnvironment(SessionModel):
         None, "how it is discretised: backward-euler, tustin or zoh"
     )
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+    enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
     def arrays(self) -> tuple[Array, Array, Array, Array]:
         """A, B, C and D, each in its full shape also without states."""
@@ -182,6 +185,7 @@ class TransferFunctionEnvironment(SessionModel):
         Field(default="backward-euler", description="how it is discretised: backward-euler or tustin")
     )
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
+    enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
@@ -213,12 +217,13 @@ class TransferFunctionEnvironment(SessionModel):
                 yield Problem(("entries", i), f"a row of {len(row)}", f"{m} entries, one for each port")
 
 
-Environment: TypeAlias = NetworkEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment
+Environment: TypeAlias = NetworkEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment | PythonEnvironment
 
 _KINDS: Final[Mapping[str, type[Environment]]] = {
     "network": NetworkEnvironment,
     "state-space": StateSpaceEnvironment,
     "transfer-function": TransferFunctionEnvironment,
+    "python": PythonEnvironment,
 }
 
 

@@ -299,3 +299,13 @@ def unsymmetric(rows: Rows) -> Problem | None:
                 found = f"{rows[i][j]!r} in row {i + 1}, column {j + 1} and {rows[j][i]!r} across the diagonal"
                 return Problem((i, j), found, "a symmetric matrix")
     return None
+
+
+def _flag(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise refuse(show(value), "true or false")
+    return value
+
+
+Flag: TypeAlias = Annotated[bool, BeforeValidator(_flag)]
+"""True or false, and nothing that only looks like it."""

@@ -28,11 +28,15 @@ MAX_ORDER: Final = 256
 MAX_PORT_ORDER: Final = 16
 """States of a linear coupling for each of its ports."""
 MAX_POLES: Final = MAX_PORT_ORDER // 2
+MAX_RUNGS: Final = 8
+"""Delays of a ladder, besides the design's own."""
 MAX_ENVIRONMENT_ORDER: Final = 512
 """States of an environment given by matrices, or degrees of all entries together of one given by rational ones."""
 MAX_DELAY: Final = 16
 """Whole ticks by which an environment may be late."""
 MAX_ITERATIONS: Final = 10_000
+MAX_MODEL_NAME: Final = 200
+"""Characters of the name of a model's factory."""
 
 MAX_PROBLEMS: Final = 200
 """Dangling or doubled names that are told apart in one file; each is compared with every valid name."""
@@ -53,6 +57,14 @@ DEFAULT_DISPLACEMENT: Final = 10.0
 """m; rad on a rotational axis."""
 DEFAULT_SPEED: Final = 100.0
 """m/s; rad/s on a rotational axis."""
+
+# faults
+MAX_RESTARTS: Final = 100
+DEFAULT_RESTARTS: Final = 3
+LONGEST_WINDOW: Final = 86_400.0
+"""s."""
+DEFAULT_WINDOW: Final = 60.0
+"""s."""
 
 # recorded traces
 MAX_TRACE_BYTES: Final = 1 << 26

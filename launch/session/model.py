@@ -6,7 +6,7 @@ processes, the sockets and the keys all start from. Values arrive normalised (wh
 is a tuple by axis), and a ``Session`` that exists satisfies everything that docs/session-file.md asks for.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -18,7 +18,18 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from manyhands.launch.session.design import Design
 from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import Environment, environment_of_its_type
-from manyhands.launch.session.fields import NamedParts, Period, Problem, SessionModel, SessionName, part_name, refusal
+from manyhands.launch.session.error import listed
+from manyhands.launch.session.faults import Faults
+from manyhands.launch.session.fields import (
+    Flag,
+    NamedParts,
+    Period,
+    Problem,
+    SessionModel,
+    SessionName,
+    part_name,
+    refusal,
+)
 from manyhands.launch.session.given import full_matrix
 from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_OBSERVERS, MAX_PROBLEMS
 from manyhands.launch.session.matrices import Array
@@ -29,9 +40,9 @@ from manyhands.launch.session.structure import ENVIRONMENT, CouplingBlock, ports
 from manyhands.protocol.messages import Role
 
 _BEGUN_BY_OVERRIDES: Final = frozenset(
-    {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2")}
+    {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2"), ("faults",)}
 )
-"""Optional parts that hold parts themselves: an override of a key deep in them may begin them."""
+"""Optional parts: an override of a key in them may begin them."""
 
 
 class Session(SessionModel):
@@ -52,6 +63,8 @@ class Session(SessionModel):
     observers: Annotated[
         dict[str, Observer], BeforeValidator(NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0))
     ] = Field(default={}, description="who may look on, by name, and at what")
+    colocate: Flag = Field(default=False, description="whether each coupling runs in its device's process")
+    faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
@@ -60,6 +73,8 @@ class Session(SessionModel):
         for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
             problems.append(problem._replace(at=("environment", *problem.at)))
         problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
+        if not problems and self.colocate:
+            problems += islice(self._not_to_be_colocated(), MAX_PROBLEMS)
         if not problems:
             found = self.design.problems(self.ports, self.blocks_by_name, self.period)
             for problem in islice(found, MAX_PROBLEMS):
@@ -81,6 +96,23 @@ class Session(SessionModel):
             **dict.fromkeys(self.couplings, Role.COUPLING),
             ENVIRONMENT: Role.ENVIRONMENT,
         }
+
+    def _not_to_be_colocated(self) -> Iterator[Problem]:
+        """A coupling of several devices sees the motion of all: it is in the process of none of them."""
+        for name in self.couplings:
+            if len(self.devices_of(name)) > 1:
+                found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
+                yield Problem(("colocate",), found, "couplings of one device each, or false")
+
+    def devices_of(self, coupling: str) -> tuple[str, ...]:
+        """The devices that have a port in a coupling, in the session's order."""
+        own = set(self.blocks_by_name[coupling])
+        return tuple(device for device in self.devices if own & set(self.ports_of(device)))
+
+    @cached_property
+    def carriers(self) -> Mapping[str, str]:
+        """Of each coupling that runs in a device's process, the device."""
+        return {name: self.devices_of(name)[0] for name in self.couplings} if self.colocate else {}
 
     @cached_property
     def blocks_by_name(self) -> Mapping[str, tuple[str, ...]]:

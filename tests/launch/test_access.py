@@ -20,7 +20,7 @@ from manyhands.launch.loop import haptic_loop
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle
-from manyhands.nodes.exchange import bind_links
+from manyhands.nodes.greeting import bind_links
 from manyhands.protocol.channels import CHANNELS, Rate
 from manyhands.protocol.messages import Role
 

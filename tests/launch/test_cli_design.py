@@ -18,7 +18,7 @@ from manyhands.design.proof import prove
 from manyhands.launch import cli
 from manyhands.launch.cli import app
 
-KEYS = {"status", "id", "margin", "gamma", "coupling", "levels", "margins", "period", "tau", "structure"}
+KEYS = {"status", "id", "margin", "gamma", "coupling", "levels", "margins", "period", "tau", "structure", "enforced"}
 GIVEN = ["--set", "design.coupling=given", "--set", "design.stiffness=704.9", "--set", "design.damping=0.0372"]
 SHAPED = [*GIVEN, "--set", "design.objective=loop-shaping"]
 COMPLEMENTARITY = ["--set", "design.algorithm=complementarity"]

@@ -77,7 +77,7 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
     for name in names:
         assert c.hear(name, Telemetry(1, {}, {}), 0) == []
         assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
-        assert c.exited(name, 0) == []
+        assert c.exited(name, 0, 0) == []
     assert c.phase is Phase.OVER
     assert c.faults == []
     assert set(c.reports) == set(names)
@@ -87,19 +87,19 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
 @pytest.mark.parametrize(("code", "words"), [(-9, "was killed by SIGKILL"), (1, "ended with exit code 1")])
 def test_a_node_that_dies_ends_the_session(state: str, code: int, words: str) -> None:
     c = running() if state == "running" else conductor()
-    assert c.exited("cy", code) == [Terminate()]
+    assert c.exited("cy", code, 0) == [Terminate()]
     assert c.phase is Phase.ENDING
     assert c.faults == [f"cy {words} while {state}"]
     for name in GRAPH.nodes:
         if name != "cy":
-            assert c.exited(name, -15) == []  # asked to end: no fault of theirs
+            assert c.exited(name, -15, 0) == []  # asked to end: no fault of theirs
     assert c.phase is Phase.OVER
     assert len(c.faults) == 1
 
 
 def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_0() -> None:
     c = running()
-    assert c.exited("dx", 0) == [Terminate()]
+    assert c.exited("dx", 0, 0) == [Terminate()]
     assert "ended with exit code 0 while running" in c.faults[0]
 
 
@@ -163,7 +163,7 @@ def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
     assert c.interrupt() == [Kill()]  # asked twice
     for name in GRAPH.nodes:
         assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
-        c.exited(name, 0)
+        c.exited(name, 0, 0)
     assert c.phase is Phase.OVER
     assert c.faults == []
 
@@ -182,7 +182,7 @@ def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
     c = running()
     assert c.hear("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("heard")), Terminate()]
     assert c.states["cx"] is NodeState.FAULTED
-    assert c.exited("cx", 4) == []
+    assert c.exited("cx", 4, 0) == []
     assert c.faults == ["cx: no more"]
 
 
@@ -212,7 +212,7 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     assert c.phase is Phase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
     for name in GRAPH.nodes:
-        assert c.exited(name, 0) == []
+        assert c.exited(name, 0, 0) == []
     assert c.phase is Phase.OVER
     assert len(c.faults) == 1
     assert c.reports == {"dx": report}
@@ -245,7 +245,7 @@ class Test_nodes_that_are_started_elsewhere:
             c.hear(name, REPORT, 0)
             if name != "dx":
                 assert c.phase is Phase.RUNNING
-                c.exited(name, 0)
+                c.exited(name, 0, 0)
         assert c.states["dx"] is NodeState.ENDED
         assert c.phase is Phase.OVER
         assert c.faults == []
@@ -262,19 +262,19 @@ class Test_nodes_that_are_started_elsewhere:
 
     def test_its_silence_ends_the_session_once(self) -> None:
         c = running("dx")
-        out = c.silent("dx")
+        out = c.silent("dx", 0)
         assert out == [Terminate(), Send("dx", Stop("the session ends"))]
         assert c.faults == ["dx fell silent while running"]
-        assert c.silent("dx") == []
+        assert c.silent("dx", 0) == []
         for name in GRAPH.nodes:
             if name != "dx":
-                c.exited(name, 0)
+                c.exited(name, 0, 0)
         assert c.phase is Phase.OVER
         assert len(c.faults) == 1
 
     def test_one_that_went_silent_may_not_come_back(self) -> None:
         c = running("dx")
-        c.silent("dx")
+        c.silent("dx", 0)
         for message in (Telemetry(1, {}, {}), REPORT, hello("dx"), Ready()):
             assert c.hear("dx", message, 0) == []
         assert c.states["dx"] is NodeState.ENDED
@@ -297,7 +297,7 @@ class Test_nodes_that_are_started_elsewhere:
         for name in GRAPH.nodes:
             if name != "dx":
                 assert c.phase is Phase.ENDING
-                c.exited(name, 0)
+                c.exited(name, 0, 0)
         assert c.phase is Phase.OVER
 
     def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
@@ -305,7 +305,7 @@ class Test_nodes_that_are_started_elsewhere:
         c.interrupt()
         for name in GRAPH.nodes:
             if name != "dx":
-                c.exited(name, 0)
+                c.exited(name, 0, 0)
         assert c.phase is Phase.ENDING
         assert c.too_late() == [Kill()]
         assert c.phase is Phase.OVER

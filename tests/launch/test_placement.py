@@ -8,7 +8,7 @@ import pytest
 
 from manyhands.launch.placement import placement
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import ENVIRONMENT, topology
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -25,3 +25,17 @@ SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 )
 def test_chains_are_dealt_to_the_processors(file: str, processors: list[int], expected: dict[str, int]) -> None:
     assert placement(topology(load_session(SESSIONS / file)), processors) == expected
+
+
+@pytest.mark.parametrize(("processors", "expected"), [([0, 1], 1), ([2, 5, 7, 9], 9), ([4, 6, 8], 8)])
+def test_an_environment_that_comes_before_others_gets_the_least_used_processor(
+    processors: list[int], expected: int
+) -> None:
+    graph = topology(load_session(SESSIONS / "example1.yaml"))
+    places = placement(graph, processors, raised=True)
+    assert places == {**placement(graph, processors), ENVIRONMENT: expected}
+
+
+def test_where_nothing_is_pinned_nothing_else_is_either() -> None:
+    graph = topology(load_session(SESSIONS / "example1-centralised.yaml"))
+    assert placement(graph, [0, 1], raised=True) == {}

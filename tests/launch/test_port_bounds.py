@@ -18,8 +18,8 @@ from manyhands.launch.preparation import prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.exchange import bounds_by_peer
 from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.nodes.greeting import bounds_by_peer
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
@@ -58,9 +58,12 @@ def test_each_bundle_holds_the_limits_of_its_own_ports_and_the_environment_none(
         assert load(tmp_path / name, type(bundle)).limits == bundle.limits
     environment = cuts["environment"]
     assert isinstance(environment, EnvironmentBundle)
-    magnitude, step = tool_bounds(prepared.session, prepared.blocks)
+    assert prepared.ladder is not None
+    at_each_rung = [tool_bounds(prepared.session, rung.blocks) for rung in prepared.ladder.rungs]
+    magnitude, step = (tuple(map(max, *bounds)) for bounds in zip(*at_each_rung, strict=True))
     assert environment.tool_magnitude == magnitude
     assert environment.tool_step == step
+    assert (magnitude, step) != at_each_rung[0]
     save(environment, tmp_path / "environment")
     again = load(tmp_path / "environment", EnvironmentBundle)
     assert (again.tool_magnitude, again.tool_step) == (magnitude, step)
@@ -128,7 +131,7 @@ def test_an_honest_coupling_is_never_refused(
 
 
 def test_a_block_without_a_bound_leaves_its_ports_without_one(tmp_path: Path) -> None:
-    prepared = prepare(session())
+    prepared = prepare(session(overrides=(*OVERRIDES, "design.ladder=[]")))
     integrating = dataclasses.replace(prepared.blocks[1], A=np.eye(1))
     blocks = (prepared.blocks[0], integrating, prepared.blocks[2])
     magnitude, step = tool_bounds(prepared.session, blocks)

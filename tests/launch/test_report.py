@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from manyhands.launch.incidents import Incidents
 from manyhands.launch.report import node_entry, run_report, save_json
 from manyhands.launch.summary import print_report
 from manyhands.nodes import telemetry as names
@@ -32,6 +33,8 @@ HONEST = Report(
 KEYS = [
     *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
     *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
+    *(names.LEDGER_MIN_TICK, names.LEDGER_MARGIN, names.FROZEN_TICKS, names.JUMPS, names.RELEASED, names.RUNG),
+    "late_own",
 ]
 some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
 numbers = st.floats() | st.sampled_from([math.inf, -math.inf, math.nan])
@@ -78,9 +81,46 @@ def test_half_of_a_pair_is_as_good_as_none(left_out: str, instead: float | None)
     assert ("peak_speed" in entry) == (left_out not in (names.PEAK_SPEED, names.FINAL_SPEED))
 
 
-def whole(nodes: dict[str, Report], refused: dict[str, int] | None = None) -> dict[str, Any]:
-    roles = dict.fromkeys((*nodes, "silent"), Role.DEVICE)
-    return run_report("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {})
+def whole(
+    nodes: dict[str, Report],
+    refused: dict[str, int] | None = None,
+    incidents: Incidents | None = None,
+    enforced: tuple[str, ...] = (),
+) -> dict[str, Any]:
+    roles, withstood = dict.fromkeys((*nodes, "silent"), Role.DEVICE), incidents or Incidents()
+    return run_report("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced)
+
+
+def test_what_a_node_withstood_and_where_its_ledger_was_least() -> None:
+    told = {names.LEDGER: 0.5, names.LEDGER_MIN: -0.25, names.LEDGER_MIN_TICK: 17.0, names.LEDGER_MARGIN: 0.125}
+    counts = {names.FROZEN_TICKS: 7, names.JUMPS: 2, names.RELEASED: 0, names.RUNG: 0, "late_own": 1, "late_partner": 0}
+    entry = node_entry(Role.DEVICE, Report(9, told, counts, {}), restarts=3)
+    assert entry == {
+        "role": "device",
+        "ticks": 9,
+        "late_causes": {"own": 1, "partner": 0},
+        "ledger": {"min": -0.25, "final": 0.5, "at": 17, "margin": 0.125},
+        "rung": 0,
+        "incidents": {"frozen": 7, "jumps": 2, "restarts": 3},
+    }
+
+
+@pytest.mark.parametrize("tick", [math.nan, -1.0, 1e300])
+def test_a_tick_that_is_none_is_left_out(tick: float) -> None:
+    entry = node_entry(
+        Role.DEVICE, Report(1, {names.LEDGER: 0.5, names.LEDGER_MIN: 0.0, names.LEDGER_MIN_TICK: tick}, {}, {})
+    )
+    assert entry["ledger"] == {"min": 0.0, "final": 0.5}
+
+
+def test_incidents_are_listed_where_there_were_any() -> None:
+    incidents = Incidents()
+    incidents.tell("dx was killed by SIGKILL while running")
+    incidents.restarts["dx"] += 1
+    made = whole({"dx": HONEST}, incidents=incidents)
+    assert made["incidents"] == ["dx was killed by SIGKILL while running"]
+    assert made["nodes"]["dx"]["incidents"] == {"restarts": 1}
+    assert "incidents" not in whole({"dx": HONEST})
 
 
 @given(reports)
@@ -99,6 +139,7 @@ def test_the_whole_and_its_file(tmp_path: Path) -> None:
     assert made.keys() == {"session", "certificate", "clock", "duration", "nodes"}
     assert made["nodes"].keys() == {"dx"}  # the other gave no last word
     assert whole({}, {"no_key": 2})["refused"] == {"no_key": 2}
+    assert whole({}, enforced=("environment",))["enforced"] == ["environment"]
     save_json(made, tmp_path / "run.json")
     assert json.loads((tmp_path / "run.json").read_text()) == made
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]

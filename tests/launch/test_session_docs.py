@@ -10,12 +10,14 @@ from manyhands.launch.session import (
     CouplingBlock,
     Design,
     Device,
+    Faults,
     Hand,
     Link,
     NetworkEnvironment,
     Observer,
     Pole,
     PortLimits,
+    PythonEnvironment,
     Rational,
     Session,
     StateSpaceEnvironment,
@@ -41,10 +43,12 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Link": (Link,),
     "State space": (StateSpaceEnvironment,),
     "Transfer function": (TransferFunctionEnvironment,),
+    "Model": (PythonEnvironment,),
     "Design": (Design, Pole),
     "Weights": (Weights, Weight),
     "Matrices": (BlockMatrices,),
     "Observer": (Observer,),
+    "Faults": (Faults,),
 }
 
 
@@ -91,10 +95,12 @@ OVERRIDES = {
     "Link": "environment.links.0={{{key}: {value}}}",
     "State space": "{key}={value}",
     "Transfer function": "{key}={value}",
+    "Model": "{key}={value}",
     "Design": "{key}={value}",
     "Weights": "design={{coupling: spring-damper, objective: loop-shaping, {key}: {value}}}",
     "Matrices": "design={{coupling: given, matrices: {{{key}: {value}}}}}",
     "Observer": "observers={{{key}: {value}}}",
+    "Faults": "{key}={value}",
 }
 EXAMPLES = [
     (section, text) for section in SECTIONS for text in re.findall("^Example: `(.+)`$", SECTIONS[section], re.M)
@@ -129,8 +135,11 @@ def test_the_limits_are_the_ones_in_force() -> None:
         f"n states (at most {limits.MAX_ENVIRONMENT_ORDER})",
         f"all entries together at most {limits.MAX_ENVIRONMENT_ORDER}",
         f"whole 1 to {limits.MAX_ITERATIONS};",
+        f"at most {limits.MAX_MODEL_NAME} characters",
         f"at most {limits.MAX_OBSERVERS} |",
         f"1 to {limits.MAX_READS} distinct",
+        f"| | {limits.DEFAULT_RESTARTS} | whole 0 to {limits.MAX_RESTARTS} |",
+        f"| s | {limits.DEFAULT_WINDOW:g} | greater than 0 at most {limits.LONGEST_WINDOW:.0f} |",
         f"| N | {limits.DEFAULT_FORCE:g} | greater than 0 |",
         f"| m | {limits.DEFAULT_DISPLACEMENT:g} | greater than 0 |",
         f"| m/s | {limits.DEFAULT_SPEED:g} | greater than 0 |",

@@ -1,0 +1,59 @@
+"""What telemetry says of the certificate's assumptions: told to people at once and once, and judged by the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from manyhands.launch.policy import BreachPolicy, EndSession, Notice, Policy, ShiftCoupling
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.topology import Topology
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME
+from manyhands.protocol.messages import Role, Telemetry
+
+
+class Assumptions:
+    """The assumptions of one run.
+
+    Attributes:
+        notices: those found broken, in words, by what each is about.
+    """
+
+    def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
+        """Nothing has been heard yet.
+
+        Args:
+            prepared: the session with its coupling and certificate.
+            graph: its nodes and links.
+            clock: "realtime" or "simulated"; nothing is late under the simulated one.
+            rungs: the rung of the ladder that each coupling was changed to.
+        """
+        session, certificate = prepared.session, prepared.certificate
+        devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
+        chains = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
+        self._policy = BreachPolicy(
+            Policy(session.faults.breach),
+            chains if certificate is not None and clock == REALTIME else {},
+            0.0 if certificate is None else certificate.tau,
+            session.period,
+            prepared.ladder,
+            rungs,
+        )
+        self.notices: dict[str, str] = {}
+
+    def forget(self, node: str) -> None:
+        """``node`` has a new process, which counts from 0."""
+        self._policy.forget(node)
+
+    def check(self, node: str, telemetry: Telemetry) -> list[ShiftCoupling | EndSession]:
+        """Take what is to be told of ``node`` into the notices; returns what is to be done."""
+        deeds: list[ShiftCoupling | EndSession] = []
+        for decision in self._policy.judge(node, telemetry.tick, telemetry.figures):
+            if isinstance(decision, Notice):
+                self.notices.setdefault(decision.key, decision.text)
+            else:
+                deeds.append(decision)
+        if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
+            text = f"{node}: a force was clipped to the limits; the certificate is about forces within them"
+            self.notices.setdefault(f"{node} limits", text)
+        return deeds

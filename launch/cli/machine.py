@@ -1,0 +1,29 @@
+"""The command about the machine: doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manyhands.launch.cli.common import Json, Overrides, end, err, errors, out
+from manyhands.launch.shipped import load_named
+
+commands = typer.Typer()
+
+
+@commands.command(epilog="Example: manyhands doctor example1.yaml --seconds 10")
+def doctor(
+    session: Annotated[
+        Path, typer.Argument(metavar="[SESSION]", help="A session file, or the name of a shipped one.")
+    ] = Path("example1.yaml"),
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="How long to measure, in s.")] = 5.0,
+    overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
+    as_json: Json = False,
+) -> None:
+    """Say what this machine permits, how long a tick takes on it, and which stiffness that leaves to be certified."""
+    with errors():
+        from manyhands.launch.doctor.examination import run_doctor
+
+        end(run_doctor(load_named(session, overrides), seconds, out, err, as_json))

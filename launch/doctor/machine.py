@@ -1,0 +1,152 @@
+"""What a machine is like, as far as a loop of a millisecond feels it; read, never changed, and never refused.
+
+What cannot be read is None: a container may hide it, another kernel may not have it.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import sysconfig
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from manyhands.nodes.linux import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
+
+_CONTAINER_MARKS = (".dockerenv", "run/.containerenv", "run/systemd/container")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine, for one user.
+
+    Attributes:
+        kernel: system and release.
+        preemption: PREEMPT_RT, PREEMPT_DYNAMIC, PREEMPT, or "voluntary or none".
+        virtual: which kind of virtual machine this is; None for none that shows.
+        container: whether this runs in a container.
+        processors: those of the machine.
+        usable: those that this process may use, by number.
+        governors: of their frequencies; None where that is the host's business.
+        clock_source: of the kernel.
+        priority_limit: RLIMIT_RTPRIO.
+        may_raise: CAP_SYS_NICE.
+        memory_limit: RLIMIT_MEMLOCK, bytes; None for no limit.
+        may_lock: CAP_IPC_LOCK.
+        realtime_share: the part of its time that a processor gives to real-time threads at most; None for no limit.
+        python: implementation, version and compiler.
+        gil: whether one interpreter lock is held at a time.
+        zeromq: version of libzmq.
+        pyzmq: version of its binding.
+        curve: whether libzmq can encrypt.
+        ipc: whether it can use Unix-domain sockets.
+    """
+
+    kernel: str
+    preemption: str
+    virtual: str | None
+    container: bool
+    processors: int
+    usable: tuple[int, ...]
+    governors: tuple[str, ...] | None
+    clock_source: str | None
+    priority_limit: int
+    may_raise: bool
+    memory_limit: int | None
+    may_lock: bool
+    realtime_share: float | None
+    python: str
+    gil: bool
+    zeromq: str
+    pyzmq: str
+    curve: bool
+    ipc: bool
+
+    def plain(self) -> dict[str, Any]:
+        """As the JSON has it."""
+        return asdict(self) | {"usable": list(self.usable), "governors": self.governors and list(self.governors)}
+
+
+def examine(root: Path = Path("/")) -> Machine:
+    """Look at this machine.
+
+    Args:
+        root: where proc and sys are found.
+    """
+    system, name = Linux(), platform.uname()
+    usable = tuple(sorted(os.sched_getaffinity(0)))
+    return Machine(
+        kernel=f"{name.system} {name.release}",
+        preemption=preemption(name.version),
+        virtual=virtual(root),
+        container=any((root / mark).exists() for mark in _CONTAINER_MARKS),
+        processors=os.cpu_count() or len(usable),
+        usable=usable,
+        governors=governors(root, usable),
+        clock_source=_text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        priority_limit=system.priority_limit(),
+        may_raise=system.capable(CAP_SYS_NICE),
+        memory_limit=system.memory_limit(),
+        may_lock=system.capable(CAP_IPC_LOCK),
+        realtime_share=realtime_share(root),
+        python=f"{platform.python_implementation()} {platform.python_version()}, {platform.python_compiler()}",
+        gil=has_gil(),
+        zeromq=zmq.zmq_version(),
+        pyzmq=zmq.__version__,
+        curve=bool(zmq.has("curve")),
+        ipc=bool(zmq.has("ipc")),
+    )
+
+
+def preemption(version: str) -> str:
+    """The preemption model that a kernel's version line names."""
+    words = version.split()
+    found = next((word for word in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if word in words), None)
+    return found or "voluntary or none"
+
+
+def virtual(root: Path) -> str | None:
+    """Which kind of virtual machine this is; None for none that shows.
+
+    The processor's flag tells that there is a hypervisor; the firmware's tables, where there are any, tell whose.
+    """
+    kind = _text(root / "sys/hypervisor/type")
+    flags = next((line for line in (_text(root / "proc/cpuinfo") or "").splitlines() if line.startswith("flags")), "")
+    if kind is None and "hypervisor" not in flags.split():
+        return None
+    product = _text(root / "sys/class/dmi/id/product_name")
+    return product or kind or "a hypervisor"
+
+
+def governors(root: Path, usable: tuple[int, ...]) -> tuple[str, ...] | None:
+    """The different frequency governors of the usable processors."""
+    paths = (root / f"sys/devices/system/cpu/cpu{n}/cpufreq/scaling_governor" for n in usable)
+    found = {text for path in paths if (text := _text(path)) is not None}
+    return tuple(sorted(found)) or None
+
+
+def realtime_share(root: Path) -> float | None:
+    """The part of a period that the kernel leaves to real-time threads; None where nothing bounds it."""
+    runtime, period = (_text(root / f"proc/sys/kernel/sched_rt_{name}_us") for name in ("runtime", "period"))
+    if runtime is None or period is None or int(runtime) < 0:
+        return None
+    return int(runtime) / int(period)
+
+
+def has_gil() -> bool:
+    """Whether this interpreter runs with its global lock: a free-threaded build may, too."""
+    if not sysconfig.get_config_var("Py_GIL_DISABLED"):
+        return True
+    return bool(getattr(sys, "_is_gil_enabled", lambda: True)())
+
+
+def _text(path: Path) -> str | None:
+    """A file of the kernel's, in one go; None where it is not there, not ours to read, or empty."""
+    try:
+        return path.read_text(errors="replace").strip() or None
+    except OSError:
+        return None

@@ -1,0 +1,184 @@
+"""What the measured delays mean: the stiffness that they leave to be certified, and what would change them.
+
+A tick's delay tau, from sample to force, is paid in stiffness (:mod:`manyhands.design.budget`). A certificate is about
+a longest delay, so p99.9 is what to design for, with the runtime watching for the rest; the median says what a
+machine without its tail would allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from manyhands.design.budget import environment_share, stiffest
+from manyhands.design.problem import HapticLoop
+from manyhands.launch.doctor.machine import Machine
+from manyhands.launch.doctor.probe import Measured, Spread, Ticking
+from manyhands.nodes.realtime import FIFO_PRIORITY
+
+QUANTILES = ("p50", "p999")
+"""Which delays are turned into stiffness."""
+
+_STEADY = ("tsc", "arch_sys_counter")  # clock sources that are read without a system call
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """What a loop's devices could certify.
+
+    Attributes:
+        loop: the loop.
+        share: what its environment takes of the devices' levels, at the loop's period.
+    """
+
+    loop: HapticLoop
+    share: float
+
+    @classmethod
+    def of(cls, loop: HapticLoop) -> Worth:
+        """The loop with its environment's share.
+
+        Raises:
+            SolverFailure: the search for the share did not end.
+        """
+        return cls(loop, environment_share(loop.environment, loop.Delta_D, loop.period))
+
+    def stiffness(self, tau: float) -> dict[str, float]:
+        """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) leaves nothing."""
+        loop = self.loop
+        if tau > loop.period:
+            return {device.name: 0.0 for device in loop.devices}
+        return {
+            device.name: stiffest(
+                loop.Delta_D[np.ix_(device.ports, device.ports)], loop.period, tau, min(self.share, 1.0)
+            ).certified
+            for device in loop.devices
+        }
+
+    def weakest(self, tau: float) -> float:
+        """The least of :meth:`stiffness`."""
+        return min(self.stiffness(tau).values())
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to change, and what that would buy."""
+
+    change: str
+    buys: str
+
+
+def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, Any]:
+    """Stiffness by device: without a delay, and by way at each of :data:`QUANTILES`; N/m."""
+    limit = worth.stiffness(0.0)
+    by_way = {t.way.key: {q: worth.stiffness(getattr(t.tau, q) * 1e-6) for q in QUANTILES} for t in ticking}
+    return {
+        device: {"no_delay": limit[device]}
+        | {way: {q: found[q][device] for q in QUANTILES} for way, found in by_way.items()}
+        for device in limit
+    }
+
+
+def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> tuple[Advice, ...]:
+    """What to change, what helps most first; nothing where there is nothing to be said.
+
+    Args:
+        machine: what it is like.
+        measured: what the probe found.
+        worth: the loop, to say what a change is worth.
+        chains: users' chains in the session: devices with their couplings.
+    """
+    best = min(measured.ticking, key=lambda t: t.tau.p999)
+    found = [*_period(best.tau, worth), *_rights(machine, measured, best, worth)]
+    tail = _tail(best.tau, worth)
+    usable = len(machine.usable)
+    if usable < chains + 1:
+        found.append(
+            Advice(
+                f"give it more processors: {usable} usable, {chains} users and an environment want {chains + 1}",
+                f"each chain a processor of its own; {tail}",
+            )
+        )
+    if machine.virtual is not None:
+        found.append(Advice(f"run on a machine of its own: this one is virtual ({machine.virtual})", tail))
+    if machine.preemption != "PREEMPT_RT":
+        found.append(Advice(f"boot a PREEMPT_RT kernel: this one is {machine.preemption}", tail))
+    if machine.governors is not None and set(machine.governors) != {"performance"}:
+        found.append(Advice(f"set the frequency governor to performance: found {', '.join(machine.governors)}", tail))
+    if machine.clock_source is not None and machine.clock_source not in _STEADY:
+        found.append(
+            Advice(
+                f"boot with the clock source tsc: found {machine.clock_source}", "clock readings without system calls"
+            )
+        )
+    if not machine.curve:
+        found.append(Advice("install a libzmq with CURVE", "sessions over tcp, which are refused without encryption"))
+    return tuple(found)
+
+
+def _tail(tau: Spread, worth: Worth) -> str:
+    """What the tail of a tick costs: the most that whatever makes ticks even can buy."""
+    now, even = (worth.weakest(getattr(tau, q) * 1e-6) for q in reversed(QUANTILES))
+    return f"at most {now:.0f} -> {even:.0f} N/m, were every tick like the median one"
+
+
+def _period(tau: Spread, worth: Worth) -> list[Advice]:
+    """A tick that does not fit in its period, or one that would fit in half of it."""
+    T, delay = worth.loop.period, tau.p999 * 1e-6
+    if delay > T:
+        longer = _round_up(delay)
+        return [
+            Advice(
+                f"lengthen the period: p99.9 of a tick is {tau.p999:.0f} us, T is {T * 1e6:g} us",
+                f"at T = {longer * 1e3:g} ms {_at(worth, longer, delay)}; at T = {T * 1e3:g} ms nothing",
+            )
+        ]
+    if delay <= T / 2 and worth.weakest(delay) > 0.0:
+        return [
+            Advice(
+                f"halve the period: p99.9 of a tick fits in {T * 5e2:g} ms",
+                f"{worth.weakest(delay):.0f} N/m become {_at(worth, T / 2, delay)}, if the processors keep up",
+            )
+        ]
+    return []
+
+
+def _at(worth: Worth, T: float, tau: float) -> str:
+    """The weakest device's stiffness at another period, where the environment takes nothing at any period."""
+    if worth.share > 0.0:
+        return "what manyhands budget shows"
+    loop = worth.loop
+    levels = (loop.Delta_D[np.ix_(device.ports, device.ports)] for device in loop.devices)
+    return f"{min(stiffest(level, T, tau).certified for level in levels):.0f} N/m"
+
+
+def _round_up(seconds: float) -> float:
+    """To a tenth of a millisecond, and one more to spare."""
+    return (math.ceil(seconds * 1e4 - 1e-6) + 1) / 1e4
+
+
+def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -> list[Advice]:
+    """What the kernel has refused, in the words of whoever can grant it."""
+    found = []
+    grants, tail = measured.waking.granted, _tail(best.tau, worth)
+    if not grants["fifo"].granted:
+        change = f"permit SCHED_FIFO: 'rtprio {FIFO_PRIORITY}' for this user in /etc/security/limits.conf"
+        found.append(
+            Advice(f"{change}, then log in again ({grants['fifo'].said})", f"ticks that others do not delay; {tail}")
+        )
+    if not grants["memory_locked"].granted:
+        change = "permit locked memory: 'memlock unlimited' for this user in /etc/security/limits.conf"
+        found.append(Advice(f"{change} ({grants['memory_locked'].said})", "no tick waits for a page from disk"))
+    if not grants["timer_slack"].granted:
+        late: Mapping[str, Spread] = measured.waking.late
+        found.append(
+            Advice(
+                f"let timer slack be set: prctl(PR_SET_TIMERSLACK) is refused ({grants['timer_slack'].said})",
+                f"wake-ups up to 50 us earlier; they are {late['default_slack'].p50:.0f} us late (median)",
+            )
+        )
+    return found

@@ -1,0 +1,212 @@
+"""A session of nodes that do nothing but keep the protocol of joining, leaving and coming back, around a conductor.
+
+Nothing is sent at once: what the nodes say, what they are told and the ends of their processes wait in queues, and a
+test decides what comes next. What a process had said before it was killed still arrives.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from dataclasses import dataclass, field
+
+from manyhands.launch.conductor import (
+    Conductor,
+    Instruction,
+    Kill,
+    KillProcess,
+    NodeState,
+    Phase,
+    Release,
+    Send,
+    StartProcess,
+    Terminate,
+)
+from manyhands.launch.topology import Topology
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Absent,
+    Connect,
+    Message,
+    NodeHello,
+    Offer,
+    Ready,
+    Return,
+    Shift,
+    Start,
+    Stop,
+    Welcome,
+)
+
+CERTIFICATE = "c"
+
+
+def hello_of(graph: Topology, node: str, endpoints: dict[str, str], pid: int = 1) -> NodeHello:
+    """What ``node`` says first."""
+    return NodeHello(PROTOCOL_VERSION, CERTIFICATE, "s", node, graph.nodes[node], pid, endpoints)
+
+
+@dataclass
+class Process:
+    """One process of a node.
+
+    Attributes:
+        bound: where it waits for each peer that connects to it.
+        connected: where it has connected to, by peer.
+        absent: whom it was told not to wait for.
+        connects: whether it was told where its peers are.
+        ready: whether it has said so.
+        starts: what it was started with.
+        shifts: what it was told of the ladder.
+        inbox: what it has not read.
+    """
+
+    bound: dict[str, str]
+    connected: dict[str, str] = field(default_factory=dict)
+    absent: set[str] = field(default_factory=set)
+    connects: bool = False
+    ready: bool = False
+    starts: list[Start] = field(default_factory=list)
+    shifts: list[Shift] = field(default_factory=list)
+    inbox: deque[Message] = field(default_factory=deque)
+
+
+class FakeSession:
+    """The nodes of ``graph``, all of them with processes, and their conductor.
+
+    Attributes:
+        conductor: the one in question.
+        processes: those that live, by node.
+        said: what the nodes have said and the conductor has not heard.
+        ended: processes that have ended, which the conductor has not seen.
+        killed: nodes whose processes the conductor had killed.
+        now: ns.
+    """
+
+    def __init__(self, graph: Topology, conductor: Conductor) -> None:
+        self.graph, self.conductor = graph, conductor
+        self.processes: dict[str, Process] = {}
+        self.said: deque[tuple[str, Message]] = deque()
+        self.ended: deque[tuple[str, int]] = deque()
+        self.killed: list[str] = []
+        self.terminated = False
+        self.now = 0
+        self._places, self._pids = itertools.count(), itertools.count(1)
+        for node in graph.nodes:
+            self._start(node)
+        self.settle()
+
+    def settle(self) -> None:
+        """Let everything that is under way arrive."""
+        while self.said or self.ended or any(process.inbox for process in self.processes.values()):
+            while self.deliver():
+                pass
+            for node in list(self.processes):
+                while node in self.processes and self.read(node):
+                    pass
+            while self.see_end():
+                pass
+
+    def deliver(self) -> bool:
+        """The conductor hears the next message, if there is one."""
+        if self.said:
+            sender, message = self.said.popleft()
+            self._obey(self.conductor.hear(sender, message, self.now))
+            return True
+        return False
+
+    def read(self, node: str) -> bool:
+        """A node reads the next message, if there is one."""
+        process = self.processes.get(node)
+        if process is None or not process.inbox:
+            return False
+        self._take(node, process, process.inbox.popleft())
+        self._say_ready()
+        return True
+
+    def see_end(self) -> bool:
+        """The conductor sees the next end of a process, if there is one."""
+        if self.ended:
+            self._obey(self.conductor.exited(*self.ended.popleft(), self.now))
+            return True
+        return False
+
+    def kill(self, node: str) -> None:
+        """The process of a node dies."""
+        if self.processes.pop(node, None) is not None:
+            self.ended.append((node, -9))
+
+    def joined(self) -> bool:
+        """Whether every node runs and every link leads from one living process to another."""
+        return all(
+            state is NodeState.RUNNING and self.processes[node].starts for node, state in self.conductor.states.items()
+        ) and all(self._met(link.binder, link.connector) for link in self.graph.links)
+
+    def _met(self, binder: str, connector: str) -> bool:
+        ends = self.processes.get(binder), self.processes.get(connector)
+        return all(ends) and ends[0].bound[connector] == ends[1].connected.get(binder)  # type: ignore[union-attr]
+
+    def _start(self, node: str) -> None:
+        assert node not in self.processes, f"{node} was started while it still runs"
+        assert all(ended != node for ended, _ in self.ended), f"{node} was started before its end was seen"
+        binds = [link.connector for link in self.graph.links_of(node) if link.binder == node]
+        self.processes[node] = Process({peer: self._place(node, peer) for peer in binds})
+        pid = next(self._pids)
+        if self.conductor.phase is Phase.RUNNING and node not in self.conductor.remote:
+            self.conductor.started(node, pid)
+        self.said.append((node, hello_of(self.graph, node, dict(self.processes[node].bound), pid)))
+
+    def _place(self, node: str, peer: str) -> str:
+        return f"ipc:///{node}-{peer}.{next(self._places)}"
+
+    def _obey(self, instructions: list[Instruction]) -> None:
+        for one in instructions:
+            match one:
+                case Send(node, message):
+                    if node in self.processes:
+                        self.processes[node].inbox.append(message)
+                case StartProcess(node):
+                    self._start(node)
+                case KillProcess(node):
+                    self.killed.append(node)
+                    self.kill(node)
+                case Terminate() | Kill():
+                    self.terminated = True
+                    for node in list(self.processes):
+                        self.kill(node)
+                case Release():
+                    pass
+
+    def _take(self, node: str, process: Process, message: Message) -> None:
+        match message:
+            case Connect(endpoints):
+                expected = {link.binder for link in self.graph.links_of(node) if link.connector == node}
+                assert endpoints.keys() == expected - process.absent, f"{node} was told of {list(endpoints)}"
+                process.connected.update(endpoints)
+                process.connects = True
+            case Absent(peer):
+                process.absent.add(peer)
+                process.connected.pop(peer, None)
+                if peer in process.bound:
+                    process.bound[peer] = self._place(node, peer)
+                    self.said.append((node, Offer(peer, process.bound[peer])))
+            case Return(peer, place):
+                assert process.starts, f"{node} was told of a return before it ran"
+                process.connected[peer] = place
+            case Start():
+                process.starts.append(message)
+            case Shift():
+                process.shifts.append(message)
+            case Stop() | Welcome():
+                pass
+            case _:
+                raise AssertionError(f"{node} was told {message}")
+
+    def _say_ready(self) -> None:
+        for node, process in self.processes.items():
+            links = self.graph.links_of(node)
+            peers = {link.binder if link.connector == node else link.connector: link for link in links}
+            waited_for = [link for peer, link in peers.items() if peer not in process.absent]
+            if process.connects and not process.ready and all(self._met(k.binder, k.connector) for k in waited_for):
+                process.ready = True
+                self.said.append((node, Ready()))

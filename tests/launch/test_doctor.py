@@ -1,0 +1,301 @@
+"""The doctor without a machine: what files say of one, what figures mean, and processes that misbehave."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.design.problem import HapticLoop
+from manyhands.launch.doctor.crew import Crew, Interrupted, ProbeFailed
+from manyhands.launch.doctor.display import machine_rows
+from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
+from manyhands.launch.doctor.meaning import Advice, Worth, advice, stiffness_object
+from manyhands.launch.doctor.probe import IPC, TCP, Measured, Spread, Ticking, Waking, sides
+from manyhands.launch.interrupt import Interrupt
+from manyhands.launch.loop import haptic_loop
+from manyhands.launch.session import Session
+from manyhands.launch.shipped import load_named
+from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.nodes.realtime import Grant
+from manyhands.protocol.clock import Duration, RealtimeClock, from_seconds
+
+YES, NO = Grant(True, "as wished"), Grant(False, "found the limit; expected more")
+SOON = from_seconds(60.0)
+
+
+def a_machine(**changes: object) -> Machine:
+    """A machine with nothing to be said about."""
+    best: dict[str, Any] = {
+        "kernel": "Linux 6.12", "preemption": "PREEMPT_RT", "virtual": None, "container": False, "processors": 8,
+        "usable": tuple(range(8)), "governors": ("performance",), "clock_source": "tsc", "priority_limit": 99,
+        "may_raise": True, "memory_limit": None, "may_lock": True, "realtime_share": 0.95, "python": "CPython 3.12",
+        "gil": True, "zeromq": "4.3.5", "pyzmq": "27", "curve": True, "ipc": True,
+    }  # fmt: skip
+    return Machine(**best | changes)
+
+
+def measurement(p50: float, p999: float, **refused: Grant) -> Measured:
+    """A probe's result with these percentiles of tau, us."""
+    grants = {"fifo": YES, "memory_locked": YES, "timer_slack": YES, "pinned": YES} | refused
+    late = dict.fromkeys(("default_slack", "least_slack"), Spread(60.0, 70.0, 80.0, 90.0))
+    tau = Spread(p50, (p50 + p999) / 2, p999, p999)
+    return Measured(Waking(late, grants), (Ticking(IPC, {}, tau, 1000, 3),))
+
+
+@pytest.fixture(scope="module")
+def loop() -> HapticLoop:
+    return haptic_loop(load_named("example1"))
+
+
+@pytest.fixture(scope="module")
+def worth(loop: HapticLoop) -> Worth:
+    return Worth.of(loop)
+
+
+# --- the machine
+
+
+@pytest.mark.parametrize(
+    ("version", "expected"),
+    [
+        ("#1 SMP PREEMPT_DYNAMIC Thu Jan 1 2026", "PREEMPT_DYNAMIC"),
+        ("#1 SMP PREEMPT_RT Debian 6.12", "PREEMPT_RT"),
+        ("#5 SMP PREEMPT Mon", "PREEMPT"),
+        ("#42-Ubuntu SMP Tue", "voluntary or none"),
+    ],
+)
+def test_the_version_line_names_the_preemption_model(version: str, expected: str) -> None:
+    assert preemption(version) == expected
+
+
+def tree(root: Path, **files: str) -> Path:
+    """A machine's files; ``__`` in a name stands for a slash."""
+    for name, text in files.items():
+        path = root / name.replace("__", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+    return root
+
+
+def test_a_hypervisor_shows_in_the_flags_and_in_the_firmware(tmp_path: Path) -> None:
+    assert virtual(tree(tmp_path / "a", proc__cpuinfo="processor: 0\nflags\t: fpu vme tsc")) is None
+    assert virtual(tree(tmp_path / "b", proc__cpuinfo="flags\t: fpu hypervisor")) == "a hypervisor"
+    files = {"proc__cpuinfo": "flags : hypervisor", "sys__class__dmi__id__product_name": "KVM"}
+    assert virtual(tree(tmp_path / "c", **files)) == "KVM"
+    assert virtual(tree(tmp_path / "d", sys__hypervisor__type="xen")) == "xen"
+
+
+def test_governors_and_the_share_of_realtime_threads_are_read(tmp_path: Path) -> None:
+    cpu = "sys__devices__system__cpu__cpu{}__cpufreq__scaling_governor"
+    root = tree(tmp_path, **{cpu.format(0): "powersave", cpu.format(1): "powersave", cpu.format(2): "performance"})
+    assert governors(root, (0, 1)) == ("powersave",)
+    assert governors(root, (0, 1, 2)) == ("performance", "powersave")
+    assert governors(root, (7,)) is None
+    assert realtime_share(root) is None
+    tree(root, proc__sys__kernel__sched_rt_runtime_us="950000", proc__sys__kernel__sched_rt_period_us="1000000")
+    assert realtime_share(root) == 0.95
+    tree(root, proc__sys__kernel__sched_rt_runtime_us="-1")
+    assert realtime_share(root) is None
+
+
+def test_a_machine_that_tells_nothing_is_examined_all_the_same(tmp_path: Path) -> None:
+    found = examine(tmp_path)
+    assert (found.virtual, found.governors, found.clock_source, found.realtime_share) == (None, None, None, None)
+    assert set(found.usable) == os.sched_getaffinity(0)
+    assert all(machine_rows(found).values())
+    assert found.plain()["usable"] == list(found.usable)
+
+
+# --- the graph of the probe
+
+
+def test_links_lead_from_the_hands_to_the_world(drawn_sessions: st.SearchStrategy[Session]) -> None:
+    @given(drawn_sessions)
+    def check(session: Session) -> None:
+        graph = topology(session)
+        found = sides(graph)
+        assert found[ENVIRONMENT][1] == []
+        for device in session.devices:
+            assert found[device][0] == []
+            assert found[device][1]
+        inner, outer = ([i for pair in found.values() for i in pair[side]] for side in (0, 1))
+        assert sorted(inner) == sorted(outer) == sorted(map(str, range(len(graph.links))))
+        for coupling in session.couplings:
+            assert len(found[coupling][1]) == 1
+
+    check()
+
+
+@given(st.lists(st.integers(-1000, 10**10), min_size=1, max_size=300))
+def test_percentiles_are_values_and_ordered(durations: list[int]) -> None:
+    spread = Spread.of(durations)
+    assert spread.p50 <= spread.p99 <= spread.p999 <= spread.max == max(durations) / 1e3
+    assert spread.p50 * 1e3 >= np.median(durations) - 0.01
+    assert sum(value / 1e3 <= spread.p999 + 1e-6 for value in durations) >= 0.999 * len(durations)
+
+
+# --- what it means
+
+
+@given(st.floats(0.0, 2e-3), st.floats(0.0, 2e-3))
+def test_more_delay_leaves_less_stiffness(worth: Worth, a: float, b: float) -> None:
+    less, more = sorted((a, b))
+    assert worth.weakest(0.0) >= worth.weakest(less) >= worth.weakest(more)
+    assert (worth.weakest(more) == 0.0) is (more > worth.loop.period)
+
+
+def test_the_stiffness_of_example_1_is_that_of_the_theory(worth: Worth) -> None:
+    assert worth.share == 0.0
+    assert worth.weakest(0.0) == pytest.approx(2740.0)
+    assert worth.weakest(0.25e-3) == pytest.approx(1.37 / (0.5e-3 + 1.5 * 0.25e-3))
+    found = stiffness_object(worth, measurement(250.0, 1500.0).ticking)
+    for device in ("dx", "dy", "dz"):
+        assert found[device]["no_delay"] == pytest.approx(2740.0)
+        assert found[device]["ipc"]["p50"] == pytest.approx(1565.7, abs=0.1)
+        assert found[device]["ipc"]["p999"] == 0.0  # longer than the tick
+
+
+def test_nothing_is_advised_where_nothing_is_to_be_gained(worth: Worth) -> None:
+    assert advice(a_machine(), measurement(510.0, 600.0), worth, chains=3) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"preemption": "PREEMPT_DYNAMIC"}, "PREEMPT_RT"),
+        ({"virtual": "KVM"}, "KVM"),
+        ({"usable": (0, 1)}, "3 users and an environment want 4"),
+        ({"governors": ("powersave",)}, "found powersave"),
+        ({"clock_source": "hpet"}, "found hpet"),
+        ({"curve": False}, "CURVE"),
+    ],
+)
+def test_each_weakness_of_the_machine_has_its_advice(changes: dict[str, object], says: str, worth: Worth) -> None:
+    (one,) = advice(a_machine(**changes), measurement(510.0, 600.0), worth, chains=3)
+    assert says in one.change
+    assert one.buys
+
+
+@pytest.mark.parametrize(
+    ("refused", "says"), [("fifo", "rtprio"), ("memory_locked", "memlock"), ("timer_slack", "PR_SET_TIMERSLACK")]
+)
+def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says: str, worth: Worth) -> None:
+    (one,) = advice(a_machine(), measurement(510.0, 600.0, **{refused: NO}), worth, chains=3)
+    assert says in one.change
+    assert NO.said in one.change
+
+
+def test_a_processor_for_each_chain_and_one_for_the_environment_are_enough(worth: Worth) -> None:
+    assert advice(a_machine(usable=(0, 1, 2, 3)), measurement(510.0, 600.0), worth, chains=3) == ()
+    (one,) = advice(a_machine(usable=(0, 1, 2)), measurement(510.0, 600.0), worth, chains=3)
+    assert one.change == "give it more processors: 3 usable, 3 users and an environment want 4"
+
+
+def test_what_a_tail_costs_is_told_in_newtons(worth: Worth) -> None:
+    (one,) = advice(a_machine(virtual="KVM"), measurement(510.0, 600.0), worth, chains=3)
+    even, now = (1.37 / (0.5e-3 + 1.5 * tau) for tau in (510e-6, 600e-6))
+    assert f"{now:.0f} -> {even:.0f} N/m" in one.buys
+
+
+def test_a_period_that_is_too_short_is_to_be_lengthened(worth: Worth) -> None:
+    (one,) = advice(a_machine(), measurement(300.0, 1500.0), worth, chains=3)
+    T, tau = 1.6e-3, 1.5e-3
+    assert "lengthen the period" in one.change
+    assert f"{1.37 / (T / 2 + 1.5 * tau):.0f} N/m" in one.buys
+
+
+def test_a_tick_that_fits_in_half_a_period_may_have_one(worth: Worth, loop: HapticLoop) -> None:
+    (one,) = advice(a_machine(), measurement(150.0, 200.0), worth, chains=3)
+    now, half = (1.37 / (T / 2 + 1.5 * 200e-6) for T in (1e-3, 0.5e-3))
+    assert one == Advice(
+        "halve the period: p99.9 of a tick fits in 0.5 ms",
+        f"{now:.0f} N/m become {half:.0f} N/m, if the processors keep up",
+    )
+    (one,) = advice(a_machine(), measurement(150.0, 200.0), Worth(loop, 0.1), chains=3)
+    assert "manyhands budget" in one.buys  # what the environment takes at another period is not known here
+
+
+def test_the_best_way_is_the_one_that_is_judged(worth: Worth) -> None:
+    good = measurement(510.0, 600.0)
+    bad = Ticking(TCP, {}, Spread(900.0, 2000.0, 9000.0, 9000.0), 1000, 500)
+    assert advice(a_machine(), Measured(good.waking, (bad, *good.ticking)), worth, chains=3) == ()
+
+
+# --- processes that do not do as they should
+
+
+def test_a_process_that_fails_is_told_with_its_words(tmp_path: Path) -> None:
+    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
+        crew.start("odd", None)
+        crew.tell("odd", {"kind": "wake", "task": {"nothing": 1}})
+        with pytest.raises(ProbeFailed, match=r"(?s)odd: ended with 1 .*TypeError"):
+            crew.hear_all(SOON)
+
+
+def test_an_endpoint_that_is_taken_is_told(tmp_path: Path) -> None:
+    task = {"period": 1_000_000, "ticks": 5, "priority": 0, "connects": [], "inner": ["0"], "outer": []}
+    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
+        crew.start("odd", None)
+        crew.tell("odd", {"kind": "tick", "task": {**task, "binds": {"0": f"ipc://{tmp_path}/no/such/folder"}}})
+        with pytest.raises(ProbeFailed, match="odd: ended with 1 before it had answered; it wrote:"):
+            crew.hear_all(SOON)
+
+
+def test_a_process_that_says_nothing_has_a_deadline(tmp_path: Path) -> None:
+    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
+        crew.start("idle", None)  # has no task, and waits for one
+        with pytest.raises(ProbeFailed, match="idle: no answer within 0 s"):
+            crew.hear_all(Duration(0))
+
+
+def test_ctrl_c_ends_every_wait(tmp_path: Path) -> None:
+    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
+        crew.start("idle", None)
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(Interrupted) as caught:
+            crew.hear_all(SOON)
+    assert caught.value.signal is signal.SIGINT
+
+
+def test_whoever_has_ended_cannot_be_told_anything(tmp_path: Path) -> None:
+    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
+        crew.start("odd", None)
+        crew.tell("odd", {"kind": "wake", "task": {}})
+        with pytest.raises(ProbeFailed):
+            crew.hear_all(SOON)
+        with pytest.raises(ProbeFailed, match="odd: ended with 1"):
+            crew.tell("odd", {})
+
+
+def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+    """In the midst of its task, and with nobody left to kill it."""
+    code = f"""
+import os, signal
+from pathlib import Path
+from manyhands.launch.doctor.crew import Crew
+from manyhands.launch.interrupt import Interrupt
+from manyhands.protocol.clock import RealtimeClock
+with Interrupt() as interrupt, Crew(Path({str(tmp_path)!r}), interrupt, RealtimeClock()) as crew:
+    crew.start("long", None)
+    crew.tell("long", {{"kind": "wake", "task": {{"period": 1_000_000, "ticks": 10**6, "priority": 0}}}})
+    print(Path(f"/proc/self/task/{{os.getpid()}}/children").read_text(), flush=True)
+    input()
+"""
+    with subprocess.Popen([sys.executable, "-P", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        part = os.pidfd_open(int(parent.stdout.readline()))
+        parent.kill()
+    try:
+        assert select.select([part], [], [], 60.0)[0], "it outlived its parent"
+    finally:
+        os.close(part)

@@ -1,0 +1,235 @@
+"""The ladder on its way from a session file to the bundles: which rungs there are, and who is given what of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.design.certificate import content, save
+from manyhands.design.proof import prove
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import Session, SessionError, load_session
+from manyhands.nodes import bundle as bundle_files
+from manyhands.nodes.bundle import (
+    BundleError,
+    CouplingBundle,
+    CouplingRung,
+    DeviceBundle,
+    DeviceRung,
+    EnvironmentBundle,
+)
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SINGLE = "design.ladder=[0.0006]"
+
+
+def example(*overrides: str) -> Session:
+    return load_session(SESSIONS / "example1.yaml", overrides)
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    """Three levels of osp, so that no two devices have a rung in common."""
+    return prepare(example("devices.dy.osp=1.5", "devices.dz.osp=2.5"))
+
+
+# --- the key
+
+
+@pytest.mark.parametrize(
+    ("ladder", "found", "expected"),
+    [
+        ("[0.0002, 0.0002]", "0.0002 after the delay 0.0002", "delays that grow"),
+        ("[0.0005, 0.0002]", "0.0002 after the delay 0.0005", "delays that grow"),
+        ("[0.0001]", "0.0001 after tau 0.0001", "delays that grow"),
+        ("[0.0005, 0.0011]", "0.0011 with a period of 0.001 s", "at most the period"),
+        ("[-0.0005]", "-0.0005", "a delay inside the tick in s from 0"),
+        ("[.nan]", "nan", "finite"),
+        ("[soft]", "soft", "a delay inside the tick"),
+        ("0.0005", "0.0005", "a list of 0 to 8 delays"),
+        ("[1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4, 7e-4, 8e-4, 9e-4]", "", "a list of 0 to 8 delays"),
+    ],
+)
+def test_a_ladder_that_is_none_is_refused_at_its_place(ladder: str, found: str, expected: str) -> None:
+    with pytest.raises(SessionError) as refused:
+        example("design.tau=0.0001", f"design.ladder={ladder}")
+    text = str(refused.value)
+    assert "design.ladder" in text
+    assert found in text
+    assert expected in text
+
+
+def test_nothing_is_held_ready_for_no_coupling() -> None:
+    with pytest.raises(SessionError, match="a ladder with 'coupling: none'"):
+        example("design.coupling=none", SINGLE)
+    assert example("design.coupling=none", "design.ladder=[]").design.ladder == ()
+
+
+# --- what is prepared
+
+
+def test_without_the_key_a_ladder_is_designed_for_each_quarter_above_tau() -> None:
+    ladder = prepare(example("design.tau=0.0003")).ladder
+    assert ladder is not None
+    assert ladder.taus == (0.0003, 0.0005, 0.001)
+    assert prepare(example("design.tau=0.001")).ladder is None
+    assert prepare(example("design.ladder=[]")).ladder is None
+    stated = prepare(example(SINGLE)).ladder
+    assert stated is not None
+    assert stated.taus == (0.0, 0.0006)
+
+
+def test_the_rungs_are_certificates_over_the_one_in_force(prepared: Prepared) -> None:
+    assert prepared.ladder is not None
+    assert prepared.ladder.rungs[0] is prepared.certificate
+    assert prepared.notes == ()
+    for rung in prepared.ladder.rungs:
+        assert all(finding.holds for finding in prove(content(rung) | {"id": rung.id}))
+
+
+def test_a_certificate_from_a_file_is_given_the_same_ladder_anew(tmp_path: Path) -> None:
+    session = example(SINGLE)
+    designed = prepare(session)
+    assert designed.certificate is not None
+    save(designed.certificate, tmp_path / "c.json")
+    read = prepare(session, tmp_path / "c.json")
+    assert designed.ladder is not None
+    assert read.ladder is not None
+    assert [rung.id for rung in read.ladder.rungs] == [rung.id for rung in designed.ladder.rungs]
+
+
+def test_what_has_no_rung_is_told() -> None:
+    """Nothing is lost of the session: it runs without a ladder."""
+    late = load_session(
+        SESSIONS / "example1.yaml",
+        [
+            "environment.delay=1",
+            *(f"environment.links.{i}.stiffness={k}" for i, k in enumerate((500, 450, 400, 300))),
+            "design.ladder=[0.0009]",
+        ],
+    )
+    found = prepare(late)
+    assert found.certificate is not None
+    assert found.ladder is None
+    assert len(found.notes) == 1
+    assert found.notes[0].startswith("no rung for a delay of 0.9 ms: ")
+
+
+def test_a_run_that_nothing_proves_has_no_ladder(tmp_path: Path) -> None:
+    stiff = prepare(example("design.coupling=given", "design.stiffness=3000", SINGLE), uncertified=True)
+    assert stiff.ladder is None
+    bundles = cut(stiff, Run("simulated", tmp_path, "", traces=False))
+    for bundle in bundles.values():
+        assert not isinstance(bundle, DeviceBundle | CouplingBundle) or len(bundle.rungs) == 1
+
+
+# --- what each process is given
+
+
+def test_each_process_is_given_its_own_part_of_every_rung(prepared: Prepared, tmp_path: Path) -> None:
+    ladder = prepared.ladder
+    assert ladder is not None
+    bundles = cut(prepared, Run("simulated", tmp_path, "", traces=False))
+    environment = bundles["environment"]
+    assert isinstance(environment, EnvironmentBundle)
+    assert environment.Phi_E is ladder.Phi_E
+    other = dataclasses.replace(ladder, Phi_E=0.5 * ladder.Phi_E)  # as where rung 0's own does not serve all
+    mixed = cut(dataclasses.replace(prepared, ladder=other), Run("simulated", tmp_path, "", traces=False))[
+        "environment"
+    ]
+    assert isinstance(mixed, EnvironmentBundle)
+    assert mixed.Phi_E is other.Phi_E
+    for i, (device_name, name, osp) in enumerate((("dx", "cx", 1.37), ("dy", "cy", 1.5), ("dz", "cz", 2.5))):
+        device, coupling = bundles[device_name], bundles[name]
+        assert isinstance(device, DeviceBundle)
+        assert isinstance(coupling, CouplingBundle)
+        assert [rung.tau for rung in device.rungs] == list(ladder.taus)
+        assert (coupling.rungs[0].block, coupling.rungs[0].K) == (coupling.block, coupling.K)
+        for of_device, of_coupling, proof in zip(device.rungs, coupling.rungs, ladder.rungs, strict=True):
+            share = proof.levels.device
+            assert of_device.level[0, 0] == pytest.approx(share.share * osp)
+            assert of_device.K[0, 0] == pytest.approx(share.kappa * 0.001 / osp)
+            np.testing.assert_allclose(of_coupling.K, of_device.K)
+            assert np.array_equal(of_coupling.block.D, proof.blocks[i].D)
+            assert of_coupling.level is not None
+            assert np.array_equal(of_coupling.level, proof.levels.Delta_V[i])
+        softer = environment.feedthrough_rungs[name]
+        assert [D.tolist() for D in softer] == [rung.block.D.tolist() for rung in coupling.softer]
+        assert len(softer) == 3
+
+
+def test_no_bundle_has_anothers_part_of_a_rung(prepared: Prepared, tmp_path: Path) -> None:
+    bundles = cut(prepared, Run("simulated", tmp_path, "", traces=False))
+    texts = {}
+    for name, bundle in bundles.items():
+        bundle_files.save(bundle, tmp_path / name)
+        texts[name] = (tmp_path / name).read_text()
+    for owner in ("cx", "cy", "cz"):
+        coupling, device = bundles[owner], bundles[owner.replace("c", "d")]
+        assert isinstance(coupling, CouplingBundle)
+        assert isinstance(device, DeviceBundle)
+        for rung, promise in zip(coupling.softer, device.longer, strict=True):
+            assert rung.level is not None
+            for number, knows in (
+                (rung.level[0, 0], {owner}),
+                (rung.block.C[0, 0], {owner}),
+                (rung.block.D[0, 0], {owner, "environment"}),
+                (promise.level[0, 0], {device.common.name}),
+            ):
+                assert {name for name, text in texts.items() if repr(float(number)) in text} == knows
+
+
+@pytest.mark.parametrize("name", ["dx", "cx", "environment"])
+def test_rungs_round_trip_exactly(prepared: Prepared, name: str, tmp_path: Path) -> None:
+    bundle = cut(prepared, Run("simulated", tmp_path, "", traces=False))[name]
+    bundle_files.save(bundle, tmp_path / "a")
+    bundle_files.save(bundle_files.load(tmp_path / "a", type(bundle)), tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_rungs_that_do_not_fit_their_node_are_refused(prepared: Prepared, tmp_path: Path) -> None:
+    bundles = cut(prepared, Run("simulated", tmp_path, "", traces=False))
+    device, coupling, environment = bundles["dx"], bundles["cx"], bundles["environment"]
+    assert isinstance(device, DeviceBundle)
+    assert isinstance(coupling, CouplingBundle)
+    assert isinstance(environment, EnvironmentBundle)
+    two = np.eye(2)
+    for longer, words in (
+        ((*device.longer, device.longer[0]), "expected them to grow"),
+        ((DeviceRung(2e-4, two, two),), r"rung 1: found a matrix of shape \(2, 2\); expected \(1, 1\)"),
+        ((DeviceRung(2e-4, device.level, two),), "rung 1"),
+        (tuple(DeviceRung(1e-5 * (i + 1), device.level, device.K) for i in range(9)), "found 10 rungs"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            dataclasses.replace(device, longer=longer)
+    first = coupling.softer[0]
+    for softer, words in (
+        ((CouplingRung(first.block, first.K, None),), "rung 1: found no level"),
+        ((CouplingRung(first.block, first.K, two),), "rung 1: found a matrix"),
+        ((first,) * 9, "at most 9"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            dataclasses.replace(coupling, softer=softer)
+    some = dict(environment.feedthrough_rungs)
+    for rungs, words in (
+        ({**some, "cx": ()}, "the same rungs for each"),
+        ({"cx": some["cx"]}, "the same rungs for each"),
+        ({name: matrices * 3 for name, matrices in some.items()}, "found 10 rungs"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            dataclasses.replace(environment, feedthrough_rungs=rungs)
+
+
+@pytest.mark.parametrize("tau", [True, "0.1", None, -1.0, 1e-5])
+def test_a_file_with_a_delay_that_is_none_is_no_bundle(prepared: Prepared, tau: object, tmp_path: Path) -> None:
+    bundle_files.save(cut(prepared, Run("simulated", tmp_path, "", traces=False))["dx"], tmp_path / "dx")
+    data = json.loads((tmp_path / "dx").read_text())
+    data["longer"][1]["tau"] = tau
+    (tmp_path / "dx").write_text(json.dumps(data))
+    with pytest.raises(BundleError, match="dx: not a bundle for a DeviceBundle"):
+        bundle_files.load(tmp_path / "dx", DeviceBundle)

@@ -1,0 +1,216 @@
+"""From what devices measure to what is done about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.launch.policy import (
+    IN_A_ROW,
+    REMEDIES,
+    Breach,
+    BreachPolicy,
+    Decision,
+    EndSession,
+    Notice,
+    Policy,
+    ShiftCoupling,
+)
+from manyhands.nodes import telemetry as names
+
+TICKS = 100  # between two telemetry messages
+CHAINS = {"dx": ("cx",), "dy": ("cx", "cy"), "dz": ("cz",)}
+
+
+@dataclass
+class Rungs:
+    """A ladder without its couplings."""
+
+    taus: tuple[float, ...] = (100e-6, 250e-6, 500e-6, 1000e-6)
+    independent: bool = True
+
+
+class Measured:
+    """Devices that send telemetry, one message after the other; what is decided is carried out."""
+
+    def __init__(self, policy: Policy, ladder: Rungs | None = None) -> None:
+        self.rungs: dict[str, int] = {}
+        self.policy = BreachPolicy(policy, CHAINS, 100e-6, 1e-3, ladder, self.rungs)
+        self.notices: dict[str, str] = {}
+        self._counts: dict[str, dict[str, float]] = {}
+        self._ticks: dict[str, int] = {}
+
+    def tell(self, device: str, breaches: int, worst: float = 200.0, late_periods: int = 0) -> list[Decision]:
+        """One message of ``device``: in so many of its ticks the delay (us) was too long, or the period was not T."""
+        counts = self._counts.setdefault(device, {names.TAU_BREACHES: 0.0, names.PERIOD_BREACHES: 0.0})
+        counts[names.TAU_BREACHES] += breaches
+        counts[names.PERIOD_BREACHES] += late_periods
+        self._ticks[device] = self._ticks.get(device, 0) + TICKS
+        figures = {**counts, names.TAU_WORST: worst, f"{names.TAU}_p50": 150.0}
+        decisions = self.policy.judge(device, self._ticks[device], figures)
+        self.rungs.update({d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)})
+        new = [d for d in decisions if not isinstance(d, Notice) or d.key not in self.notices]
+        self.notices.update({d.key: d.text for d in decisions if isinstance(d, Notice)})
+        return new
+
+    def restart(self, device: str) -> None:
+        """It has a new process, which counts from 0."""
+        self.policy.forget(device)
+        self._counts.pop(device)
+
+
+def shifts(decisions: list[Decision]) -> dict[str, int]:
+    return {d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)}
+
+
+def test_the_first_breach_is_told_at_once_and_once() -> None:
+    m = Measured(Policy.SOFTEN, Rungs())
+    (notice,) = m.tell("dx", 1)
+    assert notice == Notice(
+        "dx", "dx: the force is applied 150 us (median) after the sample; the certificate assumes 100 us"
+    )
+    assert m.tell("dx", 1) == []
+    assert m.rungs == {}
+
+
+class Test_what_counts_as_a_breach:
+    def test_more_than_a_hundredth_of_the_ticks_twice_in_a_row(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.tell("dx", 50)  # whatever was before the first message is nobody's window
+        assert shifts(m.tell("dx", 2)) == {}
+        assert shifts(m.tell("dx", 2)) == {"cx": 1}
+
+    def test_a_hundredth_is_none(self) -> None:
+        m = Measured(Policy.STOP)
+        m.tell("dx", 1)
+        assert [m.tell("dx", 1) for _ in range(50)] == [[]] * 50
+
+    def test_with_a_pause_between_them_two_are_none(self) -> None:
+        m = Measured(Policy.STOP)
+        m.tell("dx", 1)
+        assert [m.tell("dx", breaches) for breaches in (90, 0) * 20] == [[]] * 40
+
+    def test_each_device_by_itself(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.tell("dx", 1)
+        m.tell("dz", 1)
+        assert shifts(m.tell("dx", 90)) == {}
+        assert shifts(m.tell("dz", 90)) == {}
+        assert shifts(m.tell("dx", 90)) == {"cx": 1}
+        assert shifts(m.tell("dz", 90)) == {"cz": 1}
+
+    def test_a_device_that_came_back_begins_anew(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.tell("dx", 1)
+        m.tell("dx", 90)
+        m.restart("dx")
+        assert shifts(m.tell("dx", 90)) == {}
+        assert shifts(m.tell("dx", 90)) == {}
+        assert shifts(m.tell("dx", 90)) == {"cx": 1}
+
+
+class Test_softening:
+    def broken(self, m: Measured, device: str, *worst: float) -> dict[str, int]:
+        """So many messages, each with these breaches."""
+        m.tell(device, 1)
+        for microseconds in worst[:-1]:
+            assert shifts(m.tell(device, 90, microseconds)) == {}
+        return shifts(m.tell(device, 90, worst[-1]))
+
+    @pytest.mark.parametrize(("worst", "rung"), [(240.0, 1), (250.0, 1), (251.0, 2), (900.0, 3), (5000.0, 3)])
+    def test_to_the_first_rung_that_covers_what_was_measured(self, worst: float, rung: int) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        assert self.broken(m, "dx", worst, worst) == {"cx": rung}
+        assert ("dx beyond" in m.notices) == (worst > 1000.0)
+        assert m.notices[f"dx rung {rung}"].startswith(f"dx: a delay of {worst:.0f} us again and again")
+
+    def test_one_outlier_does_not_decide(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        assert self.broken(m, "dx", 5000.0, 240.0) == {"cx": 1}
+
+    def test_all_couplings_of_the_device_and_no_others(self) -> None:
+        assert self.broken(Measured(Policy.SOFTEN, Rungs()), "dy", 200.0, 200.0) == {"cx": 1, "cy": 1}
+
+    def test_all_couplings_where_only_all_together_are_certified(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs(independent=False))
+        assert self.broken(m, "dx", 200.0, 200.0) == {"cx": 1, "cy": 1, "cz": 1}
+
+    def test_further_where_it_does_not_help_and_never_back(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        assert self.broken(m, "dx", 200.0, 200.0) == {"cx": 1}
+        assert self.broken(m, "dx", 400.0, 400.0) == {"cx": 2}
+        assert self.broken(m, "dx", 200.0, 200.0) == {}
+        assert self.broken(m, "dy", 200.0, 200.0) == {"cy": 1}  # cx is softer already
+        assert m.rungs == {"cx": 2, "cy": 1}
+
+    def test_without_a_ladder_it_is_told_how_to_get_one_and_once(self) -> None:
+        m = Measured(Policy.SOFTEN)
+        assert self.broken(m, "dx", 200.0, 200.0) == {}
+        assert m.notices["dx delay"].endswith("see design.ladder in the session file")
+        assert [m.tell("dx", 90) for _ in range(10)] == [[]] * 10
+
+    def test_a_device_that_does_not_tell_its_longest_delay(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.policy.judge("dx", 100, {})
+        m.policy.judge("dx", 200, {names.TAU_BREACHES: 90.0, f"{names.TAU}_p99": 300.0})
+        assert ShiftCoupling("cx", 2) in m.policy.judge(
+            "dx", 300, {names.TAU_BREACHES: 180.0, f"{names.TAU}_p99": 300.0}
+        )
+
+
+@pytest.mark.parametrize("policy", Policy)
+def test_a_wrong_period_is_no_matter_of_softness(policy: Policy) -> None:
+    m = Measured(policy, Rungs())
+    m.tell("dx", 0)
+    m.tell("dx", 0, late_periods=50)
+    decisions = m.tell("dx", 0, late_periods=50)
+    text = "dx: a period again and again that the certificate does not cover (it assumes 1000 us)"
+    if policy is Policy.STOP:
+        assert decisions == [EndSession(f"{text}; the session's faults.breach is stop")]
+    else:
+        assert decisions == [Notice("dx period", text)]
+
+
+def test_to_stop_ends_the_session_and_to_warn_does_nothing_but_tell() -> None:
+    for policy in (Policy.STOP, Policy.WARN):
+        m = Measured(policy, Rungs())
+        m.tell("dx", 1)
+        m.tell("dx", 90)
+        (decision,) = m.tell("dx", 90)
+        assert isinstance(decision, EndSession if policy is Policy.STOP else Notice)
+        assert m.rungs == {}
+
+
+def test_there_is_a_remedy_for_every_case() -> None:
+    assert REMEDIES.keys() == {(policy, breach) for policy in Policy for breach in Breach}
+
+
+counts = st.floats() | st.sampled_from([0.0, 1.0, 1e300, math.nan, math.inf, -1.0])
+
+
+@given(
+    st.sampled_from(list(Policy)),
+    st.booleans(),
+    st.lists(st.tuples(st.sampled_from([*CHAINS, "cx", "stranger"]), st.integers(0, 300), counts, counts, counts)),
+)
+def test_whatever_is_told_couplings_only_get_softer_and_notices_are_few(
+    policy: Policy, independent: bool, messages: list[tuple[str, int, float, float, float]]
+) -> None:
+    m = Measured(policy, Rungs(independent=independent))
+    keys = set()
+    for device, tick, breaches, periods, worst in messages:
+        figures = {names.TAU_BREACHES: breaches, names.PERIOD_BREACHES: periods, names.TAU_WORST: worst}
+        for decision in m.policy.judge(device, tick, figures):
+            match decision:
+                case ShiftCoupling(coupling, rung):
+                    assert policy is Policy.SOFTEN
+                    assert m.rungs.get(coupling, 0) < rung < len(Rungs.taus)
+                    m.rungs[coupling] = rung
+                case Notice(key):
+                    keys.add(key)
+    assert len(keys) <= len(CHAINS) * (3 + len(Rungs.taus))
+    assert IN_A_ROW > 1 or not messages

@@ -1,0 +1,256 @@
+"""The supervisor's end of a real recorder: kept supplied, never waited for, and its end told, however it ends."""
+
+from __future__ import annotations
+
+import os
+import resource
+import select
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.recorder import Recorder
+from manyhands.launch.recorder_process import MOST_WAITING_BYTES, RecorderProcess
+from manyhands.launch.recording import RecordingError
+from manyhands.launch.recording_file import read_recording
+from manyhands.launch.session import load_session
+from manyhands.protocol.messages import Telemetry
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+ROWS = 20_000  # of a frame: 320 kB
+FRAMES_A_CHUNK = 4
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)
+
+
+class Stage:
+    """A recorder that is ready, and a supervisor's poll over it."""
+
+    def __init__(self, recorder: RecorderProcess, folder: Path) -> None:
+        self.recorder = recorder
+        (folder / "run").mkdir(mode=0o700)
+        self.interrupt, self.interrupted = os.pipe()
+        self.told = 0
+        self.incidents: list[str] = []
+        recorder.start(folder / "run")
+        recorder.await_ready(self.interrupt)
+
+    def tell(self, frames: int) -> None:
+        assert self.told < 200, "there is room for ever"
+        for _ in range(frames):
+            self.told += 1
+            tick = self.told * ROWS
+            x = np.arange(tick - ROWS, tick, dtype=np.float64).reshape(ROWS, 1)
+            for device in ("dx", "dy", "dz"):
+                self.recorder.tell(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x}))
+
+    def attend(self) -> bool:
+        """Wait for whatever the recorder says; whether there may be more."""
+        poll = select.poll()
+        for fd in self.recorder.fds:
+            poll.register(fd, select.POLLIN)
+        ready = {fd for fd, _ in poll.poll(60_000)}
+        assert ready, "the recorder says nothing any more"
+        incident = self.recorder.attend(ready)
+        self.incidents += [] if incident is None else [incident]
+        return bool(self.recorder.fds)
+
+    def attend_until_taken(self) -> None:
+        while self.recorder._taken < 3 * self.told:
+            assert self.attend(), self.incidents
+
+    def finish(self) -> None:
+        incident = self.recorder.finish(self.interrupt)
+        self.incidents += [] if incident is None else [incident]
+
+    def close(self) -> None:
+        self.recorder.close()
+        os.close(self.interrupt)
+        os.close(self.interrupted)
+
+
+@pytest.fixture(params=["realtime"])
+def stage(request: pytest.FixtureRequest, prepared: Prepared, tmp_path: Path) -> Iterator[Stage]:
+    out = Stage(RecorderProcess(prepared, request.param, tmp_path / "r.mcap"), tmp_path)
+    yield out
+    out.close()
+
+
+simulated = pytest.mark.parametrize("stage", ["simulated"], indirect=True)
+
+
+def assert_prefix(path: Path, least: int) -> int:
+    """The recording has the first ticks of what was told, at least so many; returns how many."""
+    found = read_recording(path)
+    whole = found.x[~np.isnan(found.x).any(axis=1)]
+    np.testing.assert_array_equal(whole, np.arange(len(whole), dtype=np.float64)[:, None].repeat(3, axis=1))
+    np.testing.assert_array_equal(found.f_v[: len(whole)], -whole)
+    assert len(whole) >= least
+    return len(whole)
+
+
+def test_all_that_is_told_is_recorded(stage: Stage, tmp_path: Path) -> None:
+    stage.tell(3)
+    stage.finish()
+    assert stage.incidents == []
+    assert stage.recorder.as_plain() == {"recording": {"file": str(tmp_path / "r.mcap"), "ticks": 3 * ROWS}}
+    assert assert_prefix(tmp_path / "r.mcap", 3 * ROWS) == 3 * ROWS
+    found = read_recording(tmp_path / "r.mcap")
+    assert (found.missing, found.cut, found.session) == ({}, None, "example-1-uncoupled")
+    assert stage.recorder.pid is None
+    assert stage.recorder.fds == ()
+
+
+def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: Stage, tmp_path: Path) -> None:
+    stage.tell(2 * FRAMES_A_CHUNK)
+    stage.attend_until_taken()
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGKILL)
+    while stage.attend():
+        pass
+    stage.tell(1)  # nobody minds
+    stage.finish()
+    (incident,) = stage.incidents
+    assert "the recorder was killed by SIGKILL" in incident
+    # all but the last chunk at least: it was taken in after those before it had been written
+    assert_prefix(tmp_path / "r.mcap", ROWS * FRAMES_A_CHUNK)
+    assert "goes to tick" in str(read_recording(tmp_path / "r.mcap").cut)
+    assert stage.recorder.failure is None
+
+
+def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: Stage, tmp_path: Path) -> None:
+    """The kernel refuses the recorder what would make its file longer; tests/system has a disk that is really full."""
+    assert stage.recorder.pid is not None
+    resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (5_000_000, resource.RLIM_INFINITY))
+    stage.tell(4 * FRAMES_A_CHUNK)
+    while stage.attend():
+        pass
+    (incident,) = stage.incidents
+    end = assert_prefix(tmp_path / "r.mcap", ROWS)
+    assert incident.startswith("recording stopped at tick ")
+    assert "File too large" in incident
+    told = int(incident.split()[4].rstrip(":"))
+    assert read_recording(tmp_path / "r.mcap").x.shape[0] == told
+    assert end <= told <= end + ROWS  # the devices' frames may be in different chunks
+    assert stage.recorder.as_plain()["recording"]["ticks"] == told
+    assert stage.recorder.as_plain()["recording"]["stopped"] == incident
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: Stage, tmp_path: Path) -> None:
+    stage.tell(1)
+    stage.attend_until_taken()
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGTERM)
+    while stage.attend():
+        pass
+    assert stage.incidents == [
+        f"recording ended at tick {ROWS}: somebody ended the recorder; {tmp_path / 'r.mcap'} is whole up to there"
+    ]
+    assert assert_prefix(tmp_path / "r.mcap", ROWS) == ROWS
+    assert read_recording(tmp_path / "r.mcap").cut is None
+
+
+def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: Stage, tmp_path: Path) -> None:
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGSTOP)
+    while stage.recorder.lost == 0:
+        stage.tell(1)
+        assert stage.recorder.has_room
+        assert stage.recorder._waiting_bytes <= MOST_WAITING_BYTES
+    stage.tell(2)
+    lost = stage.recorder.lost
+    assert lost >= 6
+    os.kill(stage.recorder.pid, signal.SIGCONT)
+    while stage.recorder._waiting:
+        assert stage.attend()
+    stage.tell(1)
+    stage.finish()
+    assert stage.incidents == []
+    assert stage.recorder.as_plain()["recording"]["lost"] == lost
+    assert stage.recorder.missing == read_recording(tmp_path / "r.mcap").missing
+    assert sum(stage.recorder.missing.values()) == lost * ROWS
+    assert stage.recorder.failure is None
+
+
+@simulated
+def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: Stage, tmp_path: Path) -> None:
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGSTOP)
+    while stage.recorder.has_room:
+        stage.tell(1)
+    assert stage.recorder.lost == 0
+    os.kill(stage.recorder.pid, signal.SIGCONT)
+    while not stage.recorder.has_room:
+        assert stage.attend()
+    stage.tell(1)
+    stage.finish()
+    assert (stage.incidents, stage.recorder.missing, stage.recorder.failure) == ([], {}, None)
+    assert assert_prefix(tmp_path / "r.mcap", 0) == stage.told * ROWS
+
+
+@simulated
+def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(stage: Stage) -> None:
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGKILL)
+    while stage.attend():
+        pass
+    assert stage.recorder.has_room  # the session goes on all the same
+    assert stage.recorder.failure == stage.incidents[0]
+
+
+def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: Stage, tmp_path: Path) -> None:
+    assert stage.recorder.pid is not None
+    os.kill(stage.recorder.pid, signal.SIGSTOP)
+    os.write(stage.interrupted, b"x")
+    stage.finish()
+    assert "was killed by SIGKILL" in stage.incidents[0]
+    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
+
+
+def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: Stage) -> None:
+    stage.recorder.tell("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
+    assert stage.recorder.lost == 1
+    stage.finish()
+
+
+def test_a_recording_that_cannot_be_begun_is_an_error_before_the_session(prepared: Prepared, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir(mode=0o700)
+    (tmp_path / "r.mcap").mkdir()
+    recorder = RecorderProcess(prepared, "realtime", tmp_path / "r.mcap")
+    interrupt, interrupted = os.pipe()
+    try:
+        recorder.start(tmp_path / "run")
+        with pytest.raises(RecordingError, match=r"r\.mcap: cannot be recorded to: Is a directory"):
+            recorder.await_ready(interrupt)
+    finally:
+        recorder.close()
+        os.close(interrupt)
+        os.close(interrupted)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r.mcap", "run"]
+
+
+def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepared, tmp_path: Path) -> None:
+    (tmp_path / "r.mcap").write_bytes(b"an older run")
+    recorder = RecorderProcess(prepared, "realtime", tmp_path / "r.mcap")
+    assert (tmp_path / "r.mcap").read_bytes() == b"an older run"
+    stage = Stage(recorder, tmp_path)
+    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
+    stage.finish()
+    stage.close()
+
+
+def test_without_a_recording_nothing_is_asked_or_told(tmp_path: Path) -> None:
+    nobody = Recorder()
+    nobody.start(tmp_path)
+    nobody.tell("dx", Telemetry(1, {}, {}))
+    assert (nobody.fds, nobody.has_room, nobody.attend({1}), nobody.finish(0)) == ((), True, None, None)
+    assert (nobody.missing, nobody.failure, nobody.as_plain(), nobody.wants_traces) == ({}, None, {}, False)
+    assert list(tmp_path.iterdir()) == []

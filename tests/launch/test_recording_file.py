@@ -1,0 +1,180 @@
+"""A recording that was cut anywhere is readable to the last chunk that is whole, and says that it was cut."""
+
+from __future__ import annotations
+
+import random
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from manyhands.launch.recording import RecordingError
+from manyhands.launch.recording_file import read_recording
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.layout import Recorded, encode_rows
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Observation, Role
+
+RECORDED = Recorded(
+    "s", "id", 0.001, "simulated", {"a": Role.DEVICE, "b": Role.DEVICE}, {"a": ("a",), "b": ("b.0", "b.1")}
+)
+ROWS, CHUNKS = 7, 6
+NOISE = np.random.default_rng(1).normal(size=(2, ROWS * CHUNKS, 3))
+
+
+class Written:
+    """A recording in chunks of ``ROWS`` ticks each: where its beginning and each chunk's record end, and each piece."""
+
+    def __init__(self) -> None:
+        core = RecorderCore(RECORDED)
+        self.data = core.cut()
+        self.pieces = [len(self.data)]
+        for k in range(CHUNKS):
+            rows = slice(k * ROWS, (k + 1) * ROWS)
+            for node, columns in (("a", slice(0, 1)), ("b", slice(1, 3))):
+                traces = {"x": NOISE[0, rows, columns], "f_v": NOISE[1, rows, columns]}
+                core.take(encode(Observation(node, rows.stop, {"late": 1.0}, traces)), 1_000 + k)
+            self.data += core.cut()
+            self.pieces.append(len(self.data))
+        self.data += core.end()
+        self.borders = [self.pieces[0], *chunk_ends(self.data)]
+
+
+def chunk_ends(data: bytes) -> list[int]:
+    """Where the chunks of an MCAP file end, by its specification: records of opcode, length and so many bytes."""
+    at, out = 8, []
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        at += 9 + length
+        out += [at] if opcode == 6 else []
+    assert len(out) == CHUNKS
+    return out
+
+
+@pytest.fixture(scope="module")
+def written() -> Written:
+    return Written()
+
+
+def whole_chunks(written: Written, length: int) -> int:
+    return sum(border <= length for border in written.borders) - 1
+
+
+def assert_readable(written: Written, path: Path, length: int) -> None:
+    """The first ``length`` bytes are in ``path``."""
+    ticks = ROWS * whole_chunks(written, length)
+    found = read_recording(path)
+    np.testing.assert_array_equal(found.x, NOISE[0, :ticks])
+    np.testing.assert_array_equal(found.f_v, NOISE[1, :ticks])
+    assert found.missing == {}
+    assert found.ports == ("a", "b.0", "b.1")
+
+
+def test_the_whole_file_is_not_cut(written: Written, tmp_path: Path) -> None:
+    (tmp_path / "r.mcap").write_bytes(written.data)
+    assert_readable(written, tmp_path / "r.mcap", len(written.data))
+    assert read_recording(tmp_path / "r.mcap").cut is None
+
+
+def test_cut_around_every_border_of_a_chunk_and_anywhere_else(written: Written, tmp_path: Path) -> None:
+    path, data = tmp_path / "r.mcap", written.data
+    at = {border + by for border in (*written.borders, *written.pieces) for by in (-2, -1, 0, 1, 2, 8, 9, 10)}
+    at |= set(random.Random(0).sample(range(written.pieces[0], written.pieces[-1]), 300))
+    for length in sorted(at):
+        path.write_bytes(data[:length])
+        if length < written.borders[0]:
+            with pytest.raises(RecordingError, match="no word of what was recorded"):
+                read_recording(path)
+            continue
+        assert_readable(written, path, length)
+        cut = read_recording(path).cut
+        if length >= written.pieces[-1] + 9:  # the record that ends the data has begun: there is no more
+            assert cut is None
+            continue
+        assert cut is not None
+        assert f"goes to tick {ROWS * whole_chunks(written, length)}" in cut
+
+
+def test_only_the_index_is_gone_where_the_data_is_whole(written: Written, tmp_path: Path) -> None:
+    """What viewers look for is at the end; what was recorded is all there."""
+    (tmp_path / "r.mcap").write_bytes(written.data[:-40])
+    assert_readable(written, tmp_path / "r.mcap", len(written.data))
+    assert read_recording(tmp_path / "r.mcap").cut is None
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, struct.pack("<BQ", 6, 2**62), b"\x06" + b"\0" * 40])
+def test_what_a_power_failure_leaves_behind_the_last_chunk_is_no_chunk(
+    tail: bytes, written: Written, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.mcap"
+    path.write_bytes(written.data[: written.borders[3]] + tail)
+    assert_readable(written, path, written.borders[3])
+    assert read_recording(path).cut is not None
+
+
+def test_a_chunk_that_was_changed_is_found_out(written: Written, tmp_path: Path) -> None:
+    """One bit of a number: nothing but its checksum tells."""
+    path, data = tmp_path / "r.mcap", bytearray(written.data)
+    values = encode_rows(2 * ROWS, NOISE[0, 2 * ROWS : 3 * ROWS, 0:1])
+    data[data.index(values) + 40] ^= 1
+    path.write_bytes(data)
+    assert_readable(written, path, written.borders[2])
+    assert "damaged" in str(read_recording(path).cut)
+
+
+def test_any_byte_may_be_wrong_and_nothing_but_a_recording_error_comes_of_it(written: Written, tmp_path: Path) -> None:
+    path, chance = tmp_path / "r.mcap", random.Random(2)
+    for _ in range(400):
+        data = bytearray(written.data)
+        for _ in range(chance.randint(1, 3)):
+            data[chance.randrange(len(data))] = chance.randrange(256)
+        path.write_bytes(data)
+        try:
+            found = read_recording(path)
+        except RecordingError:
+            continue
+        assert found.x.shape == found.f_v.shape
+        known = ~np.isnan(found.x)
+        assert np.array_equal(found.x[known], NOISE[0, : len(found.x)][known])
+
+
+def test_ticks_that_were_lost_are_nan_and_counted_and_a_device_that_died_takes_nothing_from_others(
+    tmp_path: Path,
+) -> None:
+    core = RecorderCore(RECORDED)
+
+    def told(node: str, tick: int, columns: int) -> None:
+        x = np.full((5, columns), float(tick))
+        core.take(encode(Observation(node, tick, {}, {"x": x, "f_v": x})), 1)
+
+    told("a", 5, 1)
+    told("b", 5, 2)
+    told("b", 15, 2)  # five were lost
+    told("b", 20, 2)  # and a is gone
+    (tmp_path / "r.mcap").write_bytes(core.cut() + core.end())
+    found = read_recording(tmp_path / "r.mcap")
+    assert found.x.shape == (20, 3)
+    assert found.missing == {"a": 15, "b": 5}
+    np.testing.assert_array_equal(np.isnan(found.x[:, 0]), np.arange(20) >= 5)
+    np.testing.assert_array_equal(np.isnan(found.f_v[:, 1]), (np.arange(20) >= 5) & (np.arange(20) < 10))
+
+
+def test_a_tick_out_of_this_world_costs_no_memory(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    one = np.ones((1, 1))
+    core.take(encode(Observation("a", 2**60, {}, {"x": one, "f_v": one})), 1)
+    (tmp_path / "r.mcap").write_bytes(core.cut() + core.end())
+    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
+
+
+def test_a_force_without_its_sample_is_no_tick(tmp_path: Path) -> None:
+    with (tmp_path / "r.mcap").open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start()
+        writer.add_metadata("session", RECORDED.as_metadata())
+        force = writer.register_channel("/s/a/force", "cdr", 0)
+        writer.add_message(force, 1, encode_rows(0, np.ones((5, 1))), 1)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)

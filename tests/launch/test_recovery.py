@@ -1,0 +1,589 @@
+"""A running session loses nodes and gets them back: whatever dies, and whenever, all are joined again in the end."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.launch.conductor import Conductor, NodeState, Phase, Release, Send, StartProcess, Terminate
+from manyhands.launch.link_states import LINK_TRANSITIONS, LinkEvent, LinkState
+from manyhands.launch.recovery import RETURN_TIME
+from manyhands.launch.restarts import RestartBudget
+from manyhands.launch.topology import LinkPlan, Topology
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.messages import (
+    Absent,
+    Connect,
+    Fault,
+    Offer,
+    Ready,
+    Refusal,
+    Report,
+    Return,
+    Role,
+    Shift,
+    Start,
+    Stop,
+    Telemetry,
+    Welcome,
+)
+
+from .fake_session import CERTIFICATE, FakeSession, hello_of
+
+# dx and dy each have a coupling; dz is split between two
+NODES = {
+    **dict.fromkeys(("dx", "dy", "dz"), Role.DEVICE),
+    **dict.fromkeys(("cx", "cy", "cu", "cv"), Role.COUPLING),
+    "environment": Role.ENVIRONMENT,
+}
+LINKS = tuple(
+    LinkPlan(binder, connector, ("p",))
+    for binder, connector in [
+        *[("environment", coupling) for coupling in ("cx", "cy", "cu", "cv")],
+        *[("cx", "dx"), ("cy", "dy"), ("cu", "dz"), ("cv", "dz")],
+    ]
+)
+GRAPH = Topology(NODES, dict.fromkeys(NODES, ("p",)), LINKS)
+TICKS = 1000
+DONE = Report(TICKS, {}, {}, {})
+WINDOW = from_seconds(60.0)
+
+
+def conductor(restarts: int = 3, *remote: str, ticks: int = TICKS) -> Conductor:
+    return Conductor(GRAPH, CERTIFICATE, "s", ticks, frozenset(remote), budget=RestartBudget(restarts, WINDOW))
+
+
+def session(restarts: int = 3, *remote: str, ticks: int = TICKS) -> FakeSession:
+    """One that runs."""
+    made = FakeSession(GRAPH, conductor(restarts, *remote, ticks=ticks))
+    assert made.conductor.phase is Phase.RUNNING
+    assert made.joined()
+    return made
+
+
+steps = st.lists(
+    st.one_of(
+        st.tuples(st.just("kill"), st.sampled_from(list(NODES))),
+        st.tuples(st.just("read"), st.sampled_from(list(NODES))),
+        st.tuples(st.sampled_from(["deliver", "see end"]), st.just("")),
+    ),
+    max_size=60,
+)
+
+
+class Test_whoever_dies:
+    @pytest.mark.parametrize("victim", NODES)
+    def test_one(self, victim: str) -> None:
+        s = session()
+        before = {node: process for node, process in s.processes.items() if node != victim}
+        s.kill(victim)
+        s.settle()
+        assert s.joined()
+        assert s.conductor.faults == []
+        assert s.conductor.ignored == 0
+        assert s.conductor.incidents.sentences == (
+            f"at -0.0 s: {victim} was killed by SIGKILL while running",
+            f"at -0.0 s: {victim} is back",
+        )
+        assert s.conductor.incidents.restarts == {victim: 1}
+        for node, process in before.items():  # the others stay, and hear of those alone that they are linked to
+            assert s.processes[node] is process
+            assert process.absent <= {victim}
+            linked = any({node, victim} == {link.binder, link.connector} for link in LINKS)
+            assert bool(process.absent) == linked
+
+    @pytest.mark.parametrize("first", NODES)
+    @pytest.mark.parametrize("second", NODES)
+    def test_two_at_once(self, first: str, second: str) -> None:
+        s = session()
+        s.kill(first)
+        s.kill(second)
+        s.settle()
+        assert s.joined()
+        assert s.killed == []
+
+    def test_all_at_once(self) -> None:
+        s = session()
+        for node in NODES:
+            s.kill(node)
+        s.settle()
+        assert s.joined()
+        assert s.conductor.faults == []
+
+    @settings(max_examples=400)
+    @given(steps)
+    def test_at_any_time_in_any_order(self, script: list[tuple[str, str]]) -> None:
+        s = session(restarts=100)
+        for what, node in script:
+            match what:
+                case "kill":
+                    s.kill(node)
+                case "read":
+                    s.read(node)
+                case "deliver":
+                    s.deliver()
+                case "see end":
+                    s.see_end()
+        s.settle()
+        assert s.joined(), s.conductor.states
+        assert s.conductor.faults == []
+        assert s.conductor.phase is Phase.RUNNING
+        assert all(len(process.starts) == 1 for process in s.processes.values())
+
+    def test_those_who_return_go_on_where_the_session_is(self) -> None:
+        s = session()
+        s.conductor.hear("environment", Telemetry(400, {}, {}), 0)
+        s.conductor.hear("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
+        (original,) = s.processes["dx"].starts
+        assert original.tick == 0
+        s.kill("dy")
+        s.settle()
+        assert s.processes["dy"].starts == [Start(original.epoch, TICKS, 400)]
+
+    def test_soon_after_the_beginning_it_is_the_beginning_no_more(self) -> None:
+        s = session()
+        s.kill("dy")
+        s.settle()
+        assert s.processes["dy"].starts[0].tick == 1
+
+
+class Test_the_order:
+    """Who binds a link is there before who connects to it is started, or told where to connect."""
+
+    def test_of_one_death(self) -> None:
+        c = session().conductor
+        told = c.exited("cx", -9, 0)
+        assert told == [Send("environment", Absent("cx")), Send("dx", Absent("cx"))]
+        told = c.hear("environment", Offer("cx", "ipc:///anew"), 0)
+        assert told == [Release("cx"), StartProcess("cx")]
+        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        assert told == [
+            Send("cx", Welcome()),
+            Send("cx", Connect({"environment": "ipc:///anew"})),
+            Send("dx", Return("cx", "ipc:///cx-dx.anew")),
+        ]
+        (first, *rest) = c.hear("cx", Ready(), 0)
+        assert first == Send("cx", Start(20_000_000, TICKS, 1))
+        assert rest == []
+
+    def test_of_a_coupling_and_its_device(self) -> None:
+        c = session().conductor
+        c.exited("dx", -9, 0)
+        c.exited("cx", -9, 0)
+        assert c.hear("environment", Offer("cx", "ipc:///anew"), 0) == [Release("cx"), StartProcess("cx")]
+        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        assert told == [
+            Send("cx", Welcome()),
+            Send("cx", Absent("dx")),
+            Send("cx", Connect({"environment": "ipc:///anew"})),
+        ]
+        assert StartProcess("dx") not in c.hear("cx", Offer("dx", "ipc:///for-dx"), 0)
+        assert StartProcess("dx") in c.hear("cx", Ready(), 0)
+        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc:///for-dx"}))]
+
+    def test_who_shakes_hands_with_one_that_dies_begins_again_at_no_charge(self) -> None:
+        s = session(restarts=1)
+        s.kill("cx")
+        s.see_end()
+        s.read("environment")
+        s.deliver()  # the offer: cx is started
+        s.deliver()  # its hello: it is told of the environment and of dx
+        assert s.conductor.states["cx"] is NodeState.CONNECTED
+        s.kill("dx")
+        s.see_end()
+        assert s.killed == ["cx"]
+        assert s.conductor.states["cx"] is NodeState.LEAVING
+        s.settle()
+        assert s.joined()
+        assert s.conductor.faults == []
+
+
+class Test_offers:
+    """Only who was asked may make one: nobody can have another node started or led astray."""
+
+    @pytest.mark.parametrize(
+        ("sender", "peer"),
+        [("environment", "cx"), ("cx", "dx"), ("dx", "cx"), ("environment", "dx"), ("cx", "nobody"), ("cx", "cx")],
+    )
+    def test_unasked_are_counted_and_change_nothing(self, sender: str, peer: str) -> None:
+        c = session().conductor
+        before = dict(c.states)
+        assert c.hear(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
+        assert (c.states, c.ignored) == (before, 1)
+
+    def test_only_from_who_binds_only_while_it_is_owed_and_only_once(self) -> None:
+        c = session().conductor
+        c.exited("cx", -9, 0)
+        for sender in ("dx", "dy", "cy", "stranger"):
+            assert c.hear(sender, Offer("cx", "ipc:///elsewhere"), 0) == []
+        assert StartProcess("cx") in c.hear("environment", Offer("cx", "ipc:///anew"), 0)
+        assert c.hear("environment", Offer("cx", "ipc:///elsewhere"), 0) == []
+        assert c.ignored == 5
+        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
+        assert Send("cx", Connect({"environment": "ipc:///anew"})) in told
+
+    def test_what_a_dead_process_had_said_does_not_keep_the_name_from_the_next(self) -> None:
+        c = session().conductor
+        c.exited("cx", -9, 0)
+        assert c.hear("cx", Telemetry(7, {}, {}), 0) == [Release("cx")]
+        assert c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [Release("cx")]  # a local one is not there
+        assert c.states["cx"] is NodeState.LOST
+        assert c.ignored == 2
+
+    def test_a_hello_of_a_former_process_is_not_taken_for_the_next_ones(self) -> None:
+        c = session().conductor
+        c.exited("dx", -9, 0)
+        c.hear("cx", Offer("dx", "ipc:///anew"), 0)
+        c.started("dx", 77)
+        assert c.hear("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [Release("dx")]
+        assert c.states["dx"] is NodeState.STARTING
+        assert Send("dx", Welcome()) in c.hear("dx", hello_of(GRAPH, "dx", {}, 77), 0)
+
+
+class Test_the_budget:
+    def test_without_one_the_first_death_ends_the_session(self) -> None:
+        c = session(restarts=0).conductor
+        assert c.exited("dx", -9, 0) == [Terminate()]
+        assert c.faults == ["dx was killed by SIGKILL while running"]
+
+    def test_a_user_who_has_used_it_up_stays_frozen_and_the_rest_go_on(self) -> None:
+        s = session(restarts=2)
+        for _ in range(3):
+            s.kill("dx")
+            s.settle()
+        assert s.conductor.states["dx"] is NodeState.GONE
+        assert s.conductor.phase is Phase.RUNNING
+        (fault,) = s.conductor.faults
+        assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
+        for victim in ("cx", "environment"):  # who are linked to it come back without it
+            s.kill(victim)
+            s.settle()
+            assert s.conductor.states[victim] is NodeState.RUNNING
+        assert s.processes["cx"].absent >= {"dx"}
+        s.kill("environment")
+        s.settle()
+        others = {node: state for node, state in s.conductor.states.items() if node != "dx"}
+        assert set(others.values()) == {NodeState.RUNNING}
+        assert len(s.conductor.faults) == 1
+
+    def test_a_long_run_is_a_clean_slate(self) -> None:
+        s = session(restarts=1)
+        for _ in range(4):
+            s.now += WINDOW
+            s.kill("dx")
+            s.settle()
+        assert s.joined()
+        s.now += WINDOW - 1
+        s.kill("dx")
+        s.settle()
+        assert s.conductor.states["dx"] is NodeState.GONE
+
+    def test_deaths_on_the_way_back_count_and_the_long_run_before_does_not_excuse_them(self) -> None:
+        s = session(restarts=2)
+        s.now = 10 * WINDOW
+        for _ in range(3):
+            s.kill("cx")
+            s.see_end()
+            s.read("environment")
+            s.deliver()
+        assert s.conductor.states["cx"] is NodeState.GONE
+
+    @pytest.mark.parametrize(
+        "victims", [("environment",), ("dx", "dy", "dz"), ("cx", "cy", "dz"), ("cu", "cv", "dx", "cy")]
+    )
+    def test_when_nobody_is_left_to_go_on_with_the_session_ends(self, victims: tuple[str, ...]) -> None:
+        s = session(restarts=1)
+        for victim in victims:
+            assert s.conductor.phase is Phase.RUNNING
+            for _ in range(2):
+                s.kill(victim)
+                s.settle()
+        assert s.terminated
+        assert s.conductor.phase is Phase.OVER
+        assert len(s.conductor.faults) == len(victims)
+
+    def test_no_process_to_be_had_is_a_death(self) -> None:
+        s = session(restarts=1)
+        s.kill("dx")
+        s.settle()
+        c = s.conductor
+        c.exited("dx", -9, 0)
+        assert c.states["dx"] is NodeState.GONE
+        c.exited("dy", -9, 0)
+        c.hear("cy", Offer("dy", "ipc:///anew"), 0)
+        assert c.not_started("dy", "Resource temporarily unavailable", 0) == []
+        assert "dy could not be started (Resource temporarily unavailable)" in c.faults[1]
+
+
+class Test_returns_that_fail:
+    def test_a_fault_on_the_way_back_is_a_death_and_not_the_sessions_end(self) -> None:
+        s = session()
+        s.kill("cx")
+        s.see_end()
+        s.read("environment")
+        s.deliver()
+        assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("heard"))]
+        assert s.conductor.states["cx"] is NodeState.LEAVING
+        s.said.clear()  # it said nothing but that
+        s.kill("cx")
+        s.settle()
+        assert s.joined()
+        assert any("cx could not return: cx: no answer of dx" in one for one in s.conductor.incidents.sentences)
+
+    def test_a_fault_of_one_that_runs_ends_the_session(self) -> None:
+        """A device beyond its limits is not started anew: it has decided to stop."""
+        c = session().conductor
+        assert c.hear("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("heard")), Terminate()]
+        assert c.faults == ["dx: too fast"]
+
+    def test_a_hello_that_is_refused(self) -> None:
+        s = session(restarts=1)
+        s.kill("dx")
+        s.see_end()
+        s.read("cx")
+        s.deliver()
+        c = s.conductor
+        c.started("dx", 7)
+        (told,) = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "ipc:///d"}, 7), 0)
+        assert isinstance(told, Send)
+        assert isinstance(told.message, Refusal)
+        assert c.states["dx"] is NodeState.LEAVING
+        c.exited("dx", 4, 0)
+        assert c.states["dx"] is NodeState.GONE  # that was its second death
+        assert c.phase is Phase.RUNNING
+
+    @pytest.mark.parametrize("reads", [0, 1])
+    def test_one_that_takes_too_long(self, reads: int) -> None:
+        """To say hello, or to shake hands."""
+        s = session()
+        s.kill("dx")
+        s.see_end()
+        s.read("cx")
+        for _ in range(1 + reads):
+            s.deliver()
+        c = s.conductor
+        assert c.look(RETURN_TIME) == []
+        s.said.clear()
+        s._obey(c.look(RETURN_TIME + 1))
+        assert s.killed == ["dx"]
+        assert c.look(RETURN_TIME + 1) == []
+        s.settle()
+        assert s.joined()
+
+    def test_who_waits_for_others_may_take_as_long_as_they_do(self) -> None:
+        s = session()
+        s.kill("cx")
+        s.see_end()
+        s.now = 100 * RETURN_TIME
+        assert s.conductor.look(s.now) == []
+        s.settle()  # the environment was stopped all that time
+        assert s.joined()
+
+
+class Test_the_end:
+    def done(self, s: FakeSession, *nodes: str) -> None:
+        for node in nodes:
+            s.conductor.hear(node, DONE, 0)
+            s.processes.pop(node, None)
+            s.conductor.exited(node, 0, 0)
+
+    def test_a_lost_node_is_not_waited_for(self) -> None:
+        s = session()
+        s.kill("dx")
+        s.see_end()  # and cx has not made its offer
+        self.done(s, *(node for node in reversed(NODES) if node != "dx"))
+        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.faults == []
+        assert s.conductor.incidents.total == 1
+
+    def test_nor_is_one_on_its_way_back(self) -> None:
+        s = session()
+        s.kill("dx")
+        s.see_end()
+        s.read("cx")
+        s.deliver()
+        s._obey(s.conductor.hear("environment", DONE, 0))
+        assert s.killed == ["dx"]
+        while s.see_end():
+            pass
+        assert s.conductor.states["dx"] is NodeState.ENDED
+        s.conductor.exited("environment", 0, 0)
+        self.done(s, *(node for node in NODES if node not in ("dx", "environment")))
+        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.faults == []
+
+    def test_who_dies_after_the_environment_was_done_is_not_started_anew(self) -> None:
+        s = session()
+        self.done(s, "environment")
+        assert s.conductor.exited("dx", -9, 0) == [Send("cx", Absent("dx"))]
+        assert s.conductor.states["dx"] is NodeState.ENDED
+        assert s.conductor.faults == []
+        assert s.conductor.incidents.total == 1
+
+    def test_one_that_comes_back_ends_with_the_session(self) -> None:
+        s = session()
+        s.kill("dx")
+        s.settle()
+        self.done(s, *reversed(NODES))
+        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.faults == []
+        assert set(s.conductor.reports) == set(NODES)
+
+    def test_who_is_not_done_long_after_the_environment_is_left_behind(self) -> None:
+        s = session()
+        self.done(s, *(node for node in reversed(NODES) if node != "dx"))
+        assert s.conductor.too_late() == [Terminate()]
+        assert s.conductor.incidents.sentences == ("dx had not finished when the session was over",)
+        assert s.conductor.exited("dx", -9, 0) == []
+        assert (s.conductor.phase, s.conductor.faults) == (Phase.OVER, [])
+
+    def test_who_says_it_is_done_long_before_the_environment_ends_the_session(self) -> None:
+        s = session()
+        self.done(s, "dx")
+        assert s.conductor.too_late() == [Terminate()]
+        assert s.conductor.faults[0].startswith("dx had done every tick long before dy, dz, cx")
+
+    def test_ctrl_c_while_one_is_lost_and_one_is_starting(self) -> None:
+        s = session()
+        s.kill("dx")
+        s.kill("cy")
+        s.see_end()
+        s.see_end()
+        s.read("cx")
+        s.deliver()
+        assert (s.conductor.states["dx"], s.conductor.states["cy"]) == (NodeState.STARTING, NodeState.LOST)
+        assert s.conductor.interrupt() == [Terminate()]
+        for node in list(s.processes):
+            s.kill(node)
+        while s.see_end():
+            pass
+        assert (s.conductor.phase, s.conductor.faults) == (Phase.OVER, [])
+
+    def test_ctrl_c_while_one_is_gone_for_good(self) -> None:
+        s = session(restarts=1)
+        for _ in range(2):
+            s.kill("dx")
+            s.settle()
+        assert s.conductor.interrupt() == [Terminate()]
+        for node in list(s.processes):
+            s.kill(node)
+        while s.see_end():
+            pass
+        assert s.conductor.phase is Phase.OVER
+
+
+class Test_nodes_that_are_started_elsewhere:
+    def test_one_that_falls_silent_is_lost_and_may_join_again(self) -> None:
+        c = session(3, "dx").conductor
+        assert c.silent("dx", 0) == [Release("dx"), Send("cx", Absent("dx"))]
+        assert c.states["dx"] is NodeState.LOST
+        assert c.silent("dx", 0) == []
+        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
+        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "tcp://anew"}))]
+        assert c.hear("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
+        assert c.faults == []
+
+    def test_it_may_be_back_before_there_is_a_place_for_it(self) -> None:
+        c = session(3, "dx").conductor
+        c.silent("dx", 0)
+        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
+
+    def test_one_that_was_not_dead_is_told_to_join_again(self) -> None:
+        c = session(3, "dx").conductor
+        c.silent("dx", 0)
+        told = c.hear("dx", Telemetry(9, {}, {}), 0)
+        assert told == [Send("dx", Stop("you were taken for lost")), Release("dx")]
+        assert c.ignored == 1
+
+    def test_others_do_not_wait_for_it_to_come_back(self) -> None:
+        """Its user may have gone home."""
+        s = session(3, "cx")
+        s.processes.pop("cx")
+        s._obey(s.conductor.silent("cx", 0))
+        s.kill("dx")
+        s.kill("environment")
+        s.settle()
+        assert s.conductor.states["dx"] is NodeState.RUNNING
+        assert s.conductor.states["environment"] is NodeState.RUNNING
+        s._start("cx")  # and then its user starts it again
+        s.settle()
+        assert s.joined()
+
+    def test_two_that_come_back_side_by_side_find_each_other_in_the_end(self) -> None:
+        """Each was told that the other is absent."""
+        c = session(3, "cx").conductor
+        c.silent("cx", 0)
+        c.exited("dx", -9, 0)
+        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0)[1:] == [Send("dx", Absent("cx")), Send("dx", Connect({}))]
+        c.hear("environment", Offer("cx", "tcp://anew"), 0)
+        assert Send("cx", Absent("dx")) in c.hear("cx", hello_of(GRAPH, "cx", {"dx": "tcp://cx-dx"}), 0)
+        assert c.hear("cx", Offer("dx", "tcp://cx-dx.anew"), 0) == []
+        c.hear("dx", Ready(), 0)
+        assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.hear("cx", Ready(), 0)
+
+    def test_it_has_a_budget_too(self) -> None:
+        c = session(1, "dx").conductor
+        c.silent("dx", 0)
+        c.hear("cx", Offer("dx", "tcp://anew"), 0)
+        c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        c.hear("dx", Ready(), 0)
+        c.silent("dx", 0)
+        assert c.states["dx"] is NodeState.GONE
+        assert len(c.faults) == 1
+        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert told == [Send("dx", Stop("you were taken for lost")), Release("dx")]
+
+    def test_the_wrong_bundle_is_refused_and_the_right_one_may_follow(self) -> None:
+        c = session(3, "dx").conductor
+        c.silent("dx", 0)
+        first, last = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
+        assert isinstance(first, Send)
+        assert isinstance(first.message, Refusal)
+        assert last == Release("dx")
+        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.faults == []
+
+
+class Test_rungs:
+    def test_the_environment_is_told(self) -> None:
+        c = session().conductor
+        assert c.shift("cx", 2) == [Send("environment", Shift("cx", 2))]
+        assert c.rungs == {"cx": 2}
+
+    @pytest.mark.parametrize(
+        ("victim", "told"), [("environment", {"cx", "cu"}), ("cx", {"cx"}), ("dz", {"cu"}), ("dy", set())]
+    )
+    def test_and_told_again_when_somebody_comes_back_who_does_not_know(self, victim: str, told: set[str]) -> None:
+        s = session()
+        s._obey(s.conductor.shift("cx", 2))
+        s._obey(s.conductor.shift("cu", 1))
+        s.settle()
+        s.processes["environment"].shifts.clear()
+        s.kill(victim)
+        s.settle()
+        assert {one.node for one in s.processes["environment"].shifts} == told
+
+    def test_not_before_and_not_after(self) -> None:
+        assert conductor().shift("cx", 1) == []
+        c = session().conductor
+        c.interrupt()
+        assert c.shift("cx", 1) == []
+        assert c.stop("too slow") == []
+
+
+def test_a_policy_may_end_the_session() -> None:
+    c = session().conductor
+    assert c.stop("dx: too slow") == [Terminate()]
+    assert c.faults == ["dx: too slow"]
+
+
+def test_a_link_that_is_joined_is_offered_and_joined_again_by_one_way_alone() -> None:
+    """A place is told once, and only after it was made."""
+    into = {target: {event for (_, event), one in LINK_TRANSITIONS.items() if one is target} for target in LinkState}
+    assert into[LinkState.JOINED] == {LinkEvent.TOLD}
+    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.TOLD} == {LinkState.OFFERED}
+    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.PLACE} == {LinkState.CUT}

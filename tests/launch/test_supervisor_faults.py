@@ -1,0 +1,322 @@
+"""The supervisor's hands in a faulty session: processes started anew, couplings softened, silence shown, all told."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+from collections.abc import Iterator
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from manyhands.launch.attention import Attention
+from manyhands.launch.conductor import NodeState, Phase
+from manyhands.launch.display import LiveTable
+from manyhands.launch.incidents import MOST_INCIDENTS, Incidents
+from manyhands.launch.outcome import Progress
+from manyhands.launch.policy import Ladder
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.processes import Processes
+from manyhands.launch.reach import IPC
+from manyhands.launch.session import load_session
+from manyhands.launch.supervisor import TELEMETRY_SILENCE, Supervisor
+from manyhands.launch.topology import topology
+from manyhands.nodes import telemetry as names
+from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Message,
+    NodeHello,
+    Offer,
+    Ready,
+    Role,
+    Shift,
+    Telemetry,
+)
+from manyhands.protocol.transport import Link
+from manyhands.protocol.transport.memory import MemoryTransport
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+class FakeProcesses:
+    """Processes that are only said to be started."""
+
+    def __init__(self) -> None:
+        self.pids: dict[str, int] = {}
+        self.started: list[tuple[str, str]] = []
+        self.killed: list[str] = []
+        self.sent: list[signal.Signals] = []
+        self.refusal: OSError | None = None
+
+    def start(self, nodes: list[str], role: Role, bundles: list[Path], processor: int | None = None) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+        for node, bundle in zip(nodes, bundles, strict=True):
+            self.started.append((node, bundle.name))
+            self.pids[node] = len(self.started)
+
+    def kill(self, name: str) -> None:
+        self.killed.append(name)
+
+    def send(self, which: signal.Signals) -> None:
+        self.sent.append(which)
+
+
+class StoppedClock:
+    """A clock that a test moves."""
+
+    def __init__(self) -> None:
+        self.at = 0
+
+    def now(self) -> Instant:
+        return Instant(self.at)
+
+
+class Faulty:
+    """A supervisor of a session that runs, its hub in memory, and the environment's line to it."""
+
+    def __init__(self, prepared: Prepared, clock: str = "realtime") -> None:
+        self.supervisor = Supervisor(prepared, clock=clock, reach=IPC, ticks=0, record=False)
+        self.clock = StoppedClock()
+        self.supervisor._clock = self.clock  # type: ignore[assignment]
+        self.conductor = self.supervisor._conductor
+        self.graph = topology(prepared.session)
+        self.transport = MemoryTransport()
+        self.hub, endpoint = self.transport.bind_hub("control", [])
+        self.environment: Link = self.transport.join(endpoint, "environment")
+        self.processes = FakeProcesses()
+        self.id = prepared.id
+        for name in self.graph.nodes:
+            self.say(name, self.hello(name, 1))
+        for name in self.graph.nodes:
+            self.say(name, Ready())
+        assert self.conductor.phase is Phase.RUNNING
+
+    def hello(self, name: str, pid: int) -> NodeHello:
+        binds = {link.connector: f"ipc:///s/{name}" for link in self.graph.links_of(name) if link.binder == name}
+        return NodeHello(PROTOCOL_VERSION, self.id, "example-1", name, self.graph.nodes[name], pid, binds)
+
+    def say(self, sender: str, message: Message) -> None:
+        self.supervisor._hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+
+    def dies(self, node: str) -> None:
+        told = self.conductor.exited(node, -9, self.clock.at)
+        self.supervisor._carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
+
+    def told(self) -> list[object]:
+        """What the environment was told since it was last asked."""
+        out: list[object] = []
+        while (frame := self.environment.recv(Duration(0))) is not None:
+            out.append(decode(frame, MAX_CONTROL_BYTES))
+        return out
+
+    def breaches(self, device: str) -> None:
+        """Three messages of a device that is too slow from the first on."""
+        for message in (1, 2, 3):
+            figures = {names.TAU_BREACHES: 90.0 * message, names.TAU_WORST: 300.0}
+            self.say(device, Telemetry(100 * message, figures, {}))
+
+    def progress(self) -> Progress:
+        return self.supervisor._progress(self.processes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
+
+
+@pytest.fixture
+def faulty(prepared: Prepared) -> Iterator[Faulty]:
+    made = Faulty(prepared)
+    yield made
+    made.transport.close()
+
+
+def test_a_process_is_started_anew_from_its_bundle_and_what_the_last_one_said_is_forgotten(faulty: Faulty) -> None:
+    faulty.say("dx", Telemetry(100, {"speed": 0.5}, {}))
+    assert "dx" in faulty.progress().telemetry
+    faulty.dies("dx")
+    assert faulty.processes.started == []
+    faulty.say("cx", Offer("dx", "ipc:///s/anew"))
+    assert faulty.processes.started == [("dx", "dx.bundle")]
+    assert "dx" not in faulty.progress().telemetry
+    faulty.say("dx", faulty.hello("dx", 99))
+    assert faulty.conductor.states["dx"] is NodeState.STARTING  # that was another process
+    faulty.say("dx", faulty.hello("dx", faulty.processes.pids["dx"]))
+    faulty.say("dx", Ready())
+    assert faulty.conductor.states["dx"] is NodeState.RUNNING
+    outcome = faulty.supervisor._outcome(None)
+    assert outcome.code == 0
+    assert [one.split("s: ")[1] for one in outcome.incidents] == [
+        "dx was killed by SIGKILL while running",
+        "dx is back",
+    ]
+    assert outcome.report["incidents"] == list(outcome.incidents)
+
+
+def test_a_machine_without_processes_uses_up_the_budget_and_no_more(faulty: Faulty) -> None:
+    faulty.processes.refusal = BlockingIOError(11, "Resource temporarily unavailable")
+    faulty.dies("dx")
+    faulty.say("cx", Offer("dx", "ipc:///s/anew"))
+    assert faulty.conductor.states["dx"] is NodeState.GONE
+    assert faulty.conductor.phase is Phase.RUNNING
+    outcome = faulty.supervisor._outcome(None)
+    assert outcome.code == 1
+    assert "dx could not be started (Resource temporarily unavailable)" in outcome.faults[0]
+
+
+def test_a_process_that_cannot_return_is_killed(faulty: Faulty) -> None:
+    faulty.dies("dx")
+    faulty.say("cx", Offer("dx", "ipc:///s/anew"))
+    faulty.clock.at = 10**12
+    faulty.supervisor._carry_out(faulty.conductor.look(faulty.clock.at), faulty.hub, faulty.processes)  # type: ignore[arg-type]
+    assert faulty.processes.killed == ["dx"]
+
+
+class Test_a_slow_device:
+    def test_has_its_couplings_softened(self, faulty: Faulty, prepared: Prepared) -> None:
+        ladder: Ladder | None = prepared.ladder
+        assert ladder is not None
+        rung = next(r for r, tau in enumerate(ladder.taus) if tau >= 300e-6)
+        faulty.told()
+        faulty.breaches("dx")
+        expected = ["cx"] if ladder.independent else ["cx", "cy", "cz"]
+        assert faulty.told() == [Shift(coupling, rung) for coupling in expected]
+        assert any(f"softened to rung {rung}" in notice for notice in faulty.progress().notices)
+        faulty.breaches("dx")
+        assert faulty.told() == []  # once
+
+    def test_ends_the_session_where_that_is_wished(self, prepared: Prepared) -> None:
+        session = load_session(SESSIONS / "example1.yaml", ["faults.breach=stop"])
+        stopped = Faulty(Prepared(session, prepared.loop, prepared.blocks, prepared.certificate, prepared.id))
+        stopped.breaches("dx")
+        assert stopped.conductor.phase is Phase.ENDING
+        assert stopped.processes.sent == [signal.SIGTERM]
+        assert stopped.supervisor._outcome(None).code == 1
+        stopped.transport.close()
+
+    def test_is_not_slow_under_the_simulated_clock(self, prepared: Prepared) -> None:
+        simulated = Faulty(prepared, "simulated")
+        simulated.told()
+        simulated.breaches("dx")
+        assert simulated.told() == []
+        assert simulated.progress().notices == ()
+        simulated.transport.close()
+
+
+class Test_silence:
+    def test_is_shown_after_a_second_and_no_longer_than_it_lasts(self, faulty: Faulty) -> None:
+        assert faulty.progress().silent == frozenset()
+        faulty.clock.at = TELEMETRY_SILENCE
+        faulty.say("dx", Telemetry(1, {}, {}))
+        faulty.clock.at = TELEMETRY_SILENCE + 1
+        assert faulty.progress().silent == set(faulty.graph.nodes) - {"dx"}
+        faulty.say("cx", Telemetry(1, {}, {}))
+        assert "cx" not in faulty.progress().silent
+        assert faulty.conductor.incidents.total == 0  # nothing is done about it
+
+    def test_is_not_that_of_one_that_is_lost_or_has_just_come_back(self, faulty: Faulty) -> None:
+        faulty.say("dx", Telemetry(1, {}, {}))
+        faulty.dies("dx")
+        faulty.clock.at = 10 * TELEMETRY_SILENCE
+        assert "dx" not in faulty.progress().silent
+        faulty.say("cx", Offer("dx", "ipc:///s/anew"))
+        faulty.say("dx", faulty.hello("dx", 1))
+        faulty.say("dx", Ready())
+        assert "dx" not in faulty.progress().silent
+
+
+def test_the_table_shows_who_is_lost_who_is_silent_and_what_happened(faulty: Faulty) -> None:
+    shown = StringIO()
+    console = Console(file=shown, width=220, force_terminal=True)
+    table = LiveTable(console, "t", faulty.graph, 0)
+    for name in faulty.graph.nodes:
+        faulty.say(name, Telemetry(100, {names.RUNG: 2.0, names.FROZEN: 1.0}, {}))
+    faulty.progress()
+    faulty.dies("dx")
+    faulty.clock.at = 2 * TELEMETRY_SILENCE
+    faulty.say("dy", Telemetry(200, {}, {}))
+    console.print(table._render(faulty.progress()))
+    rows = {line.split("│")[1].strip(): line for line in shown.getvalue().splitlines() if line.count("│") > 5}
+    assert "lost" in rows["dx"]
+    assert "silent" in rows["cx"]
+    assert "silent" not in rows["dy"]
+    assert "dx was killed by SIGKILL while running" in shown.getvalue()
+
+
+def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
+    shown = StringIO()
+    table = LiveTable(Console(file=shown, width=220), "t", faulty.graph, 0)
+    faulty.dies("dx")
+    for _ in range(3):
+        table(faulty.progress())
+    faulty.dies("dy")
+    table(faulty.progress())
+    lines = [line for line in shown.getvalue().splitlines() if line.startswith("! ")]
+    assert [line.split("s: ")[1].split()[0] for line in lines] == ["dx", "dy"]
+
+
+def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
+    incidents = Incidents()
+    for number in range(MOST_INCIDENTS + 5):
+        incidents.tell(f"number {number}")
+    assert len(incidents.sentences) == MOST_INCIDENTS + 1
+    assert incidents.sentences[0] == "5 earlier incidents"
+    assert incidents.sentences[-1] == f"number {MOST_INCIDENTS + 4}"
+    assert incidents.total == MOST_INCIDENTS + 5
+
+
+def test_attention() -> None:
+    attention = Attention()
+    assert attention.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
+    attention.note("b", Instant(10))
+    assert attention.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
+    attention.forget("a")
+    assert attention.quiet(["a", "b"], Instant(20), Duration(10)) == []
+
+
+def test_one_process_is_killed_and_its_log_goes_on_with_the_next(tmp_path: Path) -> None:
+    processes = Processes(tmp_path)
+    try:
+        for _ in range(2):
+            processes.start(["dx"], Role.DEVICE, [tmp_path / "missing.bundle"])
+            assert _ends(processes) == {"dx": 2}
+        assert processes.log("dx").count("missing.bundle") == 2
+        processes.start(["dx"], Role.DEVICE, [tmp_path / "missing.bundle"])
+        os.kill(processes.pids["dx"], signal.SIGSTOP)  # before it can find out that there is no bundle
+        processes.start(["dy"], Role.DEVICE, [tmp_path / "missing.bundle"])
+        processes.kill("dx")
+        processes.kill("nobody")
+        codes = _ends(processes)
+        codes |= {} if len(codes) == 2 else _ends(processes)
+        assert codes == {"dx": -9, "dy": 2}
+        processes.kill("dx")  # it has ended already
+    finally:
+        processes.end_all()
+
+
+def test_what_a_killed_process_has_bound_is_free_for_the_next(tmp_path: Path) -> None:
+    """Its own sockets and nothing else: not its bundle, and not those of one whose name begins alike."""
+    for name in ("cx-dx", "cx-dx.1", "cx2-dx", "environment-cx"):
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(str(tmp_path / name))
+    (tmp_path / "cx-notes").touch()
+    processes = Processes(tmp_path)
+    try:
+        processes.start(["cx"], Role.COUPLING, [tmp_path / "missing.bundle"])
+        assert _ends(processes) == {"cx": 2}
+    finally:
+        processes.end_all()
+    assert {path.name for path in tmp_path.iterdir()} == {"cx.log", "cx-notes", "cx2-dx", "environment-cx"}
+
+
+def _ends(processes: Processes) -> dict[str, int]:
+    """The ends of some processes; their descriptors tell of them."""
+    return processes.reap(set(select.select(processes.fds, [], [], 60.0)[0]))
