@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood pictures benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos pictures benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -40,6 +40,23 @@ fuzz: $(VENV)/.installed
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed
 	$(BIN)/python benchmarks/flood.py --json docs/flood.json
+
+# a tick's latency beside bare pyzmq and other middleware, in the same run: a quarter of an hour; peers go into out/peers-venv
+loop: $(VENV)/.installed
+	$(BIN)/python benchmarks/loop.py --install
+	$(BIN)/python benchmarks/loop.py --json docs/loop-benchmark.json --plot docs/images/loop-latency.png --markdown docs/loop-benchmark.md
+
+# hundreds of faults at random, in both clocks; exits 1 when one of the invariants does not hold
+chaos: $(VENV)/.installed
+	$(BIN)/python benchmarks/chaos.py --json docs/chaos.json --markdown docs/faults.md
+
+# memory of a session's processes over ten minutes
+soak: $(VENV)/.installed
+	$(BIN)/python benchmarks/loop.py --soak 600 --json docs/loop-soak.json --markdown docs/loop-benchmark.md
+
+# how many users one environment serves at 1 kHz, and where its time goes: ten minutes
+users: $(VENV)/.installed
+	$(BIN)/python benchmarks/users.py --profile --json docs/loop-users.json --plot docs/images/loop-users.png --markdown docs/loop-benchmark.md
 
 # what docs/images/ shows of the design; the linear couplings' search takes about half a minute
 pictures: $(VENV)/.installed

@@ -25,7 +25,9 @@ def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]
         return [*_numbers(session["devices"][name]), *_numbers({**bundle, "common": None})]
     if name in distinctive.COUPLINGS:
         given = [session["design"][key][list(distinctive.COUPLINGS).index(name)] for key in ("stiffness", "damping")]
-        return [*_numbers(given), *_numbers([bundle["block"], bundle["level"]])]  # K and the limits are its device's
+        rungs = [bundle, *bundle["softer"]]
+        own = [[rung["block"], rung["level"]] for rung in rungs]  # K and the limits are its device's
+        return [*_numbers(given), *_numbers(own)]
     return [*_numbers(session["environment"]), *_numbers({**bundle, "common": None})]
 
 
@@ -36,13 +38,19 @@ def _numbers(plain: object) -> _Lists:
 
 
 def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
-    """What others own and ``name`` may know all the same: a device's K and limits its coupling, D_V the environment."""
-    shared: list[object] = []
+    """What others own and ``name`` may know all the same: a device's K and limits its coupling, D_V the environment.
+
+    The delays of the ladder's rungs are the session's, and every device's.
+    """
+    devices = [bundles[device] for device in distinctive.DEVICES]
+    shared: list[object] = [[rung["tau"] for rung in device["longer"]] for device in devices]
     if name in distinctive.COUPLINGS:
         device = bundles[distinctive.COUPLINGS[name]]
-        shared = [device["K"], device.get("limits")]
+        shared += [device["K"], device.get("limits"), [rung["K"] for rung in device["longer"]]]
+        shared.append(bundles[distinctive.ENVIRONMENT]["feedthrough_rungs"][name])
     elif name == distinctive.ENVIRONMENT:
-        shared = [bundles[coupling]["block"]["D"] for coupling in distinctive.COUPLINGS]
+        couplings = [bundles[coupling] for coupling in distinctive.COUPLINGS]
+        shared += [rung["block"]["D"] for coupling in couplings for rung in (coupling, *coupling["softer"])]
     return {abs(number) for numbers in _numbers(shared) for number in numbers}
 
 

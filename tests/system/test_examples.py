@@ -42,7 +42,8 @@ def test_a_figure_of_the_paper_is_drawn_and_its_hands_do_what_it_says(script: st
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
     said = run("order_curve.py", tmp_path, "--orders", "0", "1")
-    shown = re.findall(r"^\| \d+ \|.*$", (ROOT / "docs" / "design.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    _, page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8").split("| states a port |")
+    shown = re.findall(r"^\| \d+ \|.*$", page, flags=re.MULTILINE)
     rows = re.findall(r"^\| \d+ \|.*$", said, flags=re.MULTILINE)
     assert [levels(row) for row in rows] == [levels(row) for row in shown[:2]]
     assert list(tmp_path.iterdir()) == []
@@ -54,5 +55,24 @@ def levels(row: str) -> tuple[str, ...]:
     return tuple(cells[i] for i in (0, 1, 3))
 
 
+def test_the_puck_is_held_to_its_promise(tmp_path: Path) -> None:
+    """With the controller the hands come to rest and the ledger stays; without it the model shakes them for ever."""
+    enforced, raw = run("puck.py", tmp_path).splitlines()
+    kept, ticks, least, speed = (
+        float(number)
+        for number in re.fullmatch(
+            r"enforced: (\S+) J kept back in (\d+) ticks; ledger never below (\S+) J; hands at most (\S+) m/s", enforced
+        ).groups()  # type: ignore[union-attr]
+    )
+    assert kept > 1.0
+    assert ticks > 100
+    assert least >= -1e-12
+    assert speed < AT_REST
+    stated = re.fullmatch(r"not enforced: hands at (\S+) m/s in the last 0\.5 s", raw)
+    assert stated, raw
+    assert float(stated[1]) > SHAKING
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_example_is_left_out() -> None:
-    assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, "order_curve.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, "order_curve.py", "puck.py"}

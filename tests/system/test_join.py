@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -278,10 +278,12 @@ def test_observers_get_exactly_what_their_role_lists_and_come_and_go(home: Home,
     assert in_both[-1]["tick"] > first["tick"]
 
 
-def test_a_killed_guest_ends_the_session(home: Home, machine: Path, listen: Listen) -> None:
-    home.invited("dx", machine)
+def test_a_killed_guest_ends_a_session_without_restarts(home: Home, machine: Path, listen: Listen) -> None:
+    session = load_session(home.folder / "session.yaml", ["faults.restarts=0"])
+    brittle = replace(home, prepared=replace(home.prepared, session=session))
+    brittle.invited("dx", machine)
     with guest("dx", machine, listen) as dx:
-        outcome = home.supervisor(listen, "dx", show=once(is_running, dx.kill)).run()
+        outcome = brittle.supervisor(listen, "dx", show=once(is_running, dx.kill)).run()
         assert end_of(dx) == (-signal.SIGKILL, "")
     assert outcome.code == 1
     assert outcome.faults == ("dx fell silent while running",)

@@ -1,0 +1,293 @@
+"""One environment's process under load: its supervisor, and all its couplings, played by this process.
+
+The environment is the real one, with the bundle that a session of so many users has cut for it. The couplings shake
+hands as couplings do and send what couplings send, each on a link of its own: at every millisecond all their p(k), and
+then all their f_v(k) are awaited. What they say is prepared beforehand, so that one process can play very many.
+"""
+
+from __future__ import annotations
+
+import array
+import gc
+import math
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import proc
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import HUB_NAME
+from manyhands.launch.session import load_session
+from manyhands.launch.topology import ENVIRONMENT
+from manyhands.nodes.bundle import REALTIME, EnvironmentBundle, save
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Connect,
+    Fault,
+    LinkHello,
+    Message,
+    NodeHello,
+    Ready,
+    Report,
+    Role,
+    Start,
+    Stop,
+    Tool,
+    Welcome,
+)
+from manyhands.protocol.signal_head import USUAL
+from manyhands.protocol.transport import Hub, Link
+from manyhands.protocol.transport.zeromq import ZmqTransport
+
+PATIENCE = from_seconds(20.0)  # for the environment's next word before and after the ticks
+WAIT = from_seconds(0.1)  # for a reaction, before its tick is given up
+AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
+_PREPARED_TICKS = 500  # a period of that, at 1 kHz
+_TICK = struct.Struct(">Q")
+_TICK_AT = 3  # bytes into a signal's usual head
+_LEAD = from_seconds(0.2)  # from saying when it starts to the first tick
+
+
+class Broken(Exception):
+    """The environment did not do its part; the text says what was heard of it."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """How one number of users went.
+
+    Attributes:
+        users: how many.
+        ticks: how many were done.
+        late: share of ticks whose last reaction came after the next tick was due, or not at all.
+        round_trip_us: p50, p99, p999 and max, us, from before the first p(k) was sent to after the last f_v(k) came.
+        environment_cpu: processors that the environment used.
+        generator_cpu: processors that this process used.
+        resident: the environment's memory at the end, MiB.
+    """
+
+    users: int
+    ticks: int
+    late: float
+    round_trip_us: dict[str, float]
+    environment_cpu: float
+    generator_cpu: float
+    resident: float
+
+
+def session_text(users: int) -> str:
+    """Example 1's world with so many users: each one's tool tied to the hub."""
+    lines = ["session: users", "period: 0.001", "devices:"]
+    lines += [f"  d{i}: {{dof: 1, osp: 1.37, driver: simulated, mass: 0.2}}" for i in range(users)]
+    lines += ["couplings:", *(f"  c{i}: {{devices: [d{i}]}}" for i in range(users))]
+    lines += ["environment:", "  type: network", "  masses: {hub: 3.0}", "  links:"]
+    lines += [f"    - {{between: [d{i}, hub], stiffness: 3500, damping: 0.2}}" for i in range(users)]
+    lines += ["    - {between: [hub, ground], stiffness: 2600, damping: 0.5}"]
+    lines += ["design: {coupling: spring-damper, objective: feasible}"]
+    return "\n".join(lines) + "\n"
+
+
+def measure(users: int, seconds: float, beside: Callable[[int], None] | None = None) -> Point:
+    """Serve ``users`` for ``seconds``.
+
+    Args:
+        users: how many couplings, of one port each.
+        seconds: how long.
+        beside: called with the environment's process id right before the ticks begin; for a profiler.
+
+    Raises:
+        Broken: the environment ended, or said something else than it should.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        (folder / "session.yaml").write_text(session_text(users))
+        prepared = prepare(load_session(folder / "session.yaml"))
+        transport = ZmqTransport.ipc(folder)
+        try:
+            hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
+            bundle = cut(prepared, Run(REALTIME, folder, endpoint, False))[ENVIRONMENT]
+            if not isinstance(bundle, EnvironmentBundle):
+                raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
+            save(bundle, folder / "environment.bundle")
+            with _environment(folder) as process, _listening(hub, process.pid, folder) as hear:
+                hello = hear(NodeHello)
+                _say(hub, Welcome())
+                _say(hub, Connect({}))
+                links = _shake_hands(prepared, bundle, transport, hello)
+                hear(Ready)
+                if beside is not None:
+                    beside(process.pid)
+                clock = RealtimeClock()
+                epoch = Instant(clock.now() + _LEAD)
+                _say(hub, Start(epoch, 0))
+                load = _Load(links, from_seconds(prepared.session.period))
+                used, own, began = proc.cpu_seconds([process.pid]), time.process_time(), time.monotonic()
+                load.run(epoch, round(seconds / prepared.session.period), clock, hub)
+                lasted = time.monotonic() - began
+                point = Point(
+                    users,
+                    load.ticks,
+                    load.late / load.ticks,
+                    load.percentiles(),
+                    (proc.cpu_seconds([process.pid]) - used) / lasted,
+                    (time.process_time() - own) / lasted,
+                    proc.resident(process.pid) or 0.0,
+                )
+                process.send_signal(signal.SIGTERM)
+                hear(Report)
+                _say(hub, Stop("reported"))
+                process.wait()
+        finally:
+            transport.close()
+    return point
+
+
+@contextmanager
+def _environment(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """The environment's process; killed if it has not ended by itself."""
+    with (folder / "environment.log").open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
+            [sys.executable, "-P", "-m", "manyhands.nodes.environment",
+             str(folder / "environment.bundle"), str(os.getpid())],
+            stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def _listening(hub: Hub, pid: int, folder: Path) -> Iterator[Callable[[type[Message]], Message]]:
+    """A function that waits for a message of a kind, passing over telemetry."""
+    ended = os.pidfd_open(pid)
+    clock = RealtimeClock()
+
+    def hear(kind: type[Message]) -> Message:
+        deadline = clock.now() + PATIENCE
+        while (remaining := deadline - clock.now()) > 0:
+            if hub.wait(Duration(remaining), (ended,)):
+                raise Broken(f"the environment ended: {(folder / 'environment.log').read_text()[-2000:]}")
+            while (received := hub.recv()) is not None:
+                message = decode(received[1], MAX_CONTROL_BYTES)
+                if isinstance(message, kind):
+                    return message
+                if isinstance(message, Fault):
+                    raise Broken(f"the environment: {message.text}")
+        raise Broken(f"the environment said nothing; expected {kind.__name__}")
+
+    try:
+        yield hear
+    finally:
+        os.close(ended)
+
+
+def _say(hub: Hub, message: Message) -> None:
+    if not hub.send(ENVIRONMENT, encode(message)):
+        raise Broken("the environment has left")
+
+
+def _shake_hands(prepared: Prepared, bundle: EnvironmentBundle, transport: ZmqTransport, hello: Message) -> list[Link]:
+    """Be every coupling, in the order in which the environment shakes hands."""
+    if not isinstance(hello, NodeHello):
+        raise TypeError(f"found {type(hello).__name__}; expected a hello")
+    blocks = dict(zip(prepared.session.couplings, prepared.blocks, strict=True))
+    clock = RealtimeClock()
+    links = []
+    for peer in bundle.common.peers:
+        feedthrough = tuple(map(tuple, blocks[peer.name].D.tolist()))
+        own = LinkHello(
+            PROTOCOL_VERSION, bundle.common.certificate, bundle.common.session, peer.name, Role.COUPLING, peer.ports,
+            feedthrough,
+        )  # fmt: skip
+        link = transport.connect(hello.endpoints[peer.name], ENVIRONMENT)
+        handshake = LinkHandshake(own, Expected(ENVIRONMENT, Role.ENVIRONMENT, peer.ports), opens=True)
+        shake_hands(link, handshake, clock, Instant(clock.now() + PATIENCE))
+        links.append(link)
+    return links
+
+
+class _Load:
+    """All couplings' ticks.
+
+    Attributes:
+        ticks: done so far.
+        late: of these, too late.
+    """
+
+    def __init__(self, links: list[Link], period: Duration) -> None:
+        self._links, self._period = links, period
+        self._round_trips = array.array("q")
+        self.ticks = self.late = 0
+        # of each tick one frame for each link, whose tick and stamp are written anew
+        self._frames = [
+            [
+                encode(
+                    Tool(0, 0, np.array([AMPLITUDE * math.sin(2 * math.pi * (k / _PREPARED_TICKS + i / len(links)))]))
+                )
+                for i in range(len(links))
+            ]
+            for k in range(_PREPARED_TICKS)
+        ]
+
+    def run(self, epoch: Instant, ticks: int, clock: RealtimeClock, hub: Hub) -> None:
+        """Do the ticks; what the environment tells its supervisor meanwhile is read and not looked at."""
+        self._round_trips = array.array("q", bytes(8 * ticks))
+        head, size, links, period, now = USUAL, USUAL.size, self._links, self._period, clock.now
+        _, number, tag, _, _, _, values_tag, length = head.unpack_from(self._frames[0][0])
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        try:
+            slot = tick = 0
+            for done in range(ticks):
+                clock.sleep_until(Instant(epoch + slot * period))
+                sent = now()
+                start = head.pack(0x94, number, tag, tick, tag, sent, values_tag, length)
+                for link, frame in zip(links, self._frames[slot % _PREPARED_TICKS], strict=True):
+                    link.send(start + frame[size:])
+                newest = tick
+                lost = False
+                for link in links:
+                    while (answer := link.recv(WAIT)) is not None:
+                        (found,) = _TICK.unpack_from(answer, _TICK_AT)
+                        if found >= tick:  # beyond it: this coupling was given up, and is told how far the others are
+                            newest = max(newest, found)
+                            break
+                    lost |= answer is None
+                ended = now()
+                self._round_trips[done] = ended - sent
+                self.ticks = done + 1
+                if lost or ended > epoch + (slot + 1) * period:
+                    self.late += 1
+                    slot = -((epoch - ended) // period)  # rounded up
+                else:
+                    slot += 1
+                tick = newest + 1
+                hub.recv()
+        finally:
+            gc.enable()
+            gc.unfreeze()
+
+    def percentiles(self) -> dict[str, float]:
+        """Of the round trips, us."""
+        ordered = sorted(self._round_trips[: self.ticks])
+        parts = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
+        return {name: ordered[max(0, math.ceil(part * len(ordered)) - 1)] / 1e3 for name, part in parts.items()}

@@ -1,0 +1,179 @@
+"""The benchmarks of the loop run for a moment, and say what they say in the form in which it is read. No timings."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+PERCENTILES = ["p50", "p99", "p999", "max"]
+DEVICES = {"dx", "dy", "dz"}
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Benchmarks are scripts beside each other, and no package."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    monkeypatch.syspath_prepend(BENCHMARKS / "loop_peers")
+
+
+def run(script: str, *arguments: str | Path) -> str:
+    command = [sys.executable, str(BENCHMARKS / script), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def rows(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.startswith("| ")]
+
+
+def test_the_loop_beside_bare_pyzmq(tmp_path: Path) -> None:
+    file, picture, page = tmp_path / "loop.json", tmp_path / "loop.png", tmp_path / "page.md"
+    page.write_text("before\n<!-- loop: begin -->\nold\n<!-- loop: end -->\nafter\n")
+    said = run(
+        "loop.py", "--rounds", "2", "--seconds", "0.3", "--only", "--json", file, "--plot", picture, "--markdown", page
+    )
+    content = json.loads(file.read_text())
+    assert [set(of) for of in content["runs"]] == [{"manyhands", "pyzmq"}] * 2
+    assert content["failed"] == {}
+    for of in content["runs"]:
+        for name, one in of.items():
+            assert one["tau_us"].keys() == DEVICES
+            for tau in one["tau_us"].values():
+                values = [tau[percentile] for percentile in PERCENTILES]
+                assert values[0] > 0.0
+                assert values == sorted(values)
+            assert one["processes"] == (8 if name == "manyhands" else 7)
+            assert 0.0 <= one["late"] <= 1.0
+            assert 0 < one["ticks"] <= 300
+            assert one["resident"] > 7 * 5.0  # MiB: no interpreter is smaller
+    assert len(rows(said)) == 3
+    assert page.read_text() == f"before\n<!-- loop: begin -->\n{said.strip()}\n<!-- loop: end -->\nafter\n"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_memory_of_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "soak.json"
+    said = run("loop.py", "--soak", "0.5", "--json", file)
+    content = json.loads(file.read_text())
+    assert content["resident"].keys() == {*DEVICES, "cx", "cy", "cz", "environment", "supervisor"}
+    assert all(len(of) == len(content["seconds"]) for of in content["resident"].values())
+    assert len(rows(said)) == 1 + 8
+
+
+def test_the_users_of_one_environment(tmp_path: Path) -> None:
+    file = tmp_path / "users.json"
+    said = run("users.py", "--users", "3", "--seconds", "0.3", "--repeats", "1", "--json", file)
+    (point,) = json.loads(file.read_text())["points"]
+    assert point["users"] == 3
+    assert 0 < point["ticks"] <= 300
+    assert 0.0 <= point["late"] <= 1.0
+    values = [point["round_trip_us"][percentile] for percentile in PERCENTILES]
+    assert values[0] > 0.0
+    assert values == sorted(values)
+    assert len(rows(said)) == 2
+
+
+def test_a_page_without_marks_is_left_alone(tmp_path: Path) -> None:
+    from page import fill  # type: ignore[import-not-found]
+
+    page = tmp_path / "page.md"
+    page.write_text("<!-- loop: begin -->\nno end\n")
+    with pytest.raises(SystemExit, match="found no place"):
+        fill(page, "loop", "figures")
+    assert page.read_text() == "<!-- loop: begin -->\nno end\n"
+
+
+def test_ratios_are_taken_within_a_round() -> None:
+    from loop_figures import table  # type: ignore[import-not-found]
+
+    def of(tau: float) -> dict[str, Any]:
+        percentiles = dict.fromkeys(PERCENTILES, tau)
+        return {
+            "tau_us": dict.fromkeys(DEVICES, percentiles),
+            "ticks": 10,
+            "late": 0.0,
+            "processes": 7,
+            "cpu": 0.5,
+            "resident": 100.0,
+            "told": "",
+        }
+
+    rounds = [(150.0, 100.0), (2500.0, 1000.0), (400.0, 200.0)]  # ours, bare; the machine is not always the same
+    content = {
+        "rounds": 3,
+        "seconds": 1.0,
+        "machine": {},
+        "treatment": {},
+        "failed": {"dora": "there is none"},
+        "runs": [{"manyhands": of(ours), "pyzmq": of(bare)} for ours, bare in rounds],
+    }
+    said = table(content)
+    assert "| **manyhands** | 400 | 400 | 400 | 0.00% | 2.00 (1.50-2.50) |" in said
+    assert "dora did not run: there is none" in said
+    assert "missed (2.00)" in said
+
+
+def test_memory_that_grows_is_seen() -> None:
+    from loop_figures import slope
+
+    seconds = [float(s) for s in range(120)]
+    assert slope(seconds, [10.0] * 120) == 0.0
+    assert slope(seconds, [10.0 + s / 60.0 for s in seconds]) == pytest.approx(1024.0)  # a MiB a minute
+    assert slope(seconds, [0.0] * 12 + [10.0] * 108) == 0.0  # what is needed to warm up is no leak
+
+
+class Over(Exception):
+    """A wire has nothing left to say."""
+
+
+class ScriptedWire:
+    """What each peer sends, in order; None for nothing within the time."""
+
+    version = "scripted"
+
+    def __init__(self, **heard: Iterable[bytes | None]) -> None:
+        self._heard = {peer: iter(frames) for peer, frames in heard.items()}
+        self.sent: list[tuple[str, bytes]] = []
+
+    def send(self, peer: str, frame: bytes) -> None:
+        self.sent.append((peer, frame))
+
+    def receive(self, peer: str, wait: float) -> bytes | None:
+        try:
+            return next(self._heard[peer])
+        except StopIteration:
+            raise Over from None
+
+
+def test_the_chain_of_others_goes_on_after_a_lost_frame() -> None:
+    """The frame of tick 1 from b is lost; all give the tick up and meet again in tick 2."""
+    from chain import FRAME, environment  # type: ignore[import-not-found]
+
+    a, b = ([FRAME.pack(tick, number) for tick in range(3)] for number in (100, 200))
+    wire = ScriptedWire(a=[a[0], a[1], a[2]], b=[None, b[0], None, b[2]])
+    with pytest.raises(Over):
+        environment(wire, ["a", "b"])
+    assert wire.sent == [("a", a[0]), ("b", b[0]), ("a", a[2]), ("b", b[2])]
+
+
+def test_a_late_answer_is_not_taken_for_the_awaited() -> None:
+    from chain import FRAME, awaited
+
+    late, right = FRAME.pack(6, 0), FRAME.pack(7, 0)
+    assert awaited(ScriptedWire(c=[late, right]), "c", 7) == right
+    assert awaited(ScriptedWire(c=[late, None]), "c", 7) is None
+
+
+def test_a_tick_that_was_not_done_is_late() -> None:
+    from loop_runs import share_late  # type: ignore[import-not-found]
+
+    assert share_late(100, [(100, 0), (100, 0)]) == 0.0
+    assert share_late(100, [(100, 10), (80, 0)]) == pytest.approx(0.15)
