@@ -268,7 +268,7 @@ class Places:
 
 
 _NOTED = {Seat.FROZEN: LogEvent.FROZEN, Seat.GONE: LogEvent.LOST, Seat.SEATED: LogEvent.RETURNED}
-_MOST_AHEAD = 2**40
+_MOST_AHEAD = 2**16  # ticks: far more than pass between two telemetries, by which a resumed environment begins
 
 LEAD = 3
 """Ticks that a coupling is given to come back in: nobody waits for it in them.

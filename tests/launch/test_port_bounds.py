@@ -122,7 +122,7 @@ def test_an_honest_coupling_is_never_refused(
     X, S = np.array(limits.displacement), np.array(limits.speed)
     x = X * rng.uniform(-1.0, 1.0, m)
     for tick in range(200):
-        p = core.free_position(x)
+        p = np.array(core.free_position(x.tolist()))
         assert gate.admit(encode(Tool(tick, 0, p)), tick) is not None
         f = rng.choice([-1e3, 1e3], m) if extreme else rng.normal(0.0, 3.0, m)
         core.absorb(core.limited(f))

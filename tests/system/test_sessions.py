@@ -60,22 +60,25 @@ def test_every_shipped_session_runs(file: str) -> None:
 
 
 def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
-    prepared = prepare(load_session(SESSIONS / "example1.yaml"))
-    outcome = run(prepared, "ipc", clock="realtime", ticks=500)
+    """Slowly enough that a busy machine makes nobody wait for three periods, who would then be frozen."""
+    slowly = ["period=0.02", "design.ladder=[]", "faults.breach=warn"]
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", slowly))
+    outcome = run(prepared, "ipc", clock="realtime", ticks=100)
     recording = recording_of(outcome)
-    np.testing.assert_array_equal(recording.x, Simulation(prepared).run(500).x)
+    np.testing.assert_array_equal(recording.x, Simulation(prepared).run(100).x)
     assert outcome.report["session"] == "example-1"
     assert outcome.report["certificate"] == prepared.id
     assert outcome.report["clock"] == "realtime"
-    assert outcome.report["duration"] == pytest.approx(0.5)
+    assert outcome.report["duration"] == pytest.approx(2.0)
     for device in prepared.session.devices:
         node = outcome.report["nodes"][device]
-        assert 0 <= node["late"] <= 500
+        assert 0 <= node["late"] <= 100
         assert 0.0 < node["tau_us"]["p50"] <= node["tau_us"]["p99"] <= node["tau_us"]["p999"] <= node["tau_us"]["max"]
         assert node["period_us"]["p50"] > 0.0
-        assert node["tau_breaches"] == 500  # the certificate assumes no delay at all
-    assert len(outcome.notices) == 3
-    assert "the certificate assumes 0 us" in outcome.notices[0]
+        assert node["tau_breaches"] == 100  # the certificate assumes no delay at all
+        assert any(
+            text.startswith(f"{device}: ") and "the certificate assumes 0 us" in text for text in outcome.notices
+        )
 
 
 def test_the_uncoupled_hands_shake_and_the_coupled_ones_come_to_rest() -> None:
