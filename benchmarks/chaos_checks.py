@@ -127,8 +127,8 @@ def unreadable_when_cut(path: Path, whole: Recording, at: int) -> list[str]:
     found = read_recording(cut)
     ticks = min(len(found.x), len(whole.x))
     known = ~np.isnan(found.f_v[:ticks])
-    if found.cut is None:
-        return [f"cut at byte {at}, the recording says that it is whole"]
+    if found.cut is None and (len(found.x), found.missing) != (len(whole.x), whole.missing):
+        return [f"cut at byte {at}, the recording says that it is whole"]  # of a cut index nothing is lost
     if not np.array_equal(found.f_v[:ticks][known], whole.f_v[:ticks][known]):
         return [f"cut at byte {at}, the recording holds other numbers"]
     return []

@@ -14,7 +14,7 @@ from typing import Final, Literal
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.error import listed, one_of
 from manyhands.launch.session.observers import TELEMETRY
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import roster, topology
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 
@@ -58,11 +58,7 @@ class _Connection:
 
 def access(session: Session) -> tuple[Capability, ...]:
     """The capability table: one row for each node, channel and peer, in the order of nodes, then of channels."""
-    roles = {
-        **session.roles,
-        SUPERVISOR: Role.SUPERVISOR,
-        **dict.fromkeys(session.observers, Role.OBSERVER),
-    }
+    roles = roster(session)
     rows: dict[str, list[Capability]] = {name: [] for name in roles}
     connections = tuple(_connections(session))
     for channel in DATA:

@@ -12,8 +12,9 @@ from manyhands.launch.designing import print_json
 from manyhands.launch.display import say
 from manyhands.launch.exits import EXIT_OK
 from manyhands.launch.key_folder import PRIVATE, PUBLIC, SUFFIX, private_path
-from manyhands.launch.keys import KeyState, Made, make_keys, roster
+from manyhands.launch.keys import KeyState, Made, make_keys
 from manyhands.launch.session import Session
+from manyhands.launch.topology import roster
 
 
 def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console, err: Console, as_json: bool) -> int:

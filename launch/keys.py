@@ -28,8 +28,7 @@ from manyhands.launch.key_folder import (
 )
 from manyhands.launch.session import Session
 from manyhands.launch.session.error import one_of
-from manyhands.launch.session.structure import SUPERVISOR
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import roster
 from manyhands.protocol.key_files import sync_folder
 from manyhands.protocol.keys import (
     MAX_KEYS,
@@ -42,7 +41,6 @@ from manyhands.protocol.keys import (
     ring_of,
     save_private,
 )
-from manyhands.protocol.messages import Role
 
 
 class KeyState(StrEnum):
@@ -138,15 +136,6 @@ class Keys:
         path = folder / f"{name}{SUFFIX}"
         save_private(self.pair(name), self.public.session, name, path)
         return path
-
-
-def roster(session: Session) -> Mapping[str, Role]:
-    """Every name of a session that has a key, and its role: the nodes, the supervisor, the observers."""
-    return {
-        **topology(session).nodes,
-        SUPERVISOR: Role.SUPERVISOR,
-        **dict.fromkeys(session.observers, Role.OBSERVER),
-    }
 
 
 def make_keys(session: Session, folder: Path, renew: Sequence[str] = ()) -> Made:

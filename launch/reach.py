@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from manyhands.launch.access import peers
-from manyhands.launch.keys import Keys, ephemeral, roster
+from manyhands.launch.keys import Keys, ephemeral
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.error import one_of
-from manyhands.launch.topology import Topology, topology
+from manyhands.launch.topology import Topology, roster, topology
 from manyhands.protocol.keys import KeyRing
-from manyhands.protocol.transport.zeromq import LOOPBACK
+from manyhands.protocol.transport.zeromq import LOOPBACK, is_address
 
 HUB_NAME = "control"
 _MAX_PORT: Final = 65535
@@ -37,9 +37,9 @@ class Listen:
         Raises:
             ReachError: it is none, or names every address of the machine, which is no address to tell others.
         """
-        host, colon, port = text.rpartition(":")
-        if not colon or not port.isdecimal() or not 0 < int(port) <= _MAX_PORT or not host:
+        if not is_address(text):
             raise ReachError(f"--listen: found {text!r:.100}; expected HOST:PORT, such as 192.0.2.7:7400")
+        host, _, port = text.rpartition(":")
         try:
             address = ipaddress.IPv4Address(host)
         except ValueError as error:

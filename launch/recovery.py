@@ -254,5 +254,5 @@ class Recovery:
     def _cut_off(self, device: str) -> bool:
         """Whether no force will reach ``device`` any more."""
         couplings = [other_end(link, device) for link in self._links.of(device)]
-        couplings += [coupling for coupling, carrier in self.graph.carriers.items() if carrier == device]
+        couplings += self.graph.together(device)[1:]
         return self._awaits(device, NodeState.GONE) or all(self._awaits(c, NodeState.GONE) for c in couplings)

@@ -279,13 +279,12 @@ class Supervisor:
 
     def _start_process(self, name: str, processes: Processes) -> None:
         """Start a node, unless it shares its process with others that are still to be started."""
-        leader = self._graph.carriers.get(name, name)
-        together = [leader, *(node for node, carrier in self._graph.carriers.items() if carrier == leader)]
+        together = self._graph.together(name)
         self._to_start.add(name)
         if self._to_start.issuperset(together):
             self._to_start.difference_update(together)
-            role, paths = self._graph.nodes[leader], [self._bundle_path(node) for node in together]
-            processes.start(together, role, paths, self._places.get(leader))
+            role, paths = self._graph.nodes[together[0]], [self._bundle_path(node) for node in together]
+            processes.start(together, role, paths, self._places.get(together[0]))
 
     def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
         """The next process of a node that was lost; of the last one nothing is kept but its bundle and its log."""
@@ -294,9 +293,9 @@ class Supervisor:
         self._assumptions.forget(name)
         try:
             self._start_process(name, processes)
-            for node, pid in processes.pids.items():
-                if node == name or self._graph.carriers.get(node) == name or self._graph.carriers.get(name) == node:
-                    self._conductor.started(node, pid)
+            for node in self._graph.together(name):
+                if node in processes.pids:
+                    self._conductor.started(node, processes.pids[node])
         except OSError as error:
             now = self._clock.now()
             self._carry_out(self._conductor.not_started(name, str(error.strerror), now), hub, processes)

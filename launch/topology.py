@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from manyhands.launch.session import ENVIRONMENT, Session
+from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session
 from manyhands.protocol.limits import MAX_PORTS
 from manyhands.protocol.messages import Role
 
-__all__ = ["ENVIRONMENT", "LinkPlan", "LinkTooWide", "Topology", "require_runnable", "topology"]
+__all__ = ["ENVIRONMENT", "LinkPlan", "LinkTooWide", "Topology", "require_runnable", "roster", "topology"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,11 @@ class Topology:
         """The links that end at ``node``, in the session's order."""
         return tuple(link for link in self.links if node in (link.binder, link.connector))
 
+    def together(self, node: str) -> tuple[str, ...]:
+        """The nodes of the process that ``node`` runs in: the one that carries the others first."""
+        leader = self.carriers.get(node, node)
+        return (leader, *(name for name, carrier in self.carriers.items() if carrier == leader))
+
 
 class LinkTooWide(Exception):
     """A link would have to carry more ports than a signal may have values."""
@@ -62,6 +67,15 @@ def require_runnable(graph: Topology) -> None:
                 f"the link between {link.binder} and {link.connector}: found {len(link.ports)} ports; "
                 f"expected at most {MAX_PORTS}; divide the coupling into more blocks"
             )
+
+
+def roster(session: Session) -> Mapping[str, Role]:
+    """Every name of a session that has a key, and its role: the nodes, the supervisor, the observers."""
+    return {
+        **session.roles,
+        SUPERVISOR: Role.SUPERVISOR,
+        **dict.fromkeys(session.observers, Role.OBSERVER),
+    }
 
 
 def topology(session: Session) -> Topology:

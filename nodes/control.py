@@ -164,7 +164,7 @@ class ControlLine:
         if now >= self._due:
             self._due = Instant(now + _ALIVE_EVERY)
             self._send(Probe(now))
-        self._read(Duration(0))
+        self._read(NOT_AT_ALL)
         return Sight.ENDING if self._asked_to_stop else self.connection()
 
     def listen(self, patience: Duration = NOT_AT_ALL) -> Word | None:

@@ -112,7 +112,12 @@ class Joint:
     @property
     def here(self) -> bool:
         """Whether signals can be exchanged with the peer."""
-        return self.link is not None and self.handshake is None
+        return self._open is not None
+
+    @property
+    def _open(self) -> Link | None:
+        """The link, where hands have been shaken on it."""
+        return self.link if self.handshake is None else None
 
     def share(self, values: Floats) -> Floats:
         """This link's part of the node's ``values``."""
@@ -141,18 +146,21 @@ class Joint:
 
     def send_again(self) -> None:
         """Send the last signal once more: it, or the answer to it, may have been lost with a connection."""
-        if self.link is not None and self.handshake is None and self._last:
-            self.link.send(self._last)
+        link = self._open
+        if link is not None and self._last:
+            link.send(self._last)
 
     def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
         """Tell the peer, by a force of zero, that ``tick`` is over: it goes on with the one after it."""
-        if self.link is not None and self.handshake is None and tick >= 0:
-            self.link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
+        link = self._open
+        if link is not None and tick >= 0:
+            link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
 
     def say(self, message: Rung | Absent) -> None:
         """Send a word besides the signals."""
-        if self.link is not None and self.handshake is None:
-            self.link.send(encode(message))
+        link = self._open
+        if link is not None:
+            link.send(encode(message))
 
     def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
         """Listen for the peer's signal of ``tick``, at most ``patience``, and put it into the node's ``values``."""

@@ -31,7 +31,7 @@ from manyhands.nodes.observer.node import observe
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, Node, key_ring, run
 from manyhands.protocol.key_files import KeyFileError
 from manyhands.protocol.messages import Role
-from manyhands.protocol.transport.zeromq import SCHEMES
+from manyhands.protocol.transport.zeromq import SCHEMES, is_address
 
 MAKERS: dict[Role, tuple[type[Any], Callable[[Any], Node]]] = {
     Role.DEVICE: (DeviceBundle, lambda bundle: DeviceNode(bundle, simulated_driver(bundle))),
@@ -80,7 +80,7 @@ def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | No
     if common.name != name:
         raise BundleError(f"{path}: found the bundle of {common.name}; expected that of {name}")
     scheme, _, place = endpoint.partition("://")
-    if scheme not in SCHEMES or not place or (scheme == "tcp" and not _is_address(place)):
+    if scheme not in SCHEMES or not place or (scheme == "tcp" and not is_address(place)):
         raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT, such as tcp://192.0.2.7:7400")
     if common.public and scheme != "tcp":
         raise BundleError(f"--connect: found {endpoint!r:.300}; expected tcp://HOST:PORT, for this bundle has keys")
@@ -88,9 +88,3 @@ def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | No
     if host is not None:
         others = tuple(dataclasses.replace(p, address=f"{host}:*") if p.binds else p for p in others)
     return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others)
-
-
-def _is_address(place: str) -> bool:
-    """Whether this is HOST:PORT; of a port, ZeroMQ would read as much as it can."""
-    host, _, port = place.rpartition(":")
-    return bool(host) and port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536

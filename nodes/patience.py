@@ -18,6 +18,9 @@ FREEZE_TICKS = 3
 STALE_TICKS = 5
 """A device that has waited this many periods for its force applies zero force until one comes."""
 
+LISTEN_TICKS = 32
+"""Ticks between two looks at what the supervisor says, while all goes well; who waits in vain looks at once."""
+
 LOOK = from_seconds(0.1)
 """Between two looks at whether the node should still run, and what the supervisor says."""
 

@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from manyhands.nodes.control import ControlLine
+from manyhands.nodes.control import ControlLine, Word
 from manyhands.nodes.exchange import Joint, joint_of
 from manyhands.nodes.greeting import handshake_of
 from manyhands.protocol.messages import Absent, Return
 from manyhands.protocol.transport import TransportError
+
+
+def follow(word: Word, joints: Sequence[Joint], control: ControlLine) -> Joint | None:
+    """Do as the supervisor says about a peer; whatever else it may say is not for here.
+
+    Returns:
+        The joint with a peer that is lost; None if it was not said of one.
+    """
+    match word:
+        case Absent():
+            return part(word, joints, control)
+        case Return():
+            meet(word, joints, control)
+    return None
 
 
 def part(absent: Absent, joints: Sequence[Joint], control: ControlLine) -> Joint | None:

@@ -29,6 +29,7 @@ class Block:
         jumps: times that it did.
         ticks: the tick after the latest.
         applied: the force of the latest tick, within its limits, N.
+        said: the tick of which p was said last; -1 before the first.
     """
 
     def __init__(self, bundle: CouplingBundle, environment: Joint) -> None:
@@ -38,7 +39,7 @@ class Block:
         self.environment = environment
         self.rung = self._next_rung = 0
         self.jumps = self.ticks = 0
-        self._stamp, self._said = 0, -1
+        self._stamp, self.said = 0, -1
         self._life: Life | None = None  # until the loop begins
         m = len(self._common.ports)
         self._p: Floats = [0.0] * m
@@ -60,7 +61,7 @@ class Block:
 
     def say(self, x: Floats, tick: int, stamp: int) -> None:
         """Tell the environment p(k) for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
-        self._said = tick
+        self.said = tick
         self._stamp = stamp  # the chain's age is counted from the sample
         self._p = p = self.core.free_position(x)
         self.environment.send(Tool, tick, stamp, p)
@@ -85,7 +86,7 @@ class Block:
             self.jumps += 1
         elif heard is Heard.MET:
             self._next_rung = 0  # the one that this environment reckons with, until it is told of another
-            if self._said == tick:
+            if self.said == tick:
                 self.say_again(tick)
         return heard
 

@@ -15,16 +15,15 @@ from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.greeting import bounds_by_peer, establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.patience import patience
+from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.reunion import meet, part
+from manyhands.nodes.reunion import follow
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.messages import (
     Absent,
     Force,
     Reaction,
     Report,
-    Return,
     Role,
     Rung,
     Sample,
@@ -32,8 +31,6 @@ from manyhands.protocol.messages import (
     Start,
 )
 from manyhands.protocol.transport import Link
-
-_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class CouplingNode:
@@ -75,7 +72,7 @@ class CouplingNode:
         tick = start.tick
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(clock.now())
-            if tick % _LISTEN == 0 and (word := control.listen()) is not None:
+            if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 self._obey(word, block, control)
             for joint in devices:
                 heard = joint.hear(x, tick, turn, self)
@@ -225,10 +222,6 @@ class CouplingNode:
             word = control.listen()
 
     def _obey(self, word: Word, block: Block, control: ControlLine) -> None:
-        joints = [*self._devices, block.environment]
-        match word:
-            case Absent(peer):
-                if part(word, joints, control) in self._devices:
-                    block.environment.say(Absent(peer))
-            case Return():
-                meet(word, joints, control)
+        lost = follow(word, [*self._devices, block.environment], control)
+        if lost in self._devices:
+            block.environment.say(Absent(lost.peer.name))

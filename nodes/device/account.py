@@ -90,13 +90,13 @@ class Account:
         self.released += 1
         self._sampled = None
 
-    def jump(self, tick: int, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
-        """The session is at ``tick``: what was kept is told first, for rows follow each other."""
+    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+        """The session is at a later tick: what was kept is told first, for rows follow each other."""
         self.publish_rest(control, core, guard, joints)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, tick: int, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
         """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
         if self._filled == len(self._speeds):
             self.publish_rest(control, core, guard, joints)

@@ -21,14 +21,12 @@ from manyhands.nodes.greeting import establish, hello_to, positions
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.process import Node
-from manyhands.nodes.reunion import meet, part
+from manyhands.nodes.reunion import follow
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.messages import (
-    Absent,
     Force,
     Reaction,
     Report,
-    Return,
     Role,
     Rung,
     SignalMessage,
@@ -64,11 +62,7 @@ class CarriedBlock:
         if self.block is None or self.control is None:
             return
         while (word := self.control.listen()) is not None:
-            match word:
-                case Absent():
-                    part(word, [self.block.environment], self.control)
-                case Return():
-                    meet(word, [self.block.environment], self.control)
+            follow(word, [self.block.environment], self.control)
 
     def end(self) -> None:
         """The loop is over."""
@@ -90,7 +84,6 @@ class Within(Joint):
         where = positions(common.ports, peer.ports)
         super().__init__(hello_to(common, peer, None), peer, None, Force, where, RealtimeClock())
         self._carried, self._block = carried, block
-        self._said = -1
 
     @property
     def reachable(self) -> bool:
@@ -99,16 +92,15 @@ class Within(Joint):
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
         """Have the block say p(k) for x(k); for the same tick a second time, say again what it said."""
-        if tick == self._said:
+        if tick == self._block.said:
             self._block.say_again(tick)
         else:
-            self._said = tick
             self._block.say(self.share(values), tick, stamp)
         return True
 
     def send_again(self) -> None:
         """Say p(k) again."""
-        self._block.say_again(self._said)
+        self._block.say_again(self._block.said)
 
     def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
         """Listen for the environment's answer, and put the block's force into the device's ``values``."""

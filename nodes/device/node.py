@@ -25,14 +25,12 @@ from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.greeting import establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.patience import patience
+from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.reunion import meet, part
+from manyhands.nodes.reunion import follow
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
-from manyhands.protocol.messages import Absent, Force, Report, Return, Rung, Sample, Start
+from manyhands.protocol.messages import Absent, Force, Report, Rung, Sample, Start
 from manyhands.protocol.transport import Link
-
-_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class DeviceNode:
@@ -79,7 +77,7 @@ class DeviceNode:
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
-            if turns % _LISTEN == 0 or self._free:
+            if turns % LISTEN_TICKS == 0 or self._free:
                 self._listen(control)
             due = Instant(epoch + slot * period)
             ready = clock.now()
@@ -115,7 +113,7 @@ class DeviceNode:
                 slot += 1
                 continue
             if told > tick:
-                account.jump(told, control, core, guard, joints)
+                account.jump(control, core, guard, joints)
                 tick = told
             held = guard.clip(f.copy())  # f is written again in the next tick
             driver.apply(held)
@@ -132,7 +130,7 @@ class DeviceNode:
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
-            account.publish(tick, control, core, guard, joints)
+            account.publish(control, core, guard, joints)
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
@@ -173,15 +171,12 @@ class DeviceNode:
         now = asked = self._realtime.now()
         due = None if patience.stale is None else Instant(sampled + (self._period if self._free else patience.stale))
         while not life.stopping:
-            missing = False
             for joint in self._joints:
                 if joint.tick == tick:
                     continue
                 left = patience.look if due is None else Duration(max(0, min(due - now, patience.look)))
                 heard = first[1] if first[0] is joint else joint.hear(f, tick, left, self)
                 match heard:
-                    case Heard.SIGNAL:
-                        continue
                     case Heard.TURNED:
                         tick = joint.tick = joint.told
                         joint.put(f, [0.0] * len(joint.peer.ports))
@@ -190,29 +185,28 @@ class DeviceNode:
                                 other.send(Sample, tick, sampled, x)
                     case Heard.MET:
                         joint.send(Sample, tick, sampled, x)
-                    case _:
+                    case _:  # the signal, or nothing
                         pass
-                missing = True
             first = (None, Heard.NOTHING)
-            if not missing:
-                return tick
             if all(joint.tick == tick for joint in self._joints):
                 return tick
             now = self._realtime.now()
             life.check()
-            self._listen(control, idle=due is None and not any(joint.reachable for joint in self._joints))
-            if due is not None and now >= due:
+            self._listen(control, idle=due is None and not self._anybody)
+            if due is not None and (now >= due or not self._anybody):
                 self._let_go()
                 return -1
-            if now - asked >= patience.again and due is None:
+            if due is None and now - asked >= patience.again:
                 asked = now
                 for joint in self._joints:
                     if joint.tick != tick:
                         joint.send_again()
-            if due is not None and not any(joint.reachable for joint in self._joints):
-                self._let_go()
-                return -1
         return -1
+
+    @property
+    def _anybody(self) -> bool:
+        """Whether there is a peer to wait for."""
+        return any(joint.reachable for joint in self._joints)
 
     def _let_go(self) -> None:
         """The force is stale: better none than an old one."""
@@ -225,11 +219,7 @@ class DeviceNode:
         """Do as the supervisor says."""
         word = control.listen(self._patience.look) if idle else control.listen()
         while word is not None:
-            match word:
-                case Absent():
-                    part(word, self._joints, control)
-                case Return():
-                    meet(word, self._joints, control)
+            follow(word, self._joints, control)
             word = control.listen()
 
     def _change_rung(self) -> None:

@@ -21,7 +21,7 @@ from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.nodes.greeting import bounds_by_peer, establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.patience import patience
+from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
@@ -30,7 +30,6 @@ from manyhands.protocol.transport import Link
 
 _TURN = from_seconds(0.001)  # for one of them, when several are waited for
 _GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits before it asks again
-_LISTEN = 32  # ticks between two looks at what the supervisor says, while all goes well
 
 
 class EnvironmentNode:
@@ -91,7 +90,7 @@ class EnvironmentNode:
         tick, now, answered = start.tick, clock.now(), Instant(2**62)
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
-            if tick % _LISTEN == 0 and (word := control.listen()) is not None:
+            if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 places.obey(word, control, tick)
             if not (places.all_seated and self._all_heard(places, p, tick)):
                 tick = self._wait(places, p, tick, now, life, control)
@@ -149,11 +148,11 @@ class EnvironmentNode:
             if here and not missing and listened:
                 places.resumed()
                 return tick
-            if not here:
-                tick = places.soonest(tick)  # or nobody would ever bring that tick about
             now = self._clock.now()
             if here:
                 first = min(first, now, Instant(began + self._period))
+            else:
+                tick = places.soonest(tick)  # or nobody would ever bring that tick about
             if freeze is not None and listened and now - first >= freeze:
                 for place in missing:
                     places.give_up(place, tick)
@@ -195,9 +194,9 @@ class EnvironmentNode:
 
     def _figures(self) -> dict[str, float]:
         core = self._core
-        return (
-            {} if core is None else {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
-        )
+        if core is None:
+            return {}
+        return {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
 
     def _publish(self, control: ControlLine, places: Places) -> None:
         figures = {

@@ -19,9 +19,9 @@ from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.log import Event as LogEvent
 from manyhands.nodes.log import Log
-from manyhands.nodes.reunion import meet, part
+from manyhands.nodes.reunion import follow
 from manyhands.protocol.clock import Duration
-from manyhands.protocol.messages import Absent, Reaction, Return, Rung, Shift, Values
+from manyhands.protocol.messages import Absent, Reaction, Rung, Shift, Values
 
 
 class Place:
@@ -136,19 +136,17 @@ class Places:
 
     def obey(self, word: Word, control: ControlLine, tick: int) -> None:
         """Do as the supervisor says."""
-        match word:
-            case Absent(peer):
-                joint = part(word, [place.joint for place in self.all], control)
-                if joint is not None:
-                    self._of[peer].early = None
-                    self._event(self._of[peer], Event.LOST, tick)
-            case Return():
-                meet(word, [place.joint for place in self.all], control)
-            case Shift(node, rung):
-                place = self._of.get(node)
-                if place is not None and rung <= len(self._rungs.get(node, ())):
-                    place.wanted = rung
-                    self._shifting = True
+        if isinstance(word, Shift):
+            place = self._of.get(word.node)
+            if place is not None and word.rung <= len(self._rungs.get(word.node, ())):
+                place.wanted = word.rung
+                self._shifting = True
+            return
+        lost = follow(word, [place.joint for place in self.all], control)
+        if lost is not None:
+            place = self._of[lost.peer.name]
+            place.early = None
+            self._event(place, Event.LOST, tick)
 
     def shift(self) -> None:
         """After the forces of a tick were found and before they are sent: change rungs, block by block, at s = 0."""

@@ -37,6 +37,12 @@ HUB: Final = "supervisor"
 """Whose key a hub proves."""
 
 
+def is_address(place: str) -> bool:
+    """Whether this is HOST:PORT; of a port, ZeroMQ would read as much as it can."""
+    host, _, port = place.rpartition(":")
+    return bool(host) and port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
+
+
 class ZmqTransport:
     """Links and hubs of one ZeroMQ context, which lives as long as this does.
 

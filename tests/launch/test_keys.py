@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.keying import run_keys
-from manyhands.launch.keys import Keys, Made, ephemeral, load_folder, make_keys, roster
+from manyhands.launch.keys import Keys, Made, ephemeral, load_folder, make_keys
 from manyhands.launch.session import Session
 from manyhands.launch.shipped import load_named
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import roster, topology
 from manyhands.protocol.keys import KeyFileError, KeyPair, PublicKeys, load_private, new_pair, save_private
 from manyhands.protocol.messages import Role
 

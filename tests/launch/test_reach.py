@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from manyhands.launch.access import peers
-from manyhands.launch.keys import ephemeral, roster
+from manyhands.launch.keys import ephemeral
 from manyhands.launch.reach import Listen, ReachError, reach
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import roster, topology
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry]}}"

@@ -42,10 +42,10 @@ class Device:
         due, applied = Instant(self.at), Instant(self.at + tau)
         x = np.array([float(tick) if value is None else value])
         self.account.tick(tick, x, -x, 0.5, (due, due, due, due, applied, applied))
-        self.account.publish(tick + 1, self.line, CORE, GUARD, [])
+        self.account.publish(self.line, CORE, GUARD, [])
 
-    def jump(self, tick: int) -> None:
-        self.account.jump(tick, self.line, CORE, GUARD, [])
+    def jump(self) -> None:
+        self.account.jump(self.line, CORE, GUARD, [])
 
     def end(self) -> dict[str, Any]:
         self.account.publish_rest(self.line, CORE, GUARD, [])
@@ -66,7 +66,7 @@ def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Cal
     for step in steps:
         if step < 0:
             tick -= step
-            device.jump(tick)
+            device.jump()
             jumps += 1
         elif step == 0:
             device.account.release()
@@ -132,7 +132,7 @@ def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) 
     device.tick(0)
     device.account.release()
     device.tick(1, after=7 * MS)
-    device.jump(5)
+    device.jump()
     device.tick(5, after=9 * MS)
     assert device.end()["period_breaches"] == 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,34 +18,14 @@ from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.greeting import handshake_of, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
-from manyhands.protocol.codec import decode, encode
-from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Absent, LinkHello, Message, Reaction, Rung, Tool
+from manyhands.protocol.limits import MAX_STRAY_FRAMES
+from manyhands.protocol.messages import Absent, LinkHello, Reaction, Rung, Tool
+
+from .held import Held
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 NOW = Duration(0)
 LIMIT = 2.5  # N
-
-
-class Held:
-    """The block's link to an environment that is the test's."""
-
-    def __init__(self) -> None:
-        self.coming: deque[bytes] = deque()
-        self.said: list[Message] = []
-
-    def say(self, *messages: Message) -> None:
-        self.coming.extend(map(encode, messages))
-
-    def recv(self, _timeout: Duration | None) -> bytes | None:
-        return self.coming.popleft() if self.coming else None
-
-    def send(self, frame: bytes) -> bool:
-        self.said.append(decode(frame, MAX_CONTROL_BYTES))  # type: ignore[arg-type]
-        return True
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 
 from manyhands.launch.invitation import invite
-from manyhands.launch.keys import Keys, ephemeral, roster
+from manyhands.launch.keys import Keys, ephemeral
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.session import load_session
+from manyhands.launch.topology import roster
 from manyhands.nodes import guest
 from manyhands.nodes.bundle import Bundle, BundleError, load
 from manyhands.nodes.process import EXIT_BAD_INPUT

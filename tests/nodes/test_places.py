@@ -5,7 +5,6 @@ With a real core; links, line and time are the test's.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -24,13 +23,12 @@ from manyhands.nodes.environment.places import LEAD, Place, Places
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
-from manyhands.protocol.codec import decode, encode
-from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.codec import encode
+from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Absent,
     LinkHello,
-    Message,
     Reaction,
     Role,
     Rung,
@@ -39,32 +37,13 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+from .held import Held
+
 T, STIFFNESS, DAMPING = 1e-3, 100.0, 0.1  # s, N/m, N s/m: a spring and a damper to ground at each port
 NAMES = ("cx", "cy")
 D_V = 1e-3  # m/N, at rung 0; divided by the rung + 1 above
 RUNGS = {name: tuple(np.array([[D_V / (rung + 1)]]) for rung in (1, 2)) for name in NAMES}
 NOW = Duration(0)
-
-
-class Held:
-    """A coupling's end of its link."""
-
-    def __init__(self) -> None:
-        self.coming: deque[bytes] = deque()
-        self.said: list[Message] = []
-
-    def say(self, *messages: Message) -> None:
-        self.coming.extend(map(encode, messages))
-
-    def recv(self, _timeout: Duration | None) -> bytes | None:
-        return self.coming.popleft() if self.coming else None
-
-    def send(self, frame: bytes) -> bool:
-        self.said.append(decode(frame, MAX_CONTROL_BYTES))  # type: ignore[arg-type]
-        return True
-
-    def close(self) -> None:
-        pass
 
 
 class Line:

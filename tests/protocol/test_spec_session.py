@@ -12,14 +12,13 @@ from manyhands.launch import conductor
 from manyhands.launch.access import access
 from manyhands.launch.audience import TRACE_OF, Audience
 from manyhands.launch.bundles import Run, cut
-from manyhands.launch.keys import roster
 from manyhands.launch.link_states import LINK_TRANSITIONS
 from manyhands.launch.node_states import NodeState
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import HUB_NAME, IPC
 from manyhands.launch.session import load_session
 from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import Topology, topology
+from manyhands.launch.topology import Topology, roster, topology
 from manyhands.nodes import process, telemetry
 from manyhands.nodes.bundle import Common, CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
 from manyhands.nodes.control import ControlLine

@@ -24,7 +24,7 @@ import pytest
 
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.invitation import invite
-from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys, roster
+from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import Listen, reach
@@ -32,6 +32,7 @@ from manyhands.launch.run_directory import sweep_directories
 from manyhands.launch.session import SUPERVISOR, load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.topology import roster
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
 from manyhands.protocol.keys import save_private
 from manyhands.protocol.transport.zeromq import ZmqTransport

@@ -17,7 +17,7 @@ import pytest
 
 from manyhands.launch import recorder_process
 from manyhands.launch.conductor import Phase
-from manyhands.launch.keys import ephemeral, roster
+from manyhands.launch.keys import ephemeral
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
@@ -28,6 +28,7 @@ from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.topology import roster
 
 from .commands import MANYHANDS, run
 

@@ -16,14 +16,14 @@ from manyhands.design.certificate import save
 from manyhands.launch import run_directory as run_directories
 from manyhands.launch.conductor import Phase
 from manyhands.launch.display import LiveTable
-from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys, roster
+from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.outcome import Progress
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.session import load_session
 from manyhands.launch.summary import print_report
 from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import roster, topology
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 

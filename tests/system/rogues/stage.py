@@ -26,12 +26,13 @@ import pytest
 from manyhands.launch import supervisor as supervisor_module
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import Conductor, Instruction, Phase
-from manyhands.launch.keys import Keys, ephemeral, roster
+from manyhands.launch.keys import Keys, ephemeral
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.session import load_session
 from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.topology import roster
 from manyhands.nodes.bundle import Bundle
 from manyhands.protocol.codec import Received
 from manyhands.protocol.messages import NodeHello
