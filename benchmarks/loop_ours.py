@@ -94,10 +94,12 @@ def _watch(launch: subprocess.Popen[str], every: float) -> Watch:
         now, cpu = time.monotonic(), proc.cpu_seconds(pids)
         if any(one is None for one in found.values()):  # one has ended, and the run with it
             return seen
-        try:  # at every look: a node asks for its scheduling when its first tick is near
-            seen.treatment = {name: Treatment.of(pid) for pid, name in names.items() if pid != launch.pid}
+        try:  # at every look: a node asks for its scheduling when its first tick is near, and gives it back at the end
+            treatment = {name: Treatment.of(pid) for pid, name in names.items() if pid != launch.pid}
         except ProcessLookupError:
             return seen
+        if _raised(treatment) >= _raised(seen.treatment):
+            seen.treatment = treatment
         seen.seconds.append(now - began)
         for name, mebibytes in found.items():
             seen.resident[name].append(mebibytes or 0.0)
@@ -108,6 +110,11 @@ def _watch(launch: subprocess.Popen[str], every: float) -> Watch:
         except subprocess.TimeoutExpired:
             continue
         return seen
+
+
+def _raised(treatment: dict[str, Treatment]) -> int:
+    """How many processes have a real-time priority."""
+    return sum(one.main[2] > 0 for one in treatment.values())
 
 
 def _node(pid: int) -> str:

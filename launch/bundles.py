@@ -175,6 +175,7 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
             other = link.connector if binds else link.binder
             address = run.reach.address(graph, index) if binds else ""
             peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
+    every = _telemetry_ticks(prepared.session.period, len(ports))
     return Common(
         session=prepared.session.name,
         name=name,
@@ -190,7 +191,8 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
         control=run.control,
         ports=ports,
         peers=tuple(peers),
-        telemetry_ticks=_telemetry_ticks(prepared.session.period, len(ports)),
+        telemetry_ticks=every,
+        telemetry_first=_telemetry_first(every, list(graph.nodes).index(name) if name in graph.nodes else 0, graph),
         traces=run.traces,
     )
 
@@ -199,6 +201,11 @@ def _telemetry_ticks(period: float, ports: int) -> int:
     """Ticks between two telemetry messages: as the channel table says, but no more than two traces have room for."""
     room = MOST_TRACE_VALUES // (2 * max(1, ports))  # an observer has none
     return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
+
+
+def _telemetry_first(every: int, number: int, graph: Topology) -> int:
+    """Ticks to a node's first telemetry: what telling costs falls on as many ticks as there are nodes, if it can."""
+    return 1 + (every - 1 - every * number // len(graph.nodes)) % every
 
 
 def _hand(device: Device) -> SimulatedHand:

@@ -150,7 +150,7 @@ class Simulation:
                 x[k, ports] = displacement
             for coupling, ports in couplings:
                 p[ports] = coupling.free_position(x[k, ports].tolist())
-            f_v[k] = self.environment.react(p)
+            f_v[k] = self.environment.react(p.tolist())
             if model is not None and model.failure is not None:
                 raise ModelFailure(model.failure)
             self.environment.settle()

@@ -305,6 +305,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "ports": _are_texts,
     "peers": lambda peers: all(_are_texts((p.name, p.address, *p.ports)) and type(p.binds) is bool for p in peers),
     "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
+    "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "traces": lambda traces: type(traces) is bool,
 }
 """Of what type a node takes these to be, without looking again."""

@@ -53,7 +53,11 @@ class Common:
         ports: the node's ports, in order.
         peers: its links.
         telemetry_ticks: ticks between two telemetry messages.
+        telemetry_first: ticks to the first, at most as many: nodes do not all tell in the same tick.
         traces: whether a device's telemetry carries every x and f_v.
+
+    Raises:
+        ValueError: the first telemetry has more ticks than the others, for which alone there is room.
     """
 
     session: str
@@ -71,7 +75,15 @@ class Common:
     ports: tuple[str, ...]
     peers: tuple[Peer, ...]
     telemetry_ticks: int
+    telemetry_first: int
     traces: bool
+
+    def __post_init__(self) -> None:
+        if self.telemetry_first > self.telemetry_ticks:
+            raise ValueError(
+                f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
+                "as to every other"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 Floats: TypeAlias = list[float]
 """The components of a vector."""
 
+Rows: TypeAlias = Sequence[Floats]
+"""A matrix that changes from tick to tick, by rows."""
+
 LinearMap: TypeAlias = Callable[[Floats], Floats]
 
 NARROW: Final = 100
@@ -31,8 +34,8 @@ def linear_map(matrix: NDArray[np.float64]) -> LinearMap:
         whole = np.array(matrix, order="C")
 
         def wide(v: Floats) -> Floats:
-            product: Floats = (whole @ np.array(v)).tolist()
-            return product
+            image: Floats = (whole @ np.array(v)).tolist()
+            return image
 
         return wide
     rows = tuple(map(tuple, matrix.tolist()))
@@ -47,3 +50,29 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
     """a^T b."""
     product: float = sum(map(mul, a, b))
     return product
+
+
+def solve(A: Rows, b: Floats, least: float) -> Floats | None:
+    """A^{-1} b of a square matrix; None where a pivot, or what stands for one, is not greater than ``least``."""
+    n = len(b)
+    if n**2 > NARROW:
+        try:
+            inverse = np.linalg.inv(np.array(A))
+        except np.linalg.LinAlgError:
+            return None
+        image: Floats = (inverse @ np.array(b)).tolist()
+        return image if least * float(np.linalg.norm(inverse, 1)) < 1.0 else None
+    # Gauss and Jordan, with the greatest of a column as its pivot
+    work = [[*row, at] for row, at in zip(A, b, strict=True)]
+    for k in range(n):
+        pivot = max(range(k, n), key=lambda i: abs(work[i][k])) if k < n - 1 else k
+        lead = work[pivot][k]
+        if not abs(lead) > least:
+            return None
+        work[k], work[pivot] = work[pivot], work[k]
+        scaled = work[k] = [entry / lead for entry in work[k]]
+        for i in range(n):
+            factor = work[i][k]
+            if i != k and factor != 0.0:
+                work[i] = [entry - factor * by for entry, by in zip(work[i], scaled, strict=True)]
+    return [row[n] for row in work]

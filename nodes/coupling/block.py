@@ -45,8 +45,9 @@ class Block:
         self._p: Floats = [0.0] * m
         self._f: Floats = [0.0] * m  # from the environment, filled in place
         self.applied = self._f
-        self._rows = self._common.telemetry_ticks
-        rows = self._rows if self._common.traces else 0  # nothing of telemetry's size is allocated in a tick
+        self._rows = self._common.telemetry_first
+        # nothing of telemetry's size is allocated in a tick
+        rows = self._common.telemetry_ticks if self._common.traces else 0
         self._trace_p: list[Floats] = [self._p] * rows
         self._trace_f: list[Floats] = [self._p] * rows
         self._filled = 0
@@ -130,7 +131,7 @@ class Block:
 
     def publish_rest(self, control: ControlLine, devices: tuple[Joint, ...] = ()) -> None:
         """Telemetry of the ticks since the last, if there are any."""
-        rows, self._filled = self._filled, 0
+        rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
         if rows == 0:
             return
         figures = {

@@ -54,7 +54,7 @@ class Account:
         self._trace_x: list[Floats] = [[0.0] * m] * rows
         self._trace_f: list[Floats] = [[0.0] * m] * rows
         self._speeds = [0.0] * rows
-        self._filled = 0
+        self._filled, self._rows = 0, common.telemetry_first
         self._sampled: Instant | None = None
 
     def assume(self, tau: Duration) -> None:
@@ -98,7 +98,7 @@ class Account:
 
     def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
         """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
-        if self._filled == len(self._speeds):
+        if self._filled == self._rows:
             self.publish_rest(control, core, guard, joints)
 
     def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
@@ -127,7 +127,7 @@ class Account:
             else {}
         )
         control.publish(Telemetry(self.ticks, figures, traces))
-        self._filled, self._tau_worst = 0, 0
+        self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
 
     def report(self, core: DeviceCore, guard: Guard, joints: Sequence[Joint], rung: int) -> Report:
         """The device's last word."""

@@ -27,6 +27,7 @@ from manyhands.design.statespace import StateSpace
 from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.passivity_controller import PassivityController
 
 Vector = NDArray[np.float64]
@@ -148,7 +149,7 @@ class EnforcedCore:
         self._law, self._Phi, self._T = law, Phi_E, T
         self._D_V = np.array(D_V, dtype=np.float64)
         self._clutches = tuple(
-            Clutch(np.arange(m)[part], ramp) for part in ([slice(None)] if blocks is None else blocks)
+            Clutch(np.arange(m)[part].tolist(), ramp) for part in ([slice(None)] if blocks is None else blocks)
         )
         self._unsettled: list[Clutch] = []
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before, until react
@@ -165,12 +166,13 @@ class EnforcedCore:
         """Why the model is not asked any more, in one sentence; None while it is. Its forces are zero from then on."""
         return self._law.failure
 
-    def react(self, p: Vector) -> Vector:
+    def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m."""
+        r = np.array(p)
         if self._unsettled:
-            return self._through_clutches(p)
-        f = self._law.propose(p, self._D_V, p + self._D_V @ self._f)
-        return self._exert(f, p)
+            return self._through_clutches(r)
+        f: Floats = self._exert(self._law.propose(r, self._D_V, r + self._D_V @ self._f), r).tolist()
+        return f
 
     def settle(self) -> None:
         """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
@@ -256,12 +258,12 @@ class EnforcedCore:
         self._f, self._w, self._next = f, w, self._x_e + self._T * w
         return f
 
-    def _through_clutches(self, p: Vector) -> Vector:
+    def _through_clutches(self, p: Vector) -> Floats:
         """f_c(k) where some block is not settled. Allocates, as what it makes depends on who that is."""
         for clutch in self._unsettled:
             if clutch.fresh:
-                clutch.seize(self._x_e[clutch.ports])
-            clutch.advance(p[clutch.ports], self._f[clutch.ports])
+                clutch.seize(self._x_e[clutch.ports].tolist())
+            clutch.advance(p[clutch.ports].tolist(), self._f[clutch.ports].tolist())
         # one a tick, so that its own sign of energy decides
         going = next((clutch for clutch in self._unsettled if clutch.ready), None)
         for clutch in self._unsettled:
@@ -270,17 +272,18 @@ class EnforcedCore:
             going.let_go()
         before = self._f
         f = self._asked(p, before)
-        if going is not None and going.gains(f[going.ports]):
+        if going is not None and going.gains(f[going.ports].tolist()):
             going.keep()
             f = self._asked(p, before)
         f_c = self._S * f
         for clutch in self._unsettled:
             ports = clutch.ports
-            self._next[ports] = clutch.conclude(self._D_V[np.ix_(ports, ports)] @ f_c[ports])
+            self._next[ports] = clutch.conclude((self._D_V[np.ix_(ports, ports)] @ f_c[ports]).tolist())
         if going is not None and going.settled:
             self._unsettled.remove(going)
             self._linked(p)
-        return f_c
+        sent: Floats = f_c.tolist()
+        return sent
 
     def _asked(self, p: Vector, before: Vector) -> Vector:
         """f_e(k) at the clutches' present ratios, after the forces of the tick ``before``, N."""

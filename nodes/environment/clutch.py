@@ -24,16 +24,12 @@ and never gains. So that such a tick comes, the lag aims at an end of half LET_G
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-Vector = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from manyhands.nodes.linear_map import Floats, dot
 
 RAMP: Final = 100
 """Ticks from s = 0 to s = 1."""
@@ -119,25 +115,26 @@ class Clutch:
         "settled",
     )
 
-    def __init__(self, ports: Indices, ramp: int) -> None:
+    def __init__(self, ports: Sequence[int], ramp: int) -> None:
         """Coupled and settled, everything at 0.
 
         Args:
             ports: indices of the block's ports.
             ramp: ticks from s = 0 to s = 1.
         """
-        self.ports, self._ramp = ports, ramp
+        self.ports, self._ramp = list(ports), ramp
         self.phase, self.ratio, self.settled = Phase.COUPLED, 1.0, True
         self._at = float(ramp)  # j, ticks
-        self._p = self._x_c = self._x_e = self.reference = np.zeros(len(ports))
+        self._p: Floats = [0.0] * len(ports)
+        self._x_c = self._x_e = self.reference = self._p
         self.fresh = self.ready = False
 
     @property
-    def offset(self) -> Vector:
+    def offset(self) -> Floats:
         """x_e - x_c, m; what it was when the block was frozen, while it is."""
-        return self._x_e - self._x_c
+        return _difference(self._x_e, self._x_c)
 
-    def seize(self, x_e: Vector) -> None:
+    def seize(self, x_e: Floats) -> None:
         """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
         self._p = self._x_c = self._x_e = self.reference = x_e
         self.fresh = False
@@ -151,7 +148,7 @@ class Clutch:
         if self.settled and self.phase is not Phase.COUPLED:
             self.settled, self.fresh = False, True
 
-    def advance(self, p: Vector, f_e: Vector) -> None:
+    def advance(self, p: Floats, f_e: Floats) -> None:
         """Choose s(k).
 
         Args:
@@ -167,22 +164,21 @@ class Clutch:
             self.reference = self._x_e
             self.handle(Event.REFERRED)
             return
-        offset = self._x_e - self._x_c
-        goal = 0.0 if self.phase is Phase.LEAVING else self._goal(offset, p - self._p, f_e)
+        offset = _difference(self._x_e, self._x_c)
+        goal = 0.0 if self.phase is Phase.LEAVING else self._goal(offset, _difference(p, self._p), f_e)
         self._p = p
         self._at += max(-1.0, min(1.0, goal - self._at))
-        self.ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
-        self.reference = self._x_e + self.ratio * (p - self._x_c)
+        self.ratio = ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
+        self.reference = [e + ratio * (to - c) for e, to, c in zip(self._x_e, p, self._x_c, strict=True)]
         if self._at == 0.0:
             self.handle(Event.FALLEN)
         elif self.phase is Phase.COUPLED and self._at >= self._ramp - 1.0:
-            self.ready = bool(offset @ offset <= LET_GO**2 and offset @ f_e <= 0.0)
+            self.ready = dot(offset, offset) <= LET_GO**2 and dot(offset, f_e) <= 0.0
 
-    def _goal(self, offset: Vector, moved: Vector, f_e: Vector) -> float:
+    def _goal(self, offset: Floats, moved: Floats, f_e: Floats) -> float:
         """Where j should go: RAMP, or less where lagging behind p's motion ``moved`` (m) shortens the offset."""
-        force = math.sqrt(f_e @ f_e)
-        excess = offset + f_e * (0.5 * LET_GO / force) if force > 0.0 else offset
-        towards, path = float(excess @ moved), math.sqrt(moved @ moved)
+        force, path = math.hypot(*f_e), math.hypot(*moved)
+        towards = dot(offset, moved) + (dot(f_e, moved) * (0.5 * LET_GO / force) if force > 0.0 else 0.0)
         if not (towards > 0.0 and path > 0.0):
             return float(self._ramp)
         lag = min(1.0 - SLOWEST, towards / (path * WORK_OFF))
@@ -192,15 +188,16 @@ class Clutch:
         """Try s = 1 and x_e = x_c in this tick; s is a step of the ramp away at most."""
         self._at, self.ratio, self.reference = float(self._ramp), 1.0, self._p
 
-    def gains(self, f_e: Vector) -> bool:
+    def gains(self, f_e: Floats) -> bool:
         """Whether energy would be made by letting the offset go under f_e(k), N."""
-        return bool((self._x_e - self._x_c) @ f_e > 0.0)
+        return dot(self.offset, f_e) > 0.0
 
     def keep(self) -> None:
         """Do not let go after all: s = 1 with the offset."""
-        self.reference, self.ready = self._x_e + (self._p - self._x_c), False
+        self.reference = [e + (to - c) for e, to, c in zip(self._x_e, self._p, self._x_c, strict=True)]
+        self.ready = False
 
-    def conclude(self, deflection: Vector) -> Vector:
+    def conclude(self, deflection: Floats) -> Floats:
         """Close the tick.
 
         Args:
@@ -209,9 +206,14 @@ class Clutch:
         Returns:
             x_e(k), m: exactly x_e(k-1) while s = 0, exactly x_c(k) once the offset is let go.
         """
-        self._x_e = self.reference + self.ratio * deflection
+        ratio = self.ratio
+        self._x_e = [at + ratio * by for at, by in zip(self.reference, deflection, strict=True)]
         if self.phase is not Phase.FROZEN:
-            self._x_c = self._p + deflection
+            self._x_c = [at + by for at, by in zip(self._p, deflection, strict=True)]
         if self.ready and self.ratio == 1.0:
             self.settled = True
         return self._x_e
+
+
+def _difference(a: Floats, b: Floats) -> Floats:
+    return [one - other for one, other in zip(a, b, strict=True)]

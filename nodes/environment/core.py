@@ -5,7 +5,8 @@ From the free tool positions p(k) of all ports and the couplings' feedthrough D_
     f_e(k) = -(I + D_E D_V)^{-1} (C_E eta(k) + D_E p(k)),
     x_e(k) = p(k) + D_V f_e(k),     eta(k+1) = A_E eta(k) + B_E x_e(k).
 
-All three are linear in (eta, p): one product with a matrix made beforehand gives them at once.
+All three are linear in (eta, p): products with a matrix made beforehand give them, the forces first and the rest when
+they are on their way.
 
 **Clutches** (:mod:`manyhands.nodes.environment.clutch`) stand between the blocks and the environment, with one ratio
 in S for each block. With r = x_e(k-1) + S (p(k) - x_c(k-1)) the loop is x_e = r + S D_V S f_e, and the couplings are
@@ -13,8 +14,9 @@ sent f_c = S f_e. Since S D_V S = S^2 D_V differs from D_V at the ports J of blo
 
     (I + F_JJ W) f_J = f_J(eta, r),    W = (I - S^2) D_V at J,    F = -(I + D_E D_V)^{-1} D_E,
 
-and the matrix made beforehand gives everything else at r - W f_J in place of p. So a block that ramps costs a linear
-system of its own size, once for each new S, and a frozen one two small products a tick. I + F_JJ W is
+and the matrix made beforehand gives everything else at r - W f_J in place of p. So a block that is not settled costs
+a linear system of its own size each tick, and one that works an offset off may do so for the rest of a session.
+As s is one number for each block, F_JJ W is F_JJ D_V with the columns of each block times its 1 - s^2. I + F_JJ W is
 regular exactly when I + D_E S D_V S is, which a certificate implies for every S (docs/decisions/0015-the-clutch.md).
 Without one it may not be: then blocks are frozen until it is, and with all frozen it is the identity.
 
@@ -32,7 +34,7 @@ from numpy.typing import NDArray
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
 from manyhands.nodes.ledger import Ledger
-from manyhands.nodes.linear_map import Floats, dot, linear_map
+from manyhands.nodes.linear_map import Floats, LinearMap, Rows, dot, linear_map, solve
 from manyhands.nodes.passivity_controller import PassivityController
 
 Vector = NDArray[np.float64]
@@ -92,45 +94,44 @@ class EnvironmentCore:
         self._Phi = None if Phi_E is None else linear_map(Phi_E)
         self._D_V = np.array(D_V, dtype=np.float64)
         self._step = _closed(E, self._D_V)
-        self._known = np.zeros(n + m)  # (eta, p), filled in place
-        self._x_e = np.zeros(m)
-        self._tool: Floats = [0.0] * m  # the same, for the ledger
-        self._next = np.zeros(2 * m + n)  # (f_e, x_e, eta of the next tick)
+        self._force, self._rest = linear_map(self._step[:m]), linear_map(self._step[m:])
+        self._eta: Floats = [0.0] * n
+        self._known: Floats = [0.0] * (n + m)  # (eta, p); where clutches are not settled r - W f_J in place of p
+        self._x_e: Floats = [0.0] * m  # of the tick before, until settle
+        self._f: Floats = [0.0] * m  # f_e, likewise until react
+        self._concluded: list[tuple[int, float]] = []  # port and x_e of clutches, for whom it is known exactly
         self.ledger = None if Phi_E is None else Ledger()
         self.ill_posed = 0
-        self._clutches = tuple(Clutch(part, ramp) for part in parts)
+        self._clutches = tuple(Clutch(part.tolist(), ramp) for part in parts)
         self._unsettled: list[Clutch] = []
-        self._regroup = False  # whether the next five are about others than these
-        self._linked: tuple[float, ...] = ()  # the ratios that the last two are about
-        self._sizes: list[int] = []
-        self._J = np.zeros(0, dtype=np.intp)
-        self._rows = np.zeros((0, n + m))  # of f_J
-        self._D_J = np.zeros((0, 0))
-        self._F_J = np.zeros((0, 0))
-        self._taken = np.zeros((0, 0))  # W (I + F_JJ W)^{-1}
-        self._S = np.ones(m)
+        self._regroup = False  # whether the next three are about others than these
+        self._f_J: LinearMap = list  # from (eta, r)
+        self._deflections: list[LinearMap] = []  # D_V f, by clutch of the group
+        self._F_D: Rows = []  # F_JJ D_V at J
 
-    def react(self, p: Vector) -> Vector:
+    def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m.
 
         What p says of a frozen block is not looked at.
         """
-        self._known[self._n :] = p
         if self._unsettled:
             return self._through_clutches(p)
-        self._next = self._step @ self._known
-        return self._next[: self._m]
+        self._known = known = self._eta + p
+        self._f = f = self._force(known)
+        return f
 
     def settle(self) -> None:
         """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
         m, T = self._m, self._T
-        self._x_e = self._next[m : 2 * m]
+        rest = self._rest(self._known)
+        x_e, self._eta = rest[:m], rest[m:]
+        for port, at in self._concluded:
+            x_e[port] = at
+        self._concluded = []
         if self.ledger is not None and self._Phi is not None:
-            now = self._x_e.tolist()
-            w = [(at - last) / T for at, last in zip(now, self._tool, strict=True)]
-            self.ledger.enter(T * (dot(w, self._Phi(w)) - dot(w, self._next[:m].tolist())))
-            self._tool = now
-        self._known[: self._n] = self._next[2 * m :]
+            w = [(at - last) / T for at, last in zip(x_e, self._x_e, strict=True)]
+            self.ledger.enter(T * (dot(w, self._Phi(w)) - dot(w, self._f)))
+        self._x_e = x_e
 
     def freeze(self, block: int) -> None:
         """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
@@ -159,10 +160,10 @@ class EnvironmentCore:
         """Whether s = 1 and the tool is where the coupling's end is."""
         return self._clutches[block].settled
 
-    def offset(self, block: int) -> Vector:
+    def offset(self, block: int) -> Floats:
         """x_e - x_c of the block's ports, m; 0 where it is settled, and of the last tick heard where it is frozen."""
         clutch = self._clutches[block]
-        return np.zeros(len(clutch.ports)) if clutch.settled else clutch.offset
+        return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Give a frozen block another feedthrough: the whole matrix is made anew, which may take longer than a tick.
@@ -186,6 +187,7 @@ class EnvironmentCore:
         whole = self._D_V.copy()
         whole[np.ix_(clutch.ports, clutch.ports)] = D_V
         self._step = _closed(self._E, whole)
+        self._force, self._rest = linear_map(self._step[: self._m]), linear_map(self._step[self._m :])
         self._D_V = whole
         self._regroup = True
 
@@ -196,79 +198,90 @@ class EnvironmentCore:
             self._unsettled.append(clutch)
             self._regroup = True
 
-    def _through_clutches(self, p: Vector) -> Vector:
+    def _through_clutches(self, p: Floats) -> Floats:
         """f_c(k) where some block is not settled. Allocates, as what it makes depends on who that is."""
-        m, before = self._m, self._next
+        before = self._f
         if self._regroup:
             self._group()
         for clutch in self._unsettled:
-            clutch.advance(p[clutch.ports], before[clutch.ports])
+            clutch.advance(_of(p, clutch), _of(before, clutch))
         # one a tick, so that its own sign of energy decides
         going = next((clutch for clutch in self._unsettled if clutch.ready), None)
         for clutch in self._unsettled:
             clutch.ready = clutch is going
         if going is not None:
             going.let_go()
-        self._solve()
-        if going is not None and going.ready and going.gains(self._next[going.ports]):
+        self._solve(p)
+        if going is not None and going.ready and going.gains(_of(self._f, going)):
             going.keep()
-            self._solve()
-        f_c = self._S * self._next[:m]
-        for clutch in self._unsettled:
-            ports = clutch.ports
-            deflection = self._D_V[np.ix_(ports, ports)] @ f_c[ports]
-            self._next[m + ports] = clutch.conclude(deflection)
+            self._solve(p)
+        f_c = self._f.copy()
+        self._concluded = []
+        for clutch, deflection in zip(self._unsettled, self._deflections, strict=True):
+            forces = [clutch.ratio * self._f[port] for port in clutch.ports]
+            x_e = clutch.conclude(deflection(forces))
+            for port, force, at in zip(clutch.ports, forces, x_e, strict=True):
+                f_c[port] = force
+                self._concluded.append((port, at))
         if going is not None and going.settled:
             self._unsettled.remove(going)
             self._regroup = True
         return f_c
 
-    def _solve(self) -> None:
-        """f_e(k), x_e(k) and eta(k+1) at this tick's ratios."""
-        if self._linked != tuple(clutch.ratio for clutch in self._unsettled) and not self._link():
+    def _solve(self, p: Floats) -> None:
+        """f_e(k) at this tick's ratios, and what the rest follows from."""
+        n = self._n
+        f_J = self._at_clutches(p)
+        if f_J is None:
             self.ill_posed += 1
             for clutches in (tuple(self._unsettled), self._clutches):
                 for clutch in clutches:
                     self._happens(clutch, Event.FREEZE)
                 self._group()
-                if self._link():
+                f_J = self._at_clutches(p)
+                if f_J is not None:
                     break
-        at = self._n + self._J
-        r = np.concatenate([clutch.reference for clutch in self._unsettled])
-        self._known[at] = r
-        self._known[at] = r - self._taken @ (self._rows @ self._known)
-        self._next = self._step @ self._known
+        at = 0
+        for clutch, deflection in zip(self._unsettled, self._deflections, strict=True):
+            slack, size = 1.0 - clutch.ratio * clutch.ratio, len(clutch.ports)
+            if slack > 0.0 and f_J is not None:
+                for port, by in zip(clutch.ports, deflection(f_J[at : at + size]), strict=True):
+                    self._known[n + port] -= slack * by
+            at += size
+        self._f = self._force(self._known)
+
+    def _at_clutches(self, p: Floats) -> Floats | None:
+        """f_J(k), N, with r in place of p at the ports J of what is known; None when the loop has no unique solution.
+
+        Where all ratios are 1 it is not asked for, and empty.
+        """
+        self._known = known = self._eta + p
+        slacks: Floats = []
+        for clutch in self._unsettled:
+            slacks += [1.0 - clutch.ratio * clutch.ratio] * len(clutch.ports)
+            for port, at in zip(clutch.ports, clutch.reference, strict=True):
+                known[self._n + port] = at
+        if not any(slacks):
+            return []
+        A = [[slack * entry for slack, entry in zip(slacks, row, strict=True)] for row in self._F_D]
+        # against 1 + ||F W||, and not ||I + F W||, which cancels with it at a single port; with all frozen it is open
+        size = max(sum(map(abs, row)) for row in A)
+        for i, row in enumerate(A):
+            row[i] += 1.0
+        open_ = len(slacks) == self._m and all(slack == 1.0 for slack in slacks)
+        return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / _SINGULAR)
 
     def _group(self) -> None:
         """Take who is not settled as the group J; the clutches new in it take the tools' positions."""
         for clutch in self._unsettled:
             if clutch.fresh:
-                clutch.seize(self._x_e[clutch.ports])
-        self._regroup, self._linked = False, ()
-        self._sizes = [len(clutch.ports) for clutch in self._unsettled]
-        self._J = np.concatenate([clutch.ports for clutch in self._unsettled])
-        self._rows = np.ascontiguousarray(self._step[self._J])
-        self._F_J = np.ascontiguousarray(self._rows[:, self._n + self._J])
-        self._D_J = np.ascontiguousarray(self._D_V[np.ix_(self._J, self._J)])
-
-    def _link(self) -> bool:
-        """Solve the loop for the present ratios, at the ports J; False when it has no unique solution."""
-        ratios = tuple(clutch.ratio for clutch in self._unsettled)
-        S = np.repeat(ratios, self._sizes)
-        W = (1.0 - S * S)[:, None] * self._D_J
-        change = self._F_J @ W
-        try:
-            inverse = np.linalg.inv(np.eye(len(S)) + change)
-        except np.linalg.LinAlgError:
-            return False
-        # against 1 + ||F W||, and not ||I + F W||, which cancels with it at a single port; with all frozen it is open
-        all_frozen = len(S) == self._m and not S.any()
-        if not all_frozen and not (1.0 + np.linalg.norm(change, 1)) * np.linalg.norm(inverse, 1) < _SINGULAR:
-            return False
-        self._taken, self._linked = W @ inverse, ratios
-        self._S[:] = 1.0
-        self._S[self._J] = S
-        return True
+                clutch.seize(_of(self._x_e, clutch))
+        self._regroup = False
+        J = [port for clutch in self._unsettled for port in clutch.ports]
+        self._f_J = linear_map(self._step[J])
+        F_J = self._step[np.ix_(J, [self._n + port for port in J])]
+        self._F_D = (F_J @ self._D_V[np.ix_(J, J)]).tolist()
+        self._deflections = [linear_map(self._D_V[np.ix_(clutch.ports, clutch.ports)]) for clutch in self._unsettled]
 
 
 def _ports(part: slice | Sequence[int] | Indices, m: int) -> Indices:
@@ -290,3 +303,8 @@ def _closed(E: StateSpace, D_V: Vector) -> Vector:
     x_e = np.hstack([np.zeros((m, n)), np.eye(m)]) + D_V @ f
     eta = np.hstack([E.A, np.zeros((n, m))]) + E.B @ x_e
     return np.ascontiguousarray(np.vstack([f, x_e, eta]))
+
+
+def _of(values: Floats, clutch: Clutch) -> Floats:
+    """A clutch's part of ``values``."""
+    return [values[port] for port in clutch.ports]

@@ -85,6 +85,7 @@ class EnvironmentNode:
         places.last, places.log = start.ticks, control.log
         places.know(self._feedthrough, self._bundle.feedthrough)
         clock, rows = self._clock, self._common.telemetry_ticks
+        first = self._common.telemetry_first % rows
         stale, give_way = self._patience.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
         tick, now, answered = start.tick, clock.now(), Instant(2**62)
@@ -99,7 +100,7 @@ class EnvironmentNode:
             now = clock.now()
             if stale is not None and now - answered > stale:
                 places.let_go(tick)
-            f = core.react(np.array(p)).tolist()
+            f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")
             places.shift()
@@ -111,7 +112,7 @@ class EnvironmentNode:
             self._frozen_ticks += not places.all_seated
             tick += 1
             self._ticks = tick
-            if tick % rows == 0:
+            if tick % rows == first:
                 self._publish(control, places)
         if tick == start.ticks and not places.all_seated:
             self._say_goodbye(places, p, tick)

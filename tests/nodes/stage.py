@@ -10,6 +10,7 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.topology import ENVIRONMENT, topology
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
+from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
 from manyhands.nodes.control import NOT_AT_ALL, Word
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
@@ -102,6 +103,12 @@ class Line:
         return np.vstack([telemetry.traces[name] for telemetry in self.told])
 
 
+def _in_step(bundle: Bundle) -> Bundle:
+    """All tell in the same ticks, so that a test knows in which."""
+    common = bundle.common
+    return replace(bundle, common=replace(common, telemetry_first=common.telemetry_ticks))
+
+
 class Stage:
     """A session whose nodes are threads; to be entered and left."""
 
@@ -111,7 +118,9 @@ class Stage:
         """``ticks``: how many to run; 0 until the stage is left. ``tick``: the one that the session is at already."""
         self.graph = topology(prepared.session)
         self._new_life, self._ticks, self._tick = new_life, ticks, tick
-        self._bundles = cut(prepared, Run(clock, None, "", traces=True))
+        self._bundles = {
+            name: _in_step(bundle) for name, bundle in cut(prepared, Run(clock, None, "", traces=True)).items()
+        }
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
         self.lines: dict[str, Line] = {}

@@ -24,6 +24,7 @@ TAU = Duration(MS // 4)
 COMMON = Common(
     session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=TAU / 1e9, clock="realtime",
     transport="ipc", public={}, private="", directory="", control="", ports=("dx",), peers=(), telemetry_ticks=ROWS,
+    telemetry_first=ROWS,
     traces=True,
 )  # fmt: skip
 CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)

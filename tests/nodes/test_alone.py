@@ -271,7 +271,8 @@ def test_without_traces_a_coupling_tells_figures_alone(
 ) -> None:
     bundle = bundles["cx"]
     assert isinstance(bundle, CouplingBundle)
-    bundle = dataclasses.replace(bundle, common=dataclasses.replace(bundle.common, traces=False, telemetry_ticks=2))
+    common = dataclasses.replace(bundle.common, traces=False, telemetry_ticks=2, telemetry_first=2)
+    bundle = dataclasses.replace(bundle, common=common)
     node, line = CouplingNode(bundle), new_line()
     far = meet(node, bundle)
     for k in range(3):

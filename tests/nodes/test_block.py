@@ -206,13 +206,19 @@ def test_a_flood_ends_the_node(block: Block, world: Held, new_life: Callable[[],
 
 
 def test_rows_follow_each_other(bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]) -> None:
-    line, rows = new_line(), bundle.common.telemetry_ticks
-    for tick in range(rows + 3):
+    """The first are fewer, so that not all nodes tell in the same tick."""
+    line, first, rows = new_line(), bundle.common.telemetry_first, bundle.common.telemetry_ticks
+    assert 0 < first < rows
+    for tick in range(first + rows + 3):
         step(block, world, tick, tick / 1e3, 0.1)
         block.publish(line)
     block.publish_rest(line)
     block.publish_rest(line)
-    assert [(told.tick, len(told.traces["p"])) for told in line.telemetry] == [(rows, rows), (rows + 3, 3)]
+    assert [(told.tick, len(told.traces["p"])) for told in line.telemetry] == [
+        (first, first),
+        (first + rows, rows),
+        (first + rows + 3, 3),
+    ]
     assert line.telemetry[-1].figures["rung"] == 0.0
 
 
@@ -221,9 +227,9 @@ def test_without_a_recording_no_trace_is_kept(
 ) -> None:
     quiet = dataclasses.replace(bundle, common=dataclasses.replace(bundle.common, traces=False))
     block, line = Block(quiet, block.environment), new_line()
-    for tick in range(bundle.common.telemetry_ticks):
+    for tick in range(bundle.common.telemetry_first):
         step(block, world, tick, 0.0, 0.1)
         block.publish(line)
     (told,) = line.telemetry
     assert told.traces == {}
-    assert told.tick == bundle.common.telemetry_ticks
+    assert told.tick == bundle.common.telemetry_first

@@ -47,7 +47,7 @@ def common(clock: str = "realtime", traces: bool = False, control: str = "memory
     return Common(
         session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=0.0, clock=clock, transport="tcp",
         public={}, private="", directory="", control=control, ports=("dx",), peers=(), telemetry_ticks=100,
-        traces=traces,
+        telemetry_first=100, traces=traces,
     )  # fmt: skip
 
 

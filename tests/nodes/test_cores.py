@@ -15,6 +15,8 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.environment.core import EnvironmentCore
 
+from .cores import react
+
 T = 1e-3
 PARTITION = Partition(("a", "b"), ((0, 2), (1,)))  # blocks that are not contiguous
 PORTS = ("p", "q", "r")
@@ -70,7 +72,7 @@ def test_split_over_parties_the_loop_is_the_papers(
     for k in range(len(x)):
         for core, ports in zip(cores, PARTITION.blocks, strict=True):
             p[list(ports)] = core.free_position(x[k, list(ports)])
-        f[k] = environment.react(p)
+        f[k] = react(environment, p)
         environment.settle()
         for core, ports in zip(cores, PARTITION.blocks, strict=True):
             core.absorb(f[k, list(ports)])
@@ -122,7 +124,7 @@ def test_passive_parties_keep_their_ledgers_above_zero_for_any_signal() -> None:
     E = Network(("p",), (("m", 1.0),), (Link(("p", "m"), 3000.0, 0.1),)).environment(T)
     environment = EnvironmentCore(E, block.D, np.zeros((1, 1)), T)
     for _ in range(2000):
-        f = environment.react(core.free_position(rng.normal(0.0, 1e-3, 1)))
+        f = np.array(environment.react(core.free_position(rng.normal(0.0, 1e-3, 1).tolist())))
         environment.settle()
         core.absorb(f)
     assert core.ledger is not None

@@ -37,6 +37,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+from .cores import react
 from .held import Held
 
 T, STIFFNESS, DAMPING = 1e-3, 100.0, 0.1  # s, N/m, N s/m: a spring and a damper to ground at each port
@@ -87,7 +88,7 @@ class World:
 
     def finish(self) -> np.ndarray:
         """Solve, answer, and go on to the next tick; returns the forces."""
-        f = self.core.react(self.p)
+        f = react(self.core, self.p)
         self.places.shift()
         for place in self.places.seated:
             place.joint.send(Reaction, self.tick, 0, f)

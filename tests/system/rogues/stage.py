@@ -234,7 +234,7 @@ def _overhear(patch: pytest.MonkeyPatch, stage: Stage, forge: Forge) -> None:
     def cut_and_forge(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         stage.hub = run.control
         bundles = {
-            name: replace(bundle, common=replace(bundle.common, telemetry_ticks=ATTENTIVE))
+            name: replace(bundle, common=replace(bundle.common, telemetry_ticks=ATTENTIVE, telemetry_first=ATTENTIVE))
             for name, bundle in cut(prepared, run).items()
         }
         return forge(bundles)
