@@ -27,6 +27,7 @@ class Event(StrEnum):
 
     SIGNAL = "its signal of the tick"
     BEHIND = "a signal of an earlier tick"
+    AHEAD = "a signal of a later tick"
     SILENT = "nothing, though others are there"
     PAUSES = "that it has lost a device"
     LOST = "that its process is gone"
@@ -41,11 +42,13 @@ TRANSITIONS: Final[Mapping[tuple[Seat, Event], Seat]] = {
     (Seat.SEATED, Event.LOST): Seat.GONE,
     (Seat.EXPECTED, Event.SIGNAL): Seat.SEATED,
     (Seat.EXPECTED, Event.BEHIND): Seat.EXPECTED,
+    (Seat.EXPECTED, Event.AHEAD): Seat.EXPECTED,
     (Seat.EXPECTED, Event.SILENT): Seat.FROZEN,
     (Seat.EXPECTED, Event.PAUSES): Seat.FROZEN,
     (Seat.EXPECTED, Event.LOST): Seat.GONE,
     (Seat.FROZEN, Event.SIGNAL): Seat.SEATED,
     (Seat.FROZEN, Event.BEHIND): Seat.EXPECTED,
+    (Seat.FROZEN, Event.AHEAD): Seat.EXPECTED,  # at that tick; it was told to go on there, by this process or the last
     (Seat.FROZEN, Event.SILENT): Seat.FROZEN,
     (Seat.FROZEN, Event.PAUSES): Seat.FROZEN,
     (Seat.FROZEN, Event.LOST): Seat.GONE,

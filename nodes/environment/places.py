@@ -111,12 +111,18 @@ class Places:
         early = place.early
         if early is not None and early[0] <= tick:
             place.early = None
-            came = early[0] == tick and place.joint.take(early[1], p, tick)
-            heard = Heard.SIGNAL if came else Heard.NOTHING
+            heard = Heard.NOTHING
+            if early[0] < tick:
+                self.astray(place.joint, early[0], tick)
+            elif place.joint.take(early[1], p, tick):
+                heard = Heard.SIGNAL
         else:
             heard = place.joint.hear(p, tick, patience, self)
         if heard is Heard.SIGNAL:
-            if place.attendance.seat is not Seat.SEATED:
+            seat = place.attendance.seat
+            if seat is Seat.EXPECTED and tick < place.due:
+                return Heard.NOTHING  # said before it heard that it is to go on later, which it does
+            if seat is not Seat.SEATED:
                 self._seat(place, tick)
         elif heard is Heard.MET:
             self._welcome_back(place, tick)
@@ -173,15 +179,7 @@ class Places:
         """A signal of another tick: who is behind is told where the session is, if it may come again."""
         place = self._of[joint.peer.name]
         if told > awaited:
-            if self._resumes and told - awaited <= _MOST_AHEAD:
-                self.ahead = max(self.ahead, told)
-                place.early = told, joint.stray
-                return True
-            if place.attendance.seat is Seat.EXPECTED and told == place.due:
-                place.early = told, joint.stray
-                joint.gate.dropped["future_tick"] -= 1  # it was counted as a stray, and is none
-                return True
-            return False
+            return self._hear_ahead(place, told, awaited)
         if told == awaited - 1 and joint.tick == told:
             joint.send_again()  # it was answered, and the answer was lost
             return False
@@ -198,7 +196,11 @@ class Places:
     def aside(self, joint: Joint, message: Rung | Absent) -> bool:
         """A coupling has lost a device: it will be silent."""
         if isinstance(message, Absent):
-            self._event(self._of[joint.peer.name], Event.PAUSES, self._tick)
+            place = self._of[joint.peer.name]
+            self._event(place, Event.PAUSES, self._tick)
+            if place.early is not None:  # it has no more to say: it need not wait until this one's turn has come
+                joint.send_zero(Reaction, place.early[0])
+                place.early = None
             return True
         return False
 
@@ -220,6 +222,17 @@ class Places:
     def resumed(self) -> None:
         """From now on the ticks are the environment's."""
         self._resumes = False
+
+    def _hear_ahead(self, place: Place, told: int, awaited: int) -> bool:
+        """A signal of a later tick, from who was told to go on there: it is kept until then."""
+        if place.attendance.seat is Seat.SEATED or told - awaited > _MOST_AHEAD:
+            return False
+        self._event(place, Event.AHEAD, awaited)
+        place.early, place.due = (told, place.joint.stray), told
+        place.joint.gate.dropped["future_tick"] -= 1  # it was counted as a stray, and is none
+        if self._resumes:
+            self.ahead = max(self.ahead, told)
+        return True
 
     def _seat(self, place: Place, tick: int) -> None:
         if self._event(place, Event.SIGNAL, tick) and place.wanted == place.rung:  # otherwise it changes its rung first

@@ -52,6 +52,8 @@ def test_only_who_is_seated_or_awaited_can_be_missed_and_only_who_is_gone_can_be
         (Seat.FROZEN, Event.MET),
         (Seat.GONE, Event.SIGNAL),
         (Seat.GONE, Event.BEHIND),
+        (Seat.SEATED, Event.AHEAD),
+        (Seat.GONE, Event.AHEAD),
         (Seat.GONE, Event.SILENT),
     }
 

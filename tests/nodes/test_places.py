@@ -209,14 +209,76 @@ def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: World) 
     assert (world.p[1], world.cy.attendance.seat) == (0.02, Seat.SEATED)
 
 
-def test_an_early_signal_of_another_tick_is_a_stray(world: World) -> None:
+def test_who_is_ahead_is_expected_at_its_own_tick(world: World) -> None:
+    """It was told to go on there, and frozen again, or by the environment before."""
+    frozen_for(world, 20)
+    due = world.tick + LEAD
+    world.say("cy", due, 0.02)
+    assert world.hear(world.cy) is Heard.TURNED
+    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    assert world.cy.joint.gate.dropped["future_tick"] == 0  # it is no stray
+    world.say("cy", due + 1, 0.03)  # it knows better still
+    world.hear(world.cy)
+    while world.tick < due + 1:
+        assert not world.cy.missing(world.tick)
+        world.together(but="cy")
+    assert world.hear(world.cy) is Heard.SIGNAL
+    assert (world.p[1], world.cy.attendance.seat) == (0.03, Seat.SEATED)
+
+
+def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: World) -> None:
+    """It is on its way to that tick, and would be waited for in between."""
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
-    world.say("cy", world.cy.due + 1)
+    due = world.cy.due
+    world.say("cy")
     assert world.hear(world.cy) is Heard.NOTHING
-    assert world.cy.early is None
+    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    while world.tick < due:
+        assert not world.cy.missing(world.tick)
+        world.together(but="cy")
+    world.together()
+    assert world.places.all_seated
+
+
+def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(world: World) -> None:
+    frozen_for(world, 20)
+    world.ends["cx"].say(Absent("dx"))
+    world.hear(world.cx)
+    assert world.places.soonest(world.tick) == world.tick
+    world.say("cy", world.tick + 50)
+    world.hear(world.cy)
+    assert world.places.soonest(world.tick) == world.tick + 50
+
+
+@pytest.mark.parametrize("ahead", [2**16 + 1, 2**40])
+def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: World, ahead: int) -> None:
+    frozen_for(world, 20)
+    world.say("cy", world.tick + ahead)
+    assert world.hear(world.cy) is Heard.NOTHING
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.FROZEN)
     assert world.cy.joint.gate.dropped["future_tick"] == 1
+
+
+def test_a_signal_of_a_later_tick_from_who_is_seated_is_a_stray(world: World) -> None:
+    world.together(3)
+    world.say("cy", world.tick + 1)
+    assert world.hear(world.cy) is Heard.NOTHING
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.SEATED)
+    assert world.cy.joint.gate.dropped["future_tick"] == 1
+
+
+def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: World) -> None:
+    """It would wait for that and say nothing more, and whoever waits for its device's return would wait for it."""
+    frozen_for(world, 20)
+    ahead = world.tick + LEAD
+    world.say("cy", ahead)
+    world.hear(world.cy)
+    world.ends["cy"].say(Absent("dy"))
+    assert world.hear(world.cy) is Heard.TURNED
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.FROZEN)
+    assert world.forces("cy")[ahead] == 0.0
 
 
 def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: World) -> None:
@@ -412,8 +474,16 @@ class Test_an_environment_that_comes_back:
     def test_leads_again_once_a_tick_is_done(self, back: World) -> None:
         back.places.resumed()
         back.say("cx", 430)
+        assert back.hear(back.cx) is Heard.TURNED
+        assert (back.places.ahead, back.cx.due) == (0, 430)
+
+    def test_tells_who_was_ahead_of_it_but_behind_another(self, back: World) -> None:
+        back.say("cx", 429)
+        assert back.hear(back.cx) is Heard.TURNED
+        back.tick = 430  # as cy has told
         assert back.hear(back.cx) is Heard.NOTHING
-        assert back.places.ahead == 0
+        assert back.forces("cx") == {429: 0.0}
+        assert back.cx.missing(430)
 
 
 sayings = st.sampled_from(["now", "before", "long ago", "next", "due", "rung", "absent", "junk", "wrong kind"])
