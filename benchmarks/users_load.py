@@ -2,7 +2,8 @@
 
 The environment is the real one, with the bundle that a session of so many users has cut for it. The couplings shake
 hands as couplings do and send what couplings send, each on a link of its own: at every millisecond all their p(k), and
-then all their f_v(k) are awaited. What they say is prepared beforehand, so that one process can play very many.
+then all their f_v(k) are awaited. What they say is prepared beforehand, so that one process can play very many. As in a
+session the environment is pinned to one processor, the last; this process has the others, or the same one.
 """
 
 from __future__ import annotations
@@ -117,6 +118,8 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
         folder = Path(temporary)
         (folder / "session.yaml").write_text(session_text(users))
         prepared = prepare(load_session(folder / "session.yaml"))
+        processors = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, processors[:-1] or processors)  # before there are threads
         transport = ZmqTransport.ipc(folder)
         try:
             hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
@@ -124,7 +127,7 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
             if not isinstance(bundle, EnvironmentBundle):
                 raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
             save(bundle, folder / "environment.bundle")
-            with _environment(folder) as process, _listening(hub, process.pid, folder) as hear:
+            with _environment(folder, processors[-1]) as process, _listening(hub, process.pid, folder) as hear:
                 hello = hear(NodeHello)
                 _say(hub, Welcome())
                 _say(hub, Connect({}))
@@ -154,11 +157,12 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
                 process.wait()
         finally:
             transport.close()
+            os.sched_setaffinity(0, processors)
     return point
 
 
 @contextmanager
-def _environment(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def _environment(folder: Path, processor: int) -> Iterator[subprocess.Popen[bytes]]:
     """The environment's process; killed if it has not ended by itself."""
     with (folder / "environment.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
@@ -167,6 +171,7 @@ def _environment(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
             stdin=subprocess.DEVNULL, stdout=log, stderr=log,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )  # fmt: skip
+    os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
     try:
         yield process
     finally:
