@@ -1,0 +1,160 @@
+"""Thousands of faults in virtual time.
+
+    python -m tests.deterministic.campaign [--faults N] [--a-run N] [--seed S] [--clock simulated|realtime] [--session NAME]
+
+One line for each run; the seed alone makes it happen again. The exit code is 1 if any run did not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+
+from .account import account
+from .faults import Faults
+from .world import World
+
+ROOT: Final = Path(__file__).parents[2]
+RESTLESS: Final = [
+    f"devices.{device}.{key}={value}"
+    for device, frequency in (("dx", 1.3), ("dy", 0.9), ("dz", 1.7))
+    for key, value in (
+        ("hand.force", f'"1.5*sin(2*pi*{frequency}*t)"'),
+        ("limits", "{force: 8, displacement: 2, speed: 2}"),
+    )
+]
+SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
+    "example-1": (ROOT / "launch" / "sessions" / "example1.yaml", RESTLESS),
+    "chaos-four": (ROOT / "benchmarks" / "chaos_four.yaml", []),
+    "crossed": (Path(__file__).parent / "crossed.yaml", []),
+}
+FAULTS: Final = "faults={restarts: 100, window: 60, breach: warn}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A run and what was found.
+
+    Attributes:
+        faults: how many there were.
+        ticks: the environment's at the end.
+        restarts: processes that came back.
+        steps: turns of all threads.
+        virtual: how long it took in virtual time, s.
+        slowest: the longest from a fault to calm, s of virtual time.
+        violations: what did not hold.
+        account: of a run that did not hold: who waits for whom, and what happened before.
+    """
+
+    faults: int
+    ticks: int
+    restarts: int
+    steps: int
+    virtual: float
+    slowest: float
+    violations: tuple[str, ...]
+    account: str
+
+
+@cache
+def prepared(name: str) -> Prepared:
+    """One of the sessions, designed."""
+    path, overrides = SESSIONS[name]
+    return prepare(load_session(path, [*overrides, FAULTS]))
+
+
+def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
+    """Run one session with so many faults."""
+    world = World(prepared(name), clock, seed)
+    chaos = Faults(world, faults)
+    world.scheduler.watch = chaos.watch
+    ticks, told = 0, ""
+    began = world.scheduler.now
+    try:
+        def watch() -> bool:
+            nonlocal told, ticks
+            over = chaos.watch()
+            ticks = world.tick or ticks
+            if over and (chaos.stalled or world.violations):
+                told = account(world)
+            return over
+
+        world.scheduler.watch = watch
+        world.scheduler.run()
+    finally:
+        left = world.scheduler.join()
+    violations = [*([chaos.stalled] if chaos.stalled else []), *world.violations]
+    violations += [f"the thread of {name} is left" for name in left]
+    silent = [node for node in world.graph.nodes if node not in world.conductor.reports]
+    if silent and not violations:
+        violations.append(f"no last word of {', '.join(silent)}")
+    if violations and not told:
+        told = account(world)
+    return Outcome(
+        chaos.done.total(),
+        ticks,
+        world.restarts,
+        world.scheduler.steps,
+        (world.scheduler.now - began) / 1e9,
+        chaos.slowest / 1e9,
+        tuple(violations),
+        told,
+    )
+
+
+def plan(faults: int, a_run: int, seed: int, clocks: Sequence[str], names: Sequence[str]) -> list[tuple[str, str, int, int]]:
+    """Session, clock, faults and seed of every run."""
+    runs = []
+    for number, begin in enumerate(range(0, faults, a_run)):
+        clock = clocks[number % len(clocks)]
+        name = names[number // len(clocks) % len(names)]
+        runs.append((name, clock, min(a_run, faults - begin), seed * 100_000 + number))
+    return runs
+
+
+def main() -> int:
+    """Run the campaign; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--faults", type=int, default=1000)
+    parser.add_argument("--a-run", type=int, default=20, help="faults in a run, at most")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--clock", choices=["simulated", "realtime"], action="append")
+    parser.add_argument("--session", choices=list(SESSIONS), action="append")
+    parser.add_argument("--again", type=int, help="only the run of this seed, with --session and --clock")
+    parser.add_argument("--quiet", action="store_true", help="no account of the runs that fail")
+    given = parser.parse_args()
+    clocks, names = given.clock or ["simulated", "realtime"], given.session or list(SESSIONS)
+    runs = plan(given.faults, given.a_run, given.seed, clocks, names)
+    if given.again is not None:
+        runs = [(names[0], clocks[0], given.a_run, given.again)]
+    failing = []
+    for name, clock, faults, seed in runs:
+        began = time.monotonic()
+        one = run(name, clock, faults, seed)
+        print(
+            f"seed {seed}: {name}, {clock}, {one.faults} faults, {one.ticks} ticks, {one.restarts} restarts, "
+            f"{one.steps} steps, {one.virtual:.1f} s, calm after {one.slowest:.2f} s, took "
+            f"{time.monotonic() - began:.1f} s: {'; '.join(v.splitlines()[0] for v in one.violations) or 'sound'}",
+            flush=True,
+        )
+        if one.violations:
+            failing.append(f"--session {name} --clock {clock} --a-run {faults} --again {seed}")
+            if not given.quiet:
+                print("\n".join(one.violations), one.account, sep="\n", flush=True)
+    for one_of_them in failing:
+        print(f"failed: python -m tests.deterministic.campaign {one_of_them}")
+    return 1 if failing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,169 @@
+"""One process of a session: the product's own life of a process, on a thread and over virtual wires."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.control import ControlLine
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.exchange import Joint
+from manyhands.nodes.life import Sight, Stopped
+from manyhands.nodes.log import Event, Log, Value
+from manyhands.nodes.process import Member, Node, _ended
+from manyhands.protocol.clock import Instant, SimulatedClock
+
+from .scheduler import Scheduler, Turn, VirtualClock
+from .wires import ProcessTransport, Wires
+
+Note = Callable[[str], None]
+
+
+class VirtualLife:
+    """A :class:`manyhands.nodes.life.Life` that no signal reaches but the world's."""
+
+    def __init__(self) -> None:
+        self.stopping = self.orphaned = False
+        self.failure: str | None = None
+        self.watch: Callable[[], Sight] = lambda: Sight.PRESENT
+        self.starting = True
+
+    def look(self, _now: Instant) -> None:
+        """The supervisor is there."""
+
+    def check(self) -> None:
+        """The supervisor is there."""
+
+    def fail(self, text: str) -> None:
+        """End at the next tick."""
+        self.stopping, self.failure = True, self.failure or text
+
+    def enter_loop(self) -> None:
+        """From now on a request to end is only noted."""
+        self.starting = False
+        if self.stopping:
+            raise Stopped
+
+    def leave_loop(self) -> None:
+        """The ticks are over."""
+
+
+class NotedLog(Log):
+    """A log whose events go into the world's account of what happened."""
+
+    def __init__(self, name: str, clock: VirtualClock, note: Note) -> None:
+        super().__init__(None, "s", name, clock)
+        self._name, self._note = name, note
+
+    def note(self, event: Event, **data: Value) -> None:
+        """Tell of what happens in the loop; how it began is the world's own to tell."""
+        if event in (Event.FROZEN, Event.RETURNED, Event.LOST, Event.JUMPED, Event.STALE, Event.BREACH, Event.FAULT):
+            self._note(f"{self._name}: {event.value} {' '.join(f'{key}={value}' for key, value in data.items())}")
+
+
+class Line(ControlLine):
+    """A line to the supervisor that says a process id of its own."""
+
+    pid = 0
+
+    def hello(self, endpoints: Mapping[str, str], pid: int) -> None:
+        """Introduce the process that this is taken for."""
+        super().hello(endpoints, self.pid)
+
+
+class LimitedDriver:
+    """A driver that holds every force against its limits."""
+
+    def __init__(self, driver: Driver, name: str, limits: Sequence[float], violate: Note) -> None:
+        self._driver, self._name, self._limits, self._violate = driver, name, limits, violate
+        self.axes = driver.axes
+        self.sample, self.release, self.idle = driver.sample, driver.release, driver.idle
+        self.intended_work = driver.intended_work
+
+    def apply(self, f: Sequence[float]) -> None:
+        """Exert ``f``."""
+        for force, most in zip(f, self._limits, strict=True):
+            if not abs(force) <= most * (1.0 + 1e-9):
+                self._violate(f"{self._name}: found a force of {force:g} N; expected at most {most:g} N")
+        self._driver.apply(f)
+
+
+class Process:
+    """One process.
+
+    Attributes:
+        name: the node's.
+        pid: no other process of the session has had it.
+        node: None until it has started.
+        life: what it is asked to do.
+        turn: its thread.
+        held: until when it is stopped.
+    """
+
+    def __init__(self, bundle: Bundle, pid: int, wires: Wires, note: Note, violate: Note) -> None:
+        self.name, self.pid = bundle.common.name, pid
+        self.life, self.node, self.code = VirtualLife(), None, 0
+        self._bundle, self._note, self._violate = bundle, note, violate
+        self._scheduler: Scheduler = wires.scheduler
+        self._wires = wires
+        self._transport = ProcessTransport(wires, f"{self.name}.{pid}")
+        self.held = Instant(0)
+        self.turn: Turn | None = None
+        self.node: Node | None
+
+    def run(self) -> None:
+        """The whole life, in the process's thread."""
+        clock = VirtualClock(self._scheduler)
+        self.node = node = self._made(clock)
+        common = self._bundle.common
+        line = Line(self._transport, common, NotedLog(self.name, clock, self._note))
+        line.pid = self.pid
+        # nothing is asked of this machine's kernel
+        member = Member(replace(common, clock=SIMULATED), node, self._transport, line)
+        self.code = _ended([member], self.life, remote=False)  # type: ignore[arg-type]
+        self._transport.close()
+
+    def terminate(self) -> None:
+        """SIGTERM."""
+        self.life.stopping = True
+        if self.life.starting and self.turn is not None:
+            self._scheduler.raise_in(self.turn, Stopped())
+
+    def die(self, chance: float) -> None:
+        """Its sockets are closed by the kernel; of what it sent last every frame is lost by this ``chance``."""
+        self._transport.die(chance)
+
+    @property
+    def joints(self) -> Sequence[Joint]:
+        """Its links, once it has shaken hands."""
+        node = self.node
+        if isinstance(node, CouplingNode):
+            block = node._block
+            return (*node._devices, *([] if block is None else [block.environment]))
+        return getattr(node, "_joints", ())
+
+    def _made(self, clock: VirtualClock) -> Node:
+        """The node, which is told the virtual time wherever it would ask for the real one."""
+        node: Any
+        match self._bundle:
+            case DeviceBundle() as bundle:
+                limits = [float("inf") if most is None else most for most in bundle.limits.force]
+                driver = LimitedDriver(simulated_driver(bundle), self.name, limits, self._violate)
+                node = DeviceNode(bundle, driver)
+                node._realtime = clock
+                if not isinstance(node._clock, SimulatedClock):
+                    node._clock = clock
+            case CouplingBundle() as bundle:
+                node = CouplingNode(bundle)
+                node._clock = clock
+            case EnvironmentBundle() as bundle:
+                node = EnvironmentNode(bundle)
+                node._clock = clock
+        made: Node = node
+        return made

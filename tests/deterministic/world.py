@@ -1,0 +1,188 @@
+"""A whole session on one scheduler: the product's nodes and its conductor, with a virtual supervisor between them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import traceback
+from collections import deque
+from typing import Final
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.conductor import Conductor, Kill, KillProcess, NodeState, Phase, Release, Send, StartProcess
+from manyhands.launch.conductor import Instruction, Terminate
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.restarts import RestartBudget
+from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.environment.places import Places
+from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Probe, Telemetry
+
+from .process import Process
+from .scheduler import Killed, Scheduler
+from .wires import Wires
+
+PROMISE: Final = -1e-12  # J, of every ledger
+KEPT: Final = 120  # notes
+LOOK: Final = from_seconds(0.2)  # the supervisor's, at what falls due
+STARTS: Final = (0.5e6, 40e6)  # ns from a process's start to its hello
+SEEN: Final = (50_000, 2_000_000)  # ns from a process's end to when the supervisor sees it
+
+
+class World:
+    """The session.
+
+    Attributes:
+        scheduler: its time.
+        conductor: the product's.
+        processes: those that live, by node.
+        violations: what did not hold, in words.
+        notes: what happened lately, in words.
+        heard: how many messages that move a node's state the conductor has heard.
+        restarts: processes that were started anew.
+    """
+
+    def __init__(self, prepared: Prepared, clock: str, seed: int) -> None:
+        """Start every process of a session; nothing goes on before :meth:`Scheduler.run`."""
+        self.scheduler = Scheduler(seed)
+        self.random = self.scheduler.random
+        self.graph = topology(prepared.session)
+        self._bundles = cut(prepared, Run(clock, None, "wire://hub", traces=False))
+        budget = RestartBudget(10**9)
+        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, 0, budget=budget)
+        self.processes: dict[str, Process] = {}
+        self.violations: list[str] = []
+        self.notes: deque[str] = deque(maxlen=KEPT)
+        self.heard = self.restarts = 0
+        self._wires = Wires(self.scheduler, self._hear)
+        self._pids = itertools.count(1)
+        for name in self.graph.nodes:
+            self._start(name)
+        self._look()
+
+    def note(self, text: str) -> None:
+        """Something happens."""
+        self.notes.append(f"{self.scheduler.now / 1e6:.3f} ms, tick {self.tick}: {text}")
+
+    def violate(self, text: str) -> None:
+        """Something does not hold; the first of its kind is enough."""
+        if text not in self.violations and len(self.violations) < 10:
+            self.note(f"VIOLATION {text}")
+            self.violations.append(text)
+
+    def kill(self, name: str) -> None:
+        """SIGKILL; frames that it sent last may not have left it."""
+        process = self.processes.get(name)
+        if process is None or process.turn is None:
+            return
+        self.note(f"{name} is killed")
+        del self.processes[name]
+        process.die(self.random.choice((0.0, 0.5, 1.0)))
+        self.scheduler.raise_in(process.turn, Killed())
+
+    def stop(self, name: str, duration: int) -> None:
+        """SIGSTOP, and SIGCONT after ``duration``, ns."""
+        process = self.processes.get(name)
+        if process is not None and process.turn is not None:
+            process.held = process.turn.ready = Instant(max(process.turn.ready, self.scheduler.now + duration))
+
+    def interrupt(self) -> None:
+        """The user ends the session."""
+        self.note("the session is ended")
+        self._obey(self.conductor.interrupt())
+
+    @property
+    def environment(self) -> EnvironmentNode | None:
+        """The environment, if it is there."""
+        process = self.processes.get(ENVIRONMENT)
+        return process.node if process is not None and isinstance(process.node, EnvironmentNode) else None
+
+    @property
+    def places(self) -> Places | None:
+        """The environment's, once it is in its loop."""
+        return None if self.environment is None else self.environment._places
+
+    @property
+    def tick(self) -> int:
+        """The environment's; 0 for none."""
+        return 0 if self.environment is None else self.environment._ticks
+
+    @property
+    def whole(self) -> bool:
+        """Whether everybody takes part."""
+        places, states = self.places, self.conductor.states
+        if self.conductor.phase is not Phase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
+            return False
+        if places is None or not places.all_seated or len(self.processes) < len(states):
+            return False
+        for process in self.processes.values():
+            if process.held > self.scheduler.now or not all(joint.here for joint in process.joints):
+                return False
+            if isinstance(process.node, DeviceNode) and process.node._free:
+                return False
+        return True
+
+    def _start(self, name: str) -> None:
+        pid = next(self._pids)
+        process = self.processes[name] = Process(self._bundles[name], pid, self._wires, self.note, self.violate)
+        if self.conductor.phase is Phase.RUNNING:
+            self.conductor.started(name, pid)
+            self.restarts += 1
+        delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
+        process.turn = self.scheduler.begin(name, process.run, delay, lambda error: self._ended(process, error))
+
+    def _ended(self, process: Process, error: BaseException | None) -> None:
+        """In the process's own thread: its last deed."""
+        code = process.code if error is None else -9 if isinstance(error, Killed) else 1
+        if error is not None and not isinstance(error, Killed):
+            told = "".join(traceback.format_exception(error))
+            self.violate(f"{process.name} raised {error!r}\n{told}")
+        if self.processes.get(process.name) is process:
+            del self.processes[process.name]
+        delay = self.random.randint(*SEEN)
+        self.scheduler.after(delay, lambda: self._see_end(process.name, code))
+
+    def _see_end(self, name: str, code: int) -> None:
+        self.note(f"the supervisor sees the end of {name} ({code})")
+        self._obey(self.conductor.exited(name, code, self.scheduler.now))
+
+    def _look(self) -> None:
+        self._obey(self.conductor.look(self.scheduler.now))
+        if self.conductor.phase is not Phase.OVER:
+            self.scheduler.after(LOOK, self._look)
+
+    def _hear(self, sender: str, frame: bytes) -> None:
+        message = decode(frame, MAX_CONTROL_BYTES)
+        if isinstance(message, Telemetry):
+            least = message.figures.get(names.LEDGER_MIN, 0.0)
+            if least < PROMISE:
+                self.violate(f"{sender}: found a ledger of {least:g} J; expected none below {PROMISE:g} J")
+        elif not isinstance(message, Probe):
+            self.heard += 1
+            self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
+        self._obey(self.conductor.hear(sender, message, self.scheduler.now))
+
+    def _obey(self, instructions: list[Instruction]) -> None:
+        for one in instructions:
+            match one:
+                case Send(node, message):
+                    self.note(f"the supervisor tells {node}: {str(message)[:80]}")
+                    self._wires.tell(node, encode(message))
+                case Release(name):
+                    self._wires.release(name)
+                case StartProcess(node):
+                    self.note(f"{node} is started")
+                    self._start(node)
+                case KillProcess(node):
+                    self.kill(node)
+                case Terminate():
+                    for process in list(self.processes.values()):
+                        process.terminate()
+                case Kill():
+                    for node in list(self.processes):
+                        self.kill(node)
