@@ -8,7 +8,6 @@ One line for each run; the seed alone makes it happen again. The exit code is 1 
 from __future__ import annotations
 
 import argparse
-import random
 import sys
 import time
 from collections.abc import Sequence
@@ -77,22 +76,20 @@ def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
     """Run one session with so many faults."""
     world = World(prepared(name), clock, seed)
     chaos = Faults(world, faults)
-    world.scheduler.watch = chaos.watch
     ticks, told = 0, ""
     began = world.scheduler.now
-    try:
-        def watch() -> bool:
-            nonlocal told, ticks
-            over = chaos.watch()
-            ticks = world.tick or ticks
-            if over and (chaos.stalled or world.violations):
-                told = account(world)
-            return over
 
-        world.scheduler.watch = watch
-        world.scheduler.run()
-    finally:
-        left = world.scheduler.join()
+    def watch() -> bool:
+        nonlocal told, ticks
+        over = chaos.watch()
+        ticks = world.tick or ticks
+        if over and (chaos.stalled or world.violations):
+            told = account(world)  # while its threads still stand where they wait
+        return over
+
+    world.scheduler.watch = watch
+    world.scheduler.run()
+    left = world.scheduler.join()
     violations = [*([chaos.stalled] if chaos.stalled else []), *world.violations]
     violations += [f"the thread of {name} is left" for name in left]
     silent = [node for node in world.graph.nodes if node not in world.conductor.reports]
@@ -112,7 +109,9 @@ def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
     )
 
 
-def plan(faults: int, a_run: int, seed: int, clocks: Sequence[str], names: Sequence[str]) -> list[tuple[str, str, int, int]]:
+def plan(
+    faults: int, a_run: int, seed: int, clocks: Sequence[str], names: Sequence[str]
+) -> list[tuple[str, str, int, int]]:
     """Session, clock, faults and seed of every run."""
     runs = []
     for number, begin in enumerate(range(0, faults, a_run)):

@@ -89,7 +89,9 @@ class Faults:
             return not world.processes
         now, steps = world.scheduler.now, world.scheduler.steps
         if now - self._since > GIVEN_UP or steps - self._steps > MOST_STEPS:
-            self.stalled = f"after {self.done.total()} faults nothing more came about in {(now - self._since) / 1e9:.1f} s"
+            self.stalled = (
+                f"after {self.done.total()} faults nothing more came about in {(now - self._since) / 1e9:.1f} s"
+            )
             return True
         if world.conductor.faults:
             return self._refuse()

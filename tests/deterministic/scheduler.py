@@ -119,7 +119,9 @@ class Scheduler:
         """The same, from now on."""
         self.at(self.now + duration, deed)
 
-    def begin(self, name: str, run: Callable[[], None], delay: int, ended: Callable[[BaseException | None], None]) -> Turn:
+    def begin(
+        self, name: str, run: Callable[[], None], delay: int, ended: Callable[[BaseException | None], None]
+    ) -> Turn:
         """Start a thread; ``ended`` is told in it how it ended, None for in the ordinary way."""
         turn = Turn(name, Instant(self.now + delay))
 
@@ -233,4 +235,3 @@ class VirtualClock:
         """Let others go on until ``t``."""
         if t > self._scheduler.now:
             self._scheduler.wait(None, t)
-

@@ -9,8 +9,18 @@ from collections import deque
 from typing import Final
 
 from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import Conductor, Kill, KillProcess, NodeState, Phase, Release, Send, StartProcess
-from manyhands.launch.conductor import Instruction, Terminate
+from manyhands.launch.conductor import (
+    Conductor,
+    Instruction,
+    Kill,
+    KillProcess,
+    NodeState,
+    Phase,
+    Release,
+    Send,
+    StartProcess,
+    Terminate,
+)
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.topology import ENVIRONMENT, topology
