@@ -24,13 +24,8 @@ def account(world: World, notes: int = 40) -> str:
                 f"  seat of {place.joint.peer.name}: {seat.value}{due}{early}, not before {place.attendance._until}"
             )
         lines.append(f"  resumes {places._resumes}, ahead {places.ahead}, ticks {world.tick}")
-    lines.append(
-        "  links: "
-        + ", ".join(
-            f"{binder}-{connector} {state}"
-            for (binder, connector), state in world.conductor._recovery._links._states.items()
-        )
-    )
+    links = world.conductor._recovery._links._states.items()
+    lines.append("  links: " + ", ".join(f"{binder}-{connector} {state}" for (binder, connector), state in links))
     return "\n".join([*lines, "  lately:", *(f"    {note}" for note in list(world.notes)[-notes:])])
 
 

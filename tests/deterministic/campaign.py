@@ -1,6 +1,6 @@
 """Thousands of faults in virtual time.
 
-    python -m tests.deterministic.campaign [--faults N] [--a-run N] [--seed S] [--clock simulated|realtime] [--session NAME]
+    python -m tests.deterministic.campaign [--faults N] [--a-run N] [--seed S] [--clock CLOCK] [--session NAME]
 
 One line for each run; the seed alone makes it happen again. The exit code is 1 if any run did not hold.
 """
@@ -140,7 +140,7 @@ def main() -> int:
     for name, clock, faults, seed in runs:
         began = time.monotonic()
         one = run(name, clock, faults, seed)
-        print(
+        print(  # noqa: T201 -- what a campaign is for
             f"seed {seed}: {name}, {clock}, {one.faults} faults, {one.ticks} ticks, {one.restarts} restarts, "
             f"{one.steps} steps, {one.virtual:.1f} s, calm after {one.slowest:.2f} s, took "
             f"{time.monotonic() - began:.1f} s: {'; '.join(v.splitlines()[0] for v in one.violations) or 'sound'}",
@@ -149,9 +149,9 @@ def main() -> int:
         if one.violations:
             failing.append(f"--session {name} --clock {clock} --a-run {faults} --again {seed}")
             if not given.quiet:
-                print("\n".join(one.violations), one.account, sep="\n", flush=True)
+                print("\n".join(one.violations), one.account, sep="\n", flush=True)  # noqa: T201
     for one_of_them in failing:
-        print(f"failed: python -m tests.deterministic.campaign {one_of_them}")
+        print(f"failed: python -m tests.deterministic.campaign {one_of_them}")  # noqa: T201
     return 1 if failing else 0
 
 

@@ -27,8 +27,8 @@ SOON: Final = (2e4, 60e6)  # ns to a fault that does not wait for calm
 HELD: Final = (5e5, 200e6)  # ns that a process is stopped
 GIVEN_UP: Final = from_seconds(150.0)
 """Of virtual time: a handshake of 20 s and a return of 60 s may fail before."""
-MOST_STEPS: Final = 150_000
-"""Steps between two faults at most."""
+MOST_STEPS: Final = 60_000
+"""Steps between two faults at most: fifty times as many as there are, and twenty seconds of all waiting in vain."""
 
 
 class Kind(StrEnum):
@@ -89,9 +89,8 @@ class Faults:
             return not world.processes
         now, steps = world.scheduler.now, world.scheduler.steps
         if now - self._since > GIVEN_UP or steps - self._steps > MOST_STEPS:
-            self.stalled = (
-                f"after {self.done.total()} faults nothing more came about in {(now - self._since) / 1e9:.1f} s"
-            )
+            waited = (now - self._since) / 1e9
+            self.stalled = f"after {self.done.total()} faults nothing more came about in {waited:.1f} s"
             return True
         if world.conductor.faults:
             return self._refuse()

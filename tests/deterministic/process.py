@@ -108,14 +108,14 @@ class Process:
 
     def __init__(self, bundle: Bundle, pid: int, wires: Wires, note: Note, violate: Note) -> None:
         self.name, self.pid = bundle.common.name, pid
-        self.life, self.node, self.code = VirtualLife(), None, 0
+        self.life, self.code = VirtualLife(), 0
+        self.node: Node | None = None
         self._bundle, self._note, self._violate = bundle, note, violate
         self._scheduler: Scheduler = wires.scheduler
         self._wires = wires
         self._transport = ProcessTransport(wires, f"{self.name}.{pid}")
         self.held = Instant(0)
         self.turn: Turn | None = None
-        self.node: Node | None
 
     def run(self) -> None:
         """The whole life, in the process's thread."""
