@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from manyhands.nodes.environment.attendance import Seat
 
 from .process import Process
 from .world import World
 
+LATELY: Final = 40  # notes
 
-def account(world: World, notes: int = 40) -> str:
+
+def account(world: World, everything: bool = False) -> str:
     """Every node with its tick, what it waits for and its links; the environment's seats; what happened before."""
     lines = [f"at {world.scheduler.now / 1e6:.3f} ms, after {world.scheduler.steps} steps:"]
     for name, state in world.conductor.states.items():
@@ -26,7 +30,7 @@ def account(world: World, notes: int = 40) -> str:
         lines.append(f"  resumes {places._resumes}, ahead {places.ahead}, ticks {world.tick}")
     links = world.conductor._recovery._links._states.items()
     lines.append("  links: " + ", ".join(f"{binder}-{connector} {state}" for (binder, connector), state in links))
-    return "\n".join([*lines, "  lately:", *(f"    {note}" for note in list(world.notes)[-notes:])])
+    return "\n".join([*lines, "  lately:", *(f"    {note}" for note in list(world.notes)[0 if everything else -LATELY :])])
 
 
 def _where(process: Process, world: World) -> str:

@@ -72,9 +72,9 @@ def prepared(name: str) -> Prepared:
     return prepare(load_session(path, [*overrides, FAULTS]))
 
 
-def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
-    """Run one session with so many faults."""
-    world = World(prepared(name), clock, seed)
+def run(name: str, clock: str, faults: int, seed: int, frames: bool = False) -> Outcome:
+    """Run one session with so many faults; with ``frames`` the account tells of every frame."""
+    world = World(prepared(name), clock, seed, frames)
     chaos = Faults(world, faults)
     ticks, told = 0, ""
     began = world.scheduler.now
@@ -84,7 +84,7 @@ def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
         over = chaos.watch()
         ticks = world.tick or ticks
         if over and (chaos.stalled or world.violations):
-            told = account(world)  # while its threads still stand where they wait
+            told = account(world, frames)  # while its threads still stand where they wait
         return over
 
     world.scheduler.watch = watch
@@ -96,7 +96,7 @@ def run(name: str, clock: str, faults: int, seed: int) -> Outcome:
     if silent and not violations:
         violations.append(f"no last word of {', '.join(silent)}")
     if violations and not told:
-        told = account(world)
+        told = account(world, frames)
     return Outcome(
         chaos.done.total(),
         ticks,
@@ -130,6 +130,7 @@ def main() -> int:
     parser.add_argument("--clock", choices=["simulated", "realtime"], action="append")
     parser.add_argument("--session", choices=list(SESSIONS), action="append")
     parser.add_argument("--again", type=int, help="only the run of this seed, with --session and --clock")
+    parser.add_argument("--frames", action="store_true", help="the account tells of every frame between nodes, too")
     parser.add_argument("--quiet", action="store_true", help="no account of the runs that fail")
     given = parser.parse_args()
     clocks, names = given.clock or ["simulated", "realtime"], given.session or list(SESSIONS)
@@ -139,7 +140,7 @@ def main() -> int:
     failing = []
     for name, clock, faults, seed in runs:
         began = time.monotonic()
-        one = run(name, clock, faults, seed)
+        one = run(name, clock, faults, seed, given.frames)
         print(  # noqa: T201 -- what a campaign is for
             f"seed {seed}: {name}, {clock}, {one.faults} faults, {one.ticks} ticks, {one.restarts} restarts, "
             f"{one.steps} steps, {one.virtual:.1f} s, calm after {one.slowest:.2f} s, took "

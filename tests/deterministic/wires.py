@@ -106,12 +106,18 @@ class WireLink:
 
 
 class Wires:
-    """All endpoints of a session, and who has joined its hub."""
+    """All endpoints of a session, and who has joined its hub.
+
+    Attributes:
+        endpoints: by what a node is told to connect to.
+        seen: told of every frame between nodes as it is sent: the process, the peer, the frame.
+    """
 
     def __init__(self, scheduler: Scheduler, hear: Callable[[str, bytes], None]) -> None:
         """``hear`` is told of each frame to the hub when it arrives, and by whom."""
         self.scheduler, self._hear = scheduler, hear
         self.endpoints: dict[str, Wire] = {}
+        self.seen: Callable[[str, str, bytes], None] = lambda _sender, _peer, _frame: None
         self._members: dict[str, Inbox] = {}
         self._latest: dict[Inbox, int] = {}
 
@@ -155,6 +161,7 @@ class ProcessTransport:
         wire = self._wires.endpoints[endpoint] = Wire(self._wires.scheduler)
 
         def put(frame: bytes) -> bool:
+            self._wires.seen(self._process, peer, frame)
             return wire.connector is not None and wire.connector.put(frame)
 
         return self._keep(WireLink(wire.binder, put, lambda: wire.connector)), endpoint
@@ -166,6 +173,7 @@ class ProcessTransport:
         own = wire.connector = Inbox(self._wires.scheduler, LINK_QUEUE_FRAMES)
 
         def put(frame: bytes) -> bool:
+            self._wires.seen(self._process, peer, frame)
             return wire.binder.closed or wire.binder.put(frame)
 
         return self._keep(WireLink(own, put, lambda: wire.binder))

@@ -31,7 +31,7 @@ from manyhands.nodes.environment.places import Places
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Probe, Telemetry
+from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
 from .process import Process
 from .scheduler import Killed, Scheduler
@@ -57,8 +57,15 @@ class World:
         restarts: processes that were started anew.
     """
 
-    def __init__(self, prepared: Prepared, clock: str, seed: int) -> None:
-        """Start every process of a session; nothing goes on before :meth:`Scheduler.run`."""
+    def __init__(self, prepared: Prepared, clock: str, seed: int, frames: bool = False) -> None:
+        """Start every process of a session; nothing goes on before :meth:`Scheduler.run`.
+
+        Args:
+            prepared: the session, designed.
+            clock: of the product: "simulated" or "realtime".
+            seed: of all that happens.
+            frames: whether every frame between nodes is noted, too.
+        """
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
@@ -67,9 +74,11 @@ class World:
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, 0, budget=budget)
         self.processes: dict[str, Process] = {}
         self.violations: list[str] = []
-        self.notes: deque[str] = deque(maxlen=KEPT)
+        self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
         self.heard = self.restarts = 0
         self._wires = Wires(self.scheduler, self._hear)
+        if frames:
+            self._wires.seen = self._see
         self._pids = itertools.count(1)
         for name in self.graph.nodes:
             self._start(name)
@@ -160,6 +169,13 @@ class World:
     def _see_end(self, name: str, code: int) -> None:
         self.note(f"the supervisor sees the end of {name} ({code})")
         self._obey(self.conductor.exited(name, code, self.scheduler.now))
+
+    def _see(self, sender: str, peer: str, frame: bytes) -> None:
+        message = decode(frame, MAX_CONTROL_BYTES)
+        text = type(message).__name__
+        if isinstance(message, SignalMessage):
+            text += f" {message.tick}" + ("" if any(message.values) else " of zero")
+        self.note(f"{sender} says to {peer}: {text}")
 
     def _look(self) -> None:
         self._obey(self.conductor.look(self.scheduler.now))
