@@ -36,6 +36,7 @@ SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
     "example-1": (ROOT / "launch" / "sessions" / "example1.yaml", RESTLESS),
     "chaos-four": (ROOT / "benchmarks" / "chaos_four.yaml", []),
     "crossed": (Path(__file__).parent / "crossed.yaml", []),
+    "alone": (Path(__file__).parent / "alone.yaml", []),
 }
 FAULTS: Final = "faults={restarts: 100, window: 60, breach: warn}"
 
