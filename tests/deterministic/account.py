@@ -29,8 +29,11 @@ def account(world: World, everything: bool = False) -> str:
             )
         lines.append(f"  resumes {places._resumes}, ahead {places.ahead}, ticks {world.tick}")
     links = world.conductor._recovery._links._states.items()
-    lines.append("  links: " + ", ".join(f"{binder}-{connector} {state}" for (binder, connector), state in links))
-    return "\n".join([*lines, "  lately:", *(f"    {note}" for note in list(world.notes)[0 if everything else -LATELY :])])
+    states = (f"{binder}-{connector} {state}" for (binder, connector), state in links)
+    lines.append(f"  links: {', '.join(states)}")
+    return "\n".join(
+        [*lines, "  lately:", *(f"    {note}" for note in list(world.notes)[0 if everything else -LATELY :])]
+    )
 
 
 def _where(process: Process, world: World) -> str:
