@@ -56,10 +56,11 @@ from manyhands.protocol.transport import Hub, Link
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 PATIENCE = from_seconds(20.0)  # for the environment's next word before and after the ticks
-WAIT = from_seconds(0.1)  # for a reaction, before its tick is given up
+WAIT = from_seconds(0.1)  # for a reaction, before it is seen whether the couplings are at one tick
 AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
 _PREPARED_TICKS = 500  # a period of that, at 1 kHz
 _TICK = struct.Struct(">Q")
+_AGAIN = from_seconds(0.003)  # as a coupling at 1 kHz, which then says its p(k) once more
 _TICK_AT = 3  # bytes into a signal's usual head
 _LEAD = from_seconds(0.2)  # from saying when it starts to the first tick
 
@@ -74,8 +75,8 @@ class Point:
 
     Attributes:
         users: how many.
-        ticks: how many were done.
-        late: share of ticks whose last reaction came after the next tick was due, or not at all.
+        ticks: how many have passed.
+        late: share of them in which the last reaction came after the next tick was due, or not at all.
         round_trip_us: p50, p99, p999 and max, us, from before the first p(k) was sent to after the last f_v(k) came.
         environment_cpu: processors that the environment used.
         generator_cpu: processors that this process used.
@@ -233,8 +234,8 @@ class _Load:
     """All couplings' ticks.
 
     Attributes:
-        ticks: done so far.
-        late: of these, too late.
+        ticks: periods that have passed since the first.
+        late: of these, those in which not all reactions came in time.
     """
 
     def __init__(self, links: list[Link], period: Duration) -> None:
@@ -251,48 +252,77 @@ class _Load:
             ]
             for k in range(_PREPARED_TICKS)
         ]
+        self._head = USUAL.unpack_from(self._frames[0][0])
 
     def run(self, epoch: Instant, ticks: int, clock: RealtimeClock, hub: Hub) -> None:
         """Do the ticks; what the environment tells its supervisor meanwhile is read and not looked at."""
-        self._round_trips = array.array("q", bytes(8 * ticks))
-        head, size, links, period, now = USUAL, USUAL.size, self._links, self._period, clock.now
-        _, number, tag, _, _, _, values_tag, length = head.unpack_from(self._frames[0][0])
+        links, period, now = self._links, self._period, clock.now
         gc.collect()
         gc.freeze()
         gc.disable()
         try:
-            slot = tick = 0
-            for done in range(ticks):
+            tick = 0
+            while self.ticks < ticks:
+                slot = self.ticks
                 clock.sleep_until(Instant(epoch + slot * period))
                 sent = now()
-                start = head.pack(0x94, number, tag, tick, tag, sent, values_tag, length)
+                start = self._start(tick, sent)
                 for link, frame in zip(links, self._frames[slot % _PREPARED_TICKS], strict=True):
-                    link.send(start + frame[size:])
-                newest = tick
-                lost = False
-                for link in links:
-                    while (answer := link.recv(WAIT)) is not None:
-                        (found,) = _TICK.unpack_from(answer, _TICK_AT)
-                        if found >= tick:  # beyond it: this coupling was given up, and is told how far the others are
-                            newest = max(newest, found)
-                            break
-                    lost |= answer is None
+                    link.send(start + frame[USUAL.size :])
+                answers = [self._answer(link, tick) for link in links]
+                if any(answer != tick for answer in answers):  # beyond it: that coupling was given up
+                    tick = self._go_on_apart(answers, tick, slot, clock)
                 ended = now()
-                self._round_trips[done] = ended - sent
-                self.ticks = done + 1
-                if lost or ended > epoch + (slot + 1) * period:
-                    self.late += 1
-                    slot = -((epoch - ended) // period)  # rounded up
+                self._round_trips.append(ended - sent)
+                if ended > epoch + (slot + 1) * period:
+                    self.ticks = -((epoch - ended) // period)  # rounded up
+                    self.late += self.ticks - slot
                 else:
-                    slot += 1
-                tick = newest + 1
+                    self.ticks = slot + 1
+                tick += 1
                 hub.recv()
         finally:
             gc.enable()
             gc.unfreeze()
 
+    def _start(self, tick: int, stamp: int) -> bytes:
+        """The head of a p(k)."""
+        array_tag, number, tag, _, _, _, values_tag, length = self._head
+        return USUAL.pack(array_tag, number, tag, tick, tag, stamp, values_tag, length)
+
+    def _answer(self, link: Link, tick: int, wait: Duration = WAIT) -> int:
+        """The tick of the next reaction that is of ``tick`` or beyond it; -1 for none in time."""
+        while (answer := link.recv(wait)) is not None:
+            (found,) = _TICK.unpack_from(answer, _TICK_AT)
+            if found >= tick:
+                return int(found)
+        return -1
+
+    def _go_on_apart(self, answered: list[int], tick: int, slot: int, clock: RealtimeClock) -> int:
+        """Some coupling was given up: each goes on by itself, as couplings do, until all are at one tick again.
+
+        Returns:
+            The tick that all were answered.
+
+        Raises:
+            Broken: that takes longer than :data:`PATIENCE`.
+        """
+        said = [tick] * len(answered)
+        deadline = clock.now() + PATIENCE
+        while len(set(answered)) > 1 or answered != said:
+            if clock.now() > deadline:
+                raise Broken(f"the couplings are at the ticks {sorted(set(said))}; expected them together again")
+            for i, link in enumerate(self._links):
+                if answered[i] >= said[i]:
+                    said[i] = answered[i] + 1
+                elif (found := self._answer(link, said[i], _AGAIN)) >= 0:
+                    answered[i] = found
+                    continue
+                link.send(self._start(said[i], clock.now()) + self._frames[slot % _PREPARED_TICKS][i][USUAL.size :])
+        return answered[0]
+
     def percentiles(self) -> dict[str, float]:
         """Of the round trips, us."""
-        ordered = sorted(self._round_trips[: self.ticks])
+        ordered = sorted(self._round_trips)
         parts = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
         return {name: ordered[max(0, math.ceil(part * len(ordered)) - 1)] / 1e3 for name, part in parts.items()}

@@ -6,7 +6,7 @@ gone on without it, it is told by a zero force of a later tick, hands that on, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.control import NOT_AT_ALL, ControlLine, Word
@@ -44,6 +44,7 @@ class CouplingNode:
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # its own tick is nobody's yet
+        self._left_out = False  # the environment has gone on without it, and said when it is to come back
         self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a joint that only shakes hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
@@ -84,10 +85,13 @@ class CouplingNode:
             stamp = devices[0].gate.stamp
             block.say(x, tick, stamp)
             heard = block.hear(tick, turn)
-            if heard is not Heard.SIGNAL:
+            if heard is Heard.SIGNAL:
+                self._left_out = False
+            else:
                 told = self._await_reaction(heard, tick, block, life, control)
                 if told < 0:
                     break
+                self._left_out = told > tick
                 if told > tick:
                     self._forget()
                     block.publish_rest(control, devices)  # rows follow each other
@@ -115,14 +119,15 @@ class CouplingNode:
         """A device is at another tick: who is behind is told so; after a return, who is ahead is followed."""
         if told > awaited:
             return self._resumes or joint.new
-        if told == awaited - 1:
+        if told == awaited - 1 and joint.tick == told:  # it was answered, by this very process
             joint.send_again()
         else:
             joint.send_zero(Force, awaited - 1)
         return False
 
     def aside(self, joint: Joint, message: Rung | Absent) -> bool:
-        """Devices have nothing to say besides their samples."""
+        """A device of several blocks was told by another one that the session is further on: it is followed there."""
+        joint.new = joint.new or isinstance(message, Absent)
         return False
 
     def flooded(self, text: str) -> None:
@@ -144,7 +149,8 @@ class CouplingNode:
             self._forget_after(began)
             self._pause(block, life, control, idle=not any(joint.link for joint in self._devices))
             if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Heard.MET:
-                self._tell_absences(block)
+                # not heard is as good as not here: the device may wait for another block, and that one for this one
+                self._tell_absences(block, [joint for joint, known in zip(self._devices, heard, strict=True) if known])
             for i, joint in enumerate(self._devices):
                 if heard[i]:
                     continue
@@ -152,7 +158,11 @@ class CouplingNode:
                 match said:
                     case Heard.SIGNAL:
                         heard[i] = True
-                    case Heard.TURNED:  # only for who resumes: the device knows better
+                    case Heard.TURNED:  # the device knows better; the tick that was awaited will never be said
+                        if not (self._resumes or self._left_out):  # it would be waited for in between
+                            block.environment.say(Absent(joint.peer.name))
+                        self._forget()
+                        block.publish_rest(control, self._devices)  # rows follow each other
                         for other, known in zip(self._devices, heard, strict=True):
                             if known:
                                 other.send_zero(Force, joint.told - 1)
@@ -184,7 +194,7 @@ class CouplingNode:
             if heard is Heard.TURNED:
                 return block.environment.told
             if heard is Heard.MET:
-                self._tell_absences(block)
+                self._tell_absences(block, [joint for joint in self._devices if joint.here])
             for joint in self._devices:
                 if joint.handshake is not None:
                     joint.hear(self._nothing, tick, NOT_AT_ALL, self)
@@ -207,10 +217,10 @@ class CouplingNode:
         for joint in self._devices:
             joint.gate.forget()
 
-    def _tell_absences(self, block: Block) -> None:
-        """An environment that is back does not know which devices are not there."""
+    def _tell_absences(self, block: Block, present: Collection[Joint]) -> None:
+        """An environment that is back does not know whose samples are missing."""
         for joint in self._devices:
-            if not joint.here:
+            if joint not in present:
                 block.environment.say(Absent(joint.peer.name))
 
     def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:

@@ -182,6 +182,7 @@ class DeviceNode:
                         joint.put(f, [0.0] * len(joint.peer.ports))
                         for other in self._joints:  # who has answered the earlier tick is asked about this one
                             if other.tick != tick:
+                                other.say(Absent(self._common.name))  # from the ticks in between
                                 other.send(Sample, tick, sampled, x)
                     case Heard.MET:
                         joint.send(Sample, tick, sampled, x)

@@ -88,7 +88,8 @@ class EnvironmentNode:
         first = self._common.telemetry_first % rows
         stale, give_way = self._patience.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
-        tick, now, answered = start.tick, clock.now(), Instant(2**62)
+        # not before the first tick is due: devices are not silent until then
+        tick, now, answered = start.tick, max(clock.now(), Instant(start.epoch)), Instant(2**62)
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
@@ -142,7 +143,7 @@ class EnvironmentNode:
         Returns:
             The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
         """
-        freeze, first, listened = self._patience.freeze, Instant(2**62), False
+        freeze, stale, first, listened = self._patience.freeze, self._patience.stale, Instant(2**62), False
         while not life.stopping:
             missing = [place for place in places.all if place.missing(tick)]
             here = any(place.joint.tick == tick for place in places.all)
@@ -150,9 +151,15 @@ class EnvironmentNode:
                 places.resumed()
                 return tick
             now = self._clock.now()
+            if stale is not None and now - began > stale:
+                places.forget()
             if here:
                 first = min(first, now, Instant(began + self._period))
             else:
+                if freeze is not None and now - began > freeze:
+                    places.pardon()
+                if places.anybody_early:  # who is told to go on later waits, too
+                    first = min(first, now)
                 tick = places.soonest(tick)  # or nobody would ever bring that tick about
             if freeze is not None and listened and now - first >= freeze:
                 for place in missing:

@@ -105,6 +105,11 @@ class Places:
         """Times that any of them was frozen or lost."""
         return sum(place.attendance.absences for place in self.all)
 
+    @property
+    def anybody_early(self) -> bool:
+        """Whether anybody has said what he has to say, of a tick that has not come."""
+        return any(place.early is not None for place in self.all)
+
     def hear(self, place: Place, p: Floats, tick: int, patience: Duration) -> Heard:
         """Listen to one of them for its signal of ``tick``."""
         self._tick = tick
@@ -120,8 +125,9 @@ class Places:
             heard = place.joint.hear(p, tick, patience, self)
         if heard is Heard.SIGNAL:
             seat = place.attendance.seat
-            if seat is Seat.EXPECTED and tick < place.due:
-                return Heard.NOTHING  # said before it heard that it is to go on later, which it does
+            if seat is Seat.EXPECTED and tick < place.due:  # said before it heard that it is to go on later, as it does
+                place.joint.tick = -1
+                return Heard.NOTHING
             if seat is not Seat.SEATED:
                 self._seat(place, tick)
         elif heard is Heard.MET:
@@ -132,13 +138,23 @@ class Places:
         """It is silent while others are there: freeze it."""
         self._event(place, Event.SILENT, tick)
 
+    def pardon(self) -> None:
+        """Nobody has come for so long that those who were given up keep nobody waiting."""
+        for place in self.all:
+            place.attendance.pardon()
+
+    def forget(self) -> None:
+        """The devices have waited so long that they have let go, and have moved on unheard."""
+        for place in self.all:
+            place.joint.gate.forget()
+
     def let_go(self, tick: int) -> None:
         """The devices have waited too long and exert no force by now: let everybody in by the ramp again."""
         for place in self.all:
             if place.attendance.seat is Seat.SEATED and place.wanted == place.rung:
                 self._core.freeze(place.index)
                 self._core.engage(place.index)
-            place.joint.gate.forget()
+        self.forget()
 
     def obey(self, word: Word, control: ControlLine, tick: int) -> None:
         """Do as the supervisor says."""
