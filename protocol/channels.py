@@ -87,7 +87,15 @@ _TABLE: Final = (
         "",
         Rate.ONCE,
     ),
-    Channel("absence", (Absent,), (Role.COUPLING,), (Role.ENVIRONMENT,), "", "", Rate.ONCE),
+    Channel(
+        "absence",
+        (Absent,),
+        (Role.DEVICE, Role.COUPLING),
+        (Role.COUPLING, Role.ENVIRONMENT),
+        "",
+        "",
+        Rate.ONCE,
+    ),
     Channel(
         "control",
         (

@@ -21,6 +21,22 @@ def test_a_session_withstands_faults(session: str, clock: str, seed: int) -> Non
     assert outcome.faults == 8
 
 
+@pytest.mark.parametrize(
+    ("session", "clock", "seed"),
+    [
+        ("example-1", "simulated", 100012),  # seated in a tick before the one it was told to go on at
+        ("example-1", "simulated", 200020),  # a device one tick behind a coupling that is new
+        ("crossed", "simulated", 100004),  # sent on by one of its blocks, awaited by the other in the ticks between
+        ("crossed", "realtime", 100005),  # a pause counted in ticks that do not come
+        ("crossed", "simulated", 400016),  # an environment that is back waits for who has no sample to go by
+        ("alone", "realtime", 200031),  # a first signal after long, too far from the last
+    ],
+)
+def test_what_once_stood_still_goes_on(session: str, clock: str, seed: int) -> None:
+    outcome = run(session, clock, faults=20, seed=seed)
+    assert not outcome.violations, "\n".join([*outcome.violations, outcome.account])
+
+
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_seed_decides_all_that_happens(clock: str) -> None:
     assert run("example-1", clock, faults=3, seed=7) == run("example-1", clock, faults=3, seed=7)
