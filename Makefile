@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos pictures benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos faults pictures benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -49,6 +49,12 @@ loop: $(VENV)/.installed
 # hundreds of faults at random, in both clocks; exits 1 when one of the invariants does not hold
 chaos: $(VENV)/.installed
 	$(BIN)/python benchmarks/chaos.py --json docs/chaos.json --markdown docs/faults.md
+
+# thousands of faults in sessions that are simulated with all their loops, links and conductor; a failing seed runs again
+FAULTS ?= 4000
+SEED   ?= 1
+faults: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.campaign --faults $(FAULTS) --a-run 20 --seed $(SEED)
 
 # memory of a session's processes over ten minutes
 soak: $(VENV)/.installed

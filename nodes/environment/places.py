@@ -241,7 +241,7 @@ class Places:
 
     def _hear_ahead(self, place: Place, told: int, awaited: int) -> bool:
         """A signal of a later tick, from who was told to go on there: it is kept until then."""
-        if place.attendance.seat is Seat.SEATED or told - awaited > _MOST_AHEAD:
+        if place.attendance.seat is Seat.SEATED or told - awaited > MOST_AHEAD:
             return False
         self._event(place, Event.AHEAD, awaited)
         place.early, place.due = (told, place.joint.stray), told
@@ -295,7 +295,12 @@ class Places:
 
 
 _NOTED = {Seat.FROZEN: LogEvent.FROZEN, Seat.GONE: LogEvent.LOST, Seat.SEATED: LogEvent.RETURNED}
-_MOST_AHEAD = 2**16  # ticks: far more than pass between two telemetries, by which a resumed environment begins
+
+MOST_AHEAD = 2**16
+"""Ticks by which a signal that is kept may be ahead: far more than pass between two telemetries.
+
+By those a resumed environment begins.
+"""
 
 LEAD = 3
 """Ticks that a coupling is given to come back in: nobody waits for it in them.
