@@ -39,18 +39,17 @@ def _descriptors() -> dict[int, str]:
 
 def _children() -> set[int]:
     """Process ids of all descendants, however they were started."""
-    parents = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
+    found: set[int] = set()
+    open_ = [os.getpid()]
+    while open_:
+        for children in Path(f"/proc/{open_.pop()}/task").glob("*/children"):
             try:
-                stat = (entry / "stat").read_text()
+                pids = set(map(int, children.read_text().split()))
             except (FileNotFoundError, ProcessLookupError):
                 continue
-            parents[int(entry.name)] = int(stat.rsplit(")", 1)[1].split()[1])
-    ours = {os.getpid()}
-    while more := {pid for pid, parent in parents.items() if parent in ours} - ours:
-        ours |= more
-    return ours - {os.getpid()}
+            open_ += pids - found
+            found |= pids
+    return found
 
 
 @pytest.fixture(autouse=True)

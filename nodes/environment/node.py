@@ -158,12 +158,16 @@ class EnvironmentNode:
             else:
                 if freeze is not None and now - began > freeze:
                     places.pardon()
+                soonest = places.soonest(tick)  # or nobody would ever bring that tick about
+                if soonest != tick:
+                    tick, first = soonest, Instant(2**62)
+                    continue
                 if places.anybody_early:  # who is told to go on later waits, too
                     first = min(first, now)
-                tick = places.soonest(tick)  # or nobody would ever bring that tick about
-            if freeze is not None and listened and now - first >= freeze:
+            if freeze is not None and listened and missing and now - first >= freeze:
                 for place in missing:
                     places.give_up(place, tick)
+                first = Instant(2**62)
                 continue
             life.look(now)
             while (word := control.listen()) is not None:

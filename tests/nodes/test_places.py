@@ -22,8 +22,10 @@ from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import LEAD, Place, Places
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.nodes.patience import Patience
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
+from manyhands.protocol.gate import Bounds, Gate
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
@@ -572,7 +574,80 @@ class Ticking:
 
     def now(self) -> Instant:
         self.looks += 1
+        assert self.looks < 1000, "it waits for ever"
         return Instant(self.looks * 10**6)
+
+
+class Silence:
+    """A line to a supervisor who says nothing."""
+
+    def listen(self, _patience: Duration = NOW) -> None:
+        return None
+
+
+def waiting(world: World) -> int:
+    """The tick that an environment which waits in real time goes on at; by a clock that every look puts forward."""
+    node = EnvironmentNode.__new__(EnvironmentNode)
+    clock = node._clock = Ticking()  # type: ignore[assignment]
+    node._period, node._patience = Duration(10**6), Patience(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
+    world.life.look = lambda _now: None
+    tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
+    assert clock.looks < 30
+    return tick
+
+
+def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: World) -> None:
+    frozen_for(world, 20)
+    world.say("cy", world.tick + 2)
+    assert waiting(world) == world.tick + 2
+    assert (world.cx.attendance.seat, world.cy.attendance.seat) == (Seat.FROZEN, Seat.SEATED)
+
+
+class Coming(Held):
+    """What comes of a coupling every other time that it is listened to, by how often it was."""
+
+    def __init__(self, of: Callable[[int, list[Any]], Tool | None]) -> None:
+        super().__init__()
+        self._of, self.times = of, 0
+
+    def recv(self, _timeout: Duration | None) -> bytes | None:
+        self.times += 1
+        said = self._of(self.times, self.said) if self.times % 2 else None
+        return None if said is None else encode(said)
+
+
+def tool(tick: int, value: float = 0.01) -> Tool:
+    return Tool(tick, 0, np.array([value]))
+
+
+def test_who_was_given_up_need_not_pause_while_nobody_comes(world: World) -> None:
+    behind = frozen_for(world, 20)
+    for _ in range(2):  # it shows up and does not come: it is not expected for some ticks then
+        world.say("cy", behind)
+        world.hear(world.cy)
+        world.together(LEAD, but="cy")
+        world.places.give_up(world.cy, world.tick)
+    due = world.tick + LEAD
+
+    def say(_times: int, heard: list[Any]) -> Tool:
+        return tool(due if heard and heard[-1] == Reaction(due - 1, 0, [0.0]) else behind)
+
+    world.cy.joint.link = Coming(say)
+    assert waiting(world) == due
+    assert world.cy.attendance.seat is Seat.SEATED
+
+
+@pytest.mark.parametrize(("silent", "seated"), [(2, False), (20, True)])
+def test_only_after_long_a_signal_may_be_far_from_the_last(world: World, silent: int, seated: bool) -> None:
+    """Their devices have let go by then, and have moved on unheard."""
+    for place in world.places.all:
+        place.joint.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
+    world.together(3)
+    world.cx.joint.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
+    world.cy.joint.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
+    assert waiting(world) == world.tick
+    assert (world.cx.attendance.seat is Seat.SEATED) == seated
+    assert world.cy.attendance.seat is Seat.SEATED
 
 
 def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: World) -> None:
