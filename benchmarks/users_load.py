@@ -3,7 +3,8 @@
 The environment is the real one, with the bundle that a session of so many users has cut for it. The couplings shake
 hands as couplings do and send what couplings send, each on a link of its own: at every millisecond all their p(k), and
 then all their f_v(k) are awaited. What they say is prepared beforehand, so that one process can play very many. As in a
-session the environment is pinned to one processor, the last; this process has the others, or the same one.
+session the environment is pinned to one processor, the last; this process has the others, or the same one, and where it
+has one alone it asks for the scheduling that a session's processes ask for.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import HUB_NAME
 from manyhands.launch.session import load_session
 from manyhands.launch.topology import ENVIRONMENT
+from manyhands.nodes import realtime
 from manyhands.nodes.bundle import REALTIME, EnvironmentBundle, save
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode, encode
@@ -141,7 +143,11 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
                 _say(hub, Start(epoch, 0))
                 load = _Load(links, from_seconds(prepared.session.period))
                 used, own, began = proc.cpu_seconds([process.pid]), time.process_time(), time.monotonic()
-                load.run(epoch, round(seconds / prepared.session.period), clock, hub)
+                granted = realtime.prepare(realtime.RealtimeWishes(memory=False))  # as couplings are, where permitted
+                try:
+                    load.run(epoch, round(seconds / prepared.session.period), clock, hub)
+                finally:
+                    realtime.restore(granted)
                 lasted = time.monotonic() - began
                 point = Point(
                     users,
@@ -312,13 +318,11 @@ class _Load:
         while len(set(answered)) > 1 or answered != said:
             if clock.now() > deadline:
                 raise Broken(f"the couplings are at the ticks {sorted(set(said))}; expected them together again")
+            said = [max(told + 1, tick) for told, tick in zip(answered, said, strict=True)]
             for i, link in enumerate(self._links):
-                if answered[i] >= said[i]:
-                    said[i] = answered[i] + 1
-                elif (found := self._answer(link, said[i], _AGAIN)) >= 0:
-                    answered[i] = found
-                    continue
                 link.send(self._start(said[i], clock.now()) + self._frames[slot % _PREPARED_TICKS][i][USUAL.size :])
+            for i, link in enumerate(self._links):
+                answered[i] = max(answered[i], self._answer(link, said[i], _AGAIN))
         return answered[0]
 
     def percentiles(self) -> dict[str, float]:
