@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.linear_map import NARROW, dot, linear_map
+from manyhands.nodes.linear_map import FEW, NARROW, dot, linear_map, solve
 
 ENTRIES = st.floats(-1e6, 1e6)
 
@@ -38,3 +38,15 @@ def test_a_dot_product_is_a_sum_of_products(pairs: list[tuple[float, float]]) ->
     found = dot([a for a, _ in pairs], [b for _, b in pairs])
     exact = math.fsum(a * b for a, b in pairs)
     assert abs(found - exact) <= 1e-15 * len(pairs) * sum(abs(a * b) for a, b in pairs)
+
+
+@pytest.mark.parametrize("unknowns", [1, 2, FEW, FEW + 1, 12])
+def test_equations_are_solved_and_those_without_one_solution_are_told(unknowns: int) -> None:
+    rng = np.random.default_rng(unknowns)
+    A, b = np.eye(unknowns) + 0.2 * rng.normal(size=(unknowns, unknowns)), rng.normal(size=unknowns)
+    found = solve(A.tolist(), b.tolist(), 1e-9)
+    assert found is not None
+    assert all(type(entry) is float for entry in found)
+    np.testing.assert_allclose(A @ found, b, rtol=0.0, atol=1e-12)  # of size 1, and well conditioned
+    A[-1] = 2.0 * A[0] if unknowns > 1 else 0.0
+    assert solve(A.tolist(), b.tolist(), 1e-9) is None
