@@ -21,7 +21,8 @@ from functools import cache
 from pathlib import Path
 
 from chaos_checks import broken_promises, examine, left_behind, step_bounds, unreadable_when_cut
-from chaos_faults import Chaos, Kind
+from chaos_faults import Chaos
+from chaos_kinds import ENDURING, SESSIONS, Kind
 from page import fill
 
 from manyhands.launch import supervisor as supervisor_module
@@ -35,17 +36,6 @@ from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import topology
 from manyhands.protocol.clock import from_seconds
 
-FOLDER = Path(__file__).parent
-SESSIONS = FOLDER.parent / "launch" / "sessions"
-FAULTS = "faults={restarts: 100, window: 60, breach: warn}"
-RESTLESS = [
-    f"devices.{device}.{key}={value}"
-    for device, frequency in (("dx", 1.3), ("dy", 0.9), ("dz", 1.7))
-    for key, value in (
-        ("hand.force", f'"1.5*sin(2*pi*{frequency}*t)"'),
-        ("limits", "{force: 8, displacement: 2, speed: 2}"),
-    )
-]
 LOOK = from_seconds(0.05)
 INTERRUPTED = 130
 MARK = "chaos"
@@ -89,8 +79,8 @@ class Run:
 @cache
 def session(index: int) -> tuple[Prepared, Mapping[str, float]]:
     """One of the two sessions, and how large a step of each user's force may be."""
-    path, overrides = (SESSIONS / "example1.yaml", RESTLESS) if index == 0 else (FOLDER / "chaos_four.yaml", [])
-    prepared = prepare(load_session(path, [*overrides, FAULTS]))
+    path, overrides = list(SESSIONS.values())[index]
+    prepared = prepare(load_session(path, [*overrides, ENDURING]))
     return prepared, step_bounds(prepared)
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from chaos_kinds import PROMISE
 from numpy.typing import NDArray
 
 from manyhands.launch.preparation import Prepared
@@ -26,7 +27,6 @@ from manyhands.launch.recording import Recording
 from manyhands.launch.recording_file import read_recording
 from manyhands.launch.simulation import Silence, Simulation
 
-PROMISE = -1e-12  # J
 STEP = 2.0  # the simulation is exact, but cannot try every tick and every combination
 AWAY = 300  # ticks that a user is away in these simulations: then a free hand moves as fast as it ever does
 BEGINS = range(100, 900, 200)  # other moments of what the hands do

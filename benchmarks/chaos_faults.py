@@ -11,9 +11,9 @@ import random
 import signal
 import time
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+
+from chaos_kinds import VICTIMS, Kind, draw
 
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
@@ -26,28 +26,6 @@ OVERLAP = 0.15
 
 STUCK = 90.0
 """A session that does not come to its next fault in this time does not go on, s."""
-
-
-class Kind(StrEnum):
-    """Kinds of faults."""
-
-    DEVICE_KILLED = "device killed"
-    COUPLING_KILLED = "coupling killed"
-    ENVIRONMENT_KILLED = "environment killed"
-    USER_KILLED = "device and coupling killed"
-    LINKED_KILLED = "coupling and environment killed"
-    STOPPED = "stopped and continued"
-    SLOW = "stopped and continued again and again"
-
-
-VICTIMS: Mapping[Kind, tuple[Role, ...]] = {
-    Kind.DEVICE_KILLED: (Role.DEVICE,),
-    Kind.COUPLING_KILLED: (Role.COUPLING,),
-    Kind.ENVIRONMENT_KILLED: (Role.ENVIRONMENT,),
-    Kind.USER_KILLED: (Role.DEVICE, Role.COUPLING),
-    Kind.LINKED_KILLED: (Role.COUPLING, Role.ENVIRONMENT),
-}
-"""Who is killed, linked to each other; of the others it may be anybody."""
 
 
 @dataclass
@@ -124,24 +102,16 @@ class Chaos:
 
     def _strike(self, progress: Progress) -> None:
         """Do the next fault."""
-        kind = self.random.choice(list(Kind))
-        roles = self.graph.nodes
+        kind, victims = draw(self.graph, [node for node in self.graph.nodes if node in progress.pids], self.random)
+        if not victims:
+            return  # dead already; another time
         if kind in VICTIMS:
-            first, *others = VICTIMS[kind]
-            victim = self.random.choice([node for node, role in roles.items() if role is first])
-            linked = {end for link in self.graph.links_of(victim) for end in (link.binder, link.connector)}
-            victims = [victim, *(node for node in sorted(linked - {victim}) if roles[node] in others)]
-            if not all(node in progress.pids for node in victims):
-                return  # dead already; another time
             for node in victims:
                 self._held.pop(node, None)
                 self._signal(progress, node, signal.SIGKILL)
         else:
-            victim = self.random.choice([node for node in roles if node in progress.pids] or [""])
-            if not victim:
-                return
-            victims, looks = [victim], self.random.randint(2, 12)
-            self._held[victim] = [False] * looks if kind is Kind.STOPPED else [i % 2 == 1 for i in range(2 * looks)]
+            looks = self.random.randint(2, 12)
+            self._held[victims[0]] = [False] * looks if kind is Kind.STOPPED else [i % 2 == 1 for i in range(2 * looks)]
         self.hits.update(self._users_of(victims))
         self.done[kind] += 1
         self._since, self._calm, self._gap = time.monotonic(), -1, self.random.randint(20, 250)

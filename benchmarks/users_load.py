@@ -29,6 +29,7 @@ import proc
 
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.processes import ONE_THREAD
 from manyhands.launch.reach import HUB_NAME
 from manyhands.launch.session import load_session
 from manyhands.launch.topology import ENVIRONMENT
@@ -176,10 +177,10 @@ def _environment(folder: Path, processor: int) -> Iterator[subprocess.Popen[byte
             [sys.executable, "-P", "-m", "manyhands.nodes.environment",
              str(folder / "environment.bundle"), str(os.getpid())],
             stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
-    os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
     try:
+        os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
         yield process
     finally:
         process.kill()

@@ -44,7 +44,6 @@ class CouplingNode:
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # its own tick is nobody's yet
-        self._left_out = False  # the environment has gone on without it, and said when it is to come back
         self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a joint that only shakes hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
@@ -85,13 +84,10 @@ class CouplingNode:
             stamp = devices[0].gate.stamp
             block.say(x, tick, stamp)
             heard = block.hear(tick, turn)
-            if heard is Heard.SIGNAL:
-                self._left_out = False
-            else:
+            if heard is not Heard.SIGNAL:
                 told = self._await_reaction(heard, tick, block, life, control)
                 if told < 0:
                     break
-                self._left_out = told > tick
                 if told > tick:
                     self._forget()
                     block.publish_rest(control, devices)  # rows follow each other
@@ -159,7 +155,7 @@ class CouplingNode:
                     case Heard.SIGNAL:
                         heard[i] = True
                     case Heard.TURNED:  # the device knows better; the tick that was awaited will never be said
-                        if not (self._resumes or self._left_out):  # it would be waited for in between
+                        if block.environment.tick == tick - 1:  # who was answered last is waited for in between
                             block.environment.say(Absent(joint.peer.name))
                         self._forget()
                         block.publish_rest(control, self._devices)  # rows follow each other

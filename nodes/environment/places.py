@@ -124,12 +124,8 @@ class Places:
         else:
             heard = place.joint.hear(p, tick, patience, self)
         if heard is Heard.SIGNAL:
-            seat = place.attendance.seat
-            if seat is Seat.EXPECTED and tick < place.due:  # said before it heard that it is to go on later, as it does
-                place.joint.tick = -1
-                return Heard.NOTHING
-            if seat is not Seat.SEATED:
-                self._seat(place, tick)
+            if place.attendance.seat is not Seat.SEATED and not self._seated(place, tick):
+                heard = Heard.NOTHING
         elif heard is Heard.MET:
             self._welcome_back(place, tick)
         return heard
@@ -250,9 +246,14 @@ class Places:
             self.ahead = max(self.ahead, told)
         return True
 
-    def _seat(self, place: Place, tick: int) -> None:
+    def _seated(self, place: Place, tick: int) -> bool:
+        """Whether its signal of ``tick`` seats it."""
+        if place.attendance.seat is Seat.EXPECTED and tick < place.due:
+            place.joint.tick = -1  # said before it heard that it is to go on later, as it does
+            return False
         if self._event(place, Event.SIGNAL, tick) and place.wanted == place.rung:  # otherwise it changes its rung first
             self._core.engage(place.index)
+        return True
 
     def _welcome_back(self, place: Place, tick: int) -> None:
         """It has shaken hands again: whether it is a new process, at the first rung, or the old one is all the same."""

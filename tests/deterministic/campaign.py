@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+import chaos_kinds
+
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.session import load_session
 
@@ -23,22 +25,11 @@ from .account import account
 from .faults import Faults
 from .world import World
 
-ROOT: Final = Path(__file__).parents[2]
-RESTLESS: Final = [
-    f"devices.{device}.{key}={value}"
-    for device, frequency in (("dx", 1.3), ("dy", 0.9), ("dz", 1.7))
-    for key, value in (
-        ("hand.force", f'"1.5*sin(2*pi*{frequency}*t)"'),
-        ("limits", "{force: 8, displacement: 2, speed: 2}"),
-    )
-]
 SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
-    "example-1": (ROOT / "launch" / "sessions" / "example1.yaml", RESTLESS),
-    "chaos-four": (ROOT / "benchmarks" / "chaos_four.yaml", []),
+    **chaos_kinds.SESSIONS,
     "crossed": (Path(__file__).parent / "crossed.yaml", []),
     "alone": (Path(__file__).parent / "alone.yaml", []),
 }
-FAULTS: Final = "faults={restarts: 100, window: 60, breach: warn}"
 
 
 @dataclass(frozen=True)
@@ -70,7 +61,7 @@ class Outcome:
 def prepared(name: str) -> Prepared:
     """One of the sessions, designed."""
     path, overrides = SESSIONS[name]
-    return prepare(load_session(path, [*overrides, FAULTS]))
+    return prepare(load_session(path, [*overrides, chaos_kinds.ENDURING]))
 
 
 def run(name: str, clock: str, faults: int, seed: int, frames: bool = False) -> Outcome:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Final
+
+from chaos_kinds import Kind, draw
 
 from manyhands.launch.conductor import Phase
 from manyhands.protocol.clock import from_seconds
-from manyhands.protocol.messages import Role
 
 from .process import Process
 from .world import World
@@ -29,28 +29,6 @@ GIVEN_UP: Final = from_seconds(150.0)
 """Of virtual time: a handshake of 20 s and a return of 60 s may fail before."""
 MOST_STEPS: Final = 60_000
 """Steps between two faults at most: fifty times as many as there are, and twenty seconds of all waiting in vain."""
-
-
-class Kind(StrEnum):
-    """Kinds of faults."""
-
-    DEVICE_KILLED = "device killed"
-    COUPLING_KILLED = "coupling killed"
-    ENVIRONMENT_KILLED = "environment killed"
-    USER_KILLED = "device and coupling killed"
-    LINKED_KILLED = "coupling and environment killed"
-    STOPPED = "stopped and continued"
-    SLOW = "stopped and continued again and again"
-
-
-VICTIMS: Final[dict[Kind, tuple[Role, ...]]] = {
-    Kind.DEVICE_KILLED: (Role.DEVICE,),
-    Kind.COUPLING_KILLED: (Role.COUPLING,),
-    Kind.ENVIRONMENT_KILLED: (Role.ENVIRONMENT,),
-    Kind.USER_KILLED: (Role.DEVICE, Role.COUPLING),
-    Kind.LINKED_KILLED: (Role.COUPLING, Role.ENVIRONMENT),
-}
-"""Who is killed, linked to each other; of the others it may be anybody."""
 
 
 @dataclass
@@ -155,19 +133,10 @@ class Faults:
 
     def _strike(self) -> None:
         """Do the next fault."""
-        world, random, roles = self.world, self.world.random, self.world.graph.nodes
-        kind = random.choice(list(Kind))
-        if kind in VICTIMS:
-            first, *others = VICTIMS[kind]
-            victim = random.choice([node for node, role in roles.items() if role is first])
-            linked = {end for link in world.graph.links_of(victim) for end in (link.binder, link.connector)}
-            victims = [victim, *(node for node in sorted(linked - {victim}) if roles[node] in others)]
-            if not all(node in world.processes for node in victims):
-                return  # dead already; another time
-        else:
-            victims = [random.choice(list(world.processes) or [""])]
-            if not victims[0]:
-                return
+        world, random = self.world, self.world.random
+        kind, victims = draw(world.graph, list(world.processes), random)
+        if not victims:
+            return  # dead already; another time
         self.done[kind] += 1
         self._go_on()
         world.note(f"FAULT {self.done.total()}: {kind.value}, {' and '.join(victims)}")

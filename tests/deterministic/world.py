@@ -8,6 +8,8 @@ import traceback
 from collections import deque
 from typing import Final
 
+from chaos_kinds import PROMISE
+
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import (
     Conductor,
@@ -37,7 +39,6 @@ from .process import Process
 from .scheduler import Killed, Scheduler
 from .wires import Wires
 
-PROMISE: Final = -1e-12  # J, of every ledger
 KEPT: Final = 120  # notes
 LOOK: Final = from_seconds(0.2)  # the supervisor's, at what falls due
 STARTS: Final = (0.5e6, 40e6)  # ns from a process's start to its hello

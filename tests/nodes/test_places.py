@@ -19,7 +19,7 @@ from manyhands.nodes.environment.attendance import FIRST_PAUSE, Seat
 from manyhands.nodes.environment.clutch import RAMP
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.environment.places import LEAD, Place, Places
+from manyhands.nodes.environment.places import LEAD, MOST_AHEAD, Place, Places
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.nodes.patience import Patience
@@ -254,7 +254,7 @@ def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(
     assert world.places.soonest(world.tick) == world.tick + 50
 
 
-@pytest.mark.parametrize("ahead", [2**16 + 1, 2**40])
+@pytest.mark.parametrize("ahead", [MOST_AHEAD + 1, 2**40])
 def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: World, ahead: int) -> None:
     frozen_for(world, 20)
     world.say("cy", world.tick + ahead)
