@@ -37,7 +37,6 @@ class Audience:
     """The observers, each with a link of its own, on which the supervisor speaks and never listens.
 
     Attributes:
-        wants_traces: whether one of them may read what is exchanged once a tick.
         missed: observations that nobody was there to take, that were not taken fast enough, or that are too long, with
             the name of their node, to be sent on.
     """
@@ -45,7 +44,6 @@ class Audience:
     def __init__(self, session: Session) -> None:
         self._channels = {observer: observed(session, observer) for observer in session.observers}
         self._links: dict[str, Link] = {}
-        self.wants_traces = any(set(c) - {"telemetry"} for own in self._channels.values() for c in own.values())
         self.missed = 0
 
     def serve(self, transport: Transport, reach: Reach, graph: Topology) -> Mapping[str, str]:

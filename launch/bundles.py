@@ -17,7 +17,7 @@ from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.launch.port_bounds import PortBounds, limits_at, tool_bounds
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import IPC, Reach
-from manyhands.launch.session import Device, PythonEnvironment, TraceData
+from manyhands.launch.session import Device, NetworkEnvironment, PythonEnvironment, Session, TraceData
 from manyhands.launch.topology import ENVIRONMENT, Topology, topology
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
@@ -36,6 +36,7 @@ from manyhands.nodes.environment.model import ModelName
 from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
+from manyhands.protocol.topics import topics_of
 
 TELEMETRY_PERIOD = 0.1  # s, ten a second (the channel table's rate)
 MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # of all traces in a message: what its frame has room for
@@ -49,7 +50,6 @@ class Run:
         clock: "realtime" or "simulated".
         directory: the run's own directory; None where the processes are on other machines.
         control: endpoint of the supervisor's hub.
-        traces: whether every x and f_v is wanted.
         reach: how the processes reach each other.
         private: where each process's private key is; empty without keys, or where that is the guest's own business.
     """
@@ -57,7 +57,6 @@ class Run:
     clock: str
     directory: Path | None
     control: str
-    traces: bool
     reach: Reach = IPC
     private: Mapping[str, Path] = field(default_factory=dict)
 
@@ -92,6 +91,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         {name: tuple(rung.blocks[i].D for rung in rungs[1:]) for i, name in enumerate(session.couplings)},
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
+        masses=mass_names(session),
     )
     return bundles
 
@@ -175,7 +175,7 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
             other = link.connector if binds else link.binder
             address = run.reach.address(graph, index) if binds else ""
             peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
-    every = _telemetry_ticks(prepared.session.period, len(ports))
+    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name))
     return Common(
         session=prepared.session.name,
         name=name,
@@ -193,13 +193,26 @@ def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
         peers=tuple(peers),
         telemetry_ticks=every,
         telemetry_first=_telemetry_first(every, list(graph.nodes).index(name) if name in graph.nodes else 0, graph),
-        traces=run.traces,
     )
 
 
-def _telemetry_ticks(period: float, ports: int) -> int:
-    """Ticks between two telemetry messages: as the channel table says, but no more than two traces have room for."""
-    room = MOST_TRACE_VALUES // (2 * max(1, ports))  # an observer has none
+def mass_names(session: Session) -> tuple[str, ...]:
+    """The masses of an environment that is a network, in the order of its state."""
+    environment = session.environment
+    return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
+
+
+def _columns(session: Session, graph: Topology, name: str) -> int:
+    """Columns of all traces of a node; an observer has none."""
+    if name not in graph.nodes:
+        return 0
+    ports, masses = graph.ports[name], mass_names(session)
+    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses))
+
+
+def _telemetry_ticks(period: float, columns: int) -> int:
+    """Ticks between two telemetry messages: as the channel table says, but no more than there is room for."""
+    room = MOST_TRACE_VALUES // max(1, columns)
     return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
 
 

@@ -36,7 +36,7 @@ def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: P
     require_target(path)
     ways = reach(session, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
     # what only the guest knows is filled in when it joins; traces, for it cannot be told later that they are wanted
-    bundle = bundle_of(prepared, Run(clock, None, "", traces=True, reach=ways), name)
+    bundle = bundle_of(prepared, Run(clock, None, "", reach=ways), name)
     path.unlink(missing_ok=True)
     bundle_files.save(bundle, path)
     return bundle

@@ -25,6 +25,7 @@ class Progress:
         refused: what strangers tried at the supervisor's door, and what members sent out of turn, by kind.
         silent: nodes that run, and whose telemetry has not come for a while.
         incidents: what the session withstood, the latest of it.
+        faults: what went wrong.
     """
 
     phase: Phase
@@ -36,6 +37,7 @@ class Progress:
     refused: Mapping[str, int]
     silent: frozenset[str] = frozenset()
     incidents: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

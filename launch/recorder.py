@@ -6,17 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from manyhands.protocol.messages import Telemetry
-
 
 class Recorder:
-    """Who writes a run down while it goes on: here nobody, in :class:`RecorderProcess` a process of its own.
-
-    Attributes:
-        wants_traces: whether every x and f_v is to be told.
-    """
-
-    wants_traces = False
+    """Who writes a run down while it goes on: here nobody, in :class:`RecorderProcess` a process of its own."""
 
     def start(self, directory: Path) -> None:
         """Start it; ``directory`` is the run's own."""
@@ -34,8 +26,8 @@ class Recorder:
         """Whether what nodes tell should be read on; False only where nothing may be lost."""
         return True
 
-    def tell(self, node: str, telemetry: Telemetry) -> None:
-        """Pass on a node's telemetry, now or when there is room for it."""
+    def tell(self, frame: bytes | None) -> None:
+        """Pass on what was told, now or when there is room for it; None is what is too long to be passed on."""
 
     def attend(self, ready: set[int]) -> str | None:
         """Hear what it says and supply it; returns why the recording has stopped, once, when that happens."""

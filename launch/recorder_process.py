@@ -29,7 +29,7 @@ from manyhands.nodes.recorder.plan import Plan
 from manyhands.nodes.recorder.status import Closed, Lines, Ready, Status, Stopped, Taken
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Stop, Telemetry
+from manyhands.protocol.messages import Stop
 from manyhands.protocol.transport import Link, milliseconds
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -52,8 +52,6 @@ class RecorderProcess(Recorder):
         lost: observations that the recorder had no room for, or that are too long to be passed on.
         incident: why the recording stopped before its session, if it did.
     """
-
-    wants_traces = True
 
     def __init__(self, prepared: Prepared, clock_name: str, path: Path, clock: Clock | None = None) -> None:
         """Plan a recording; nothing is started yet.
@@ -150,13 +148,11 @@ class RecorderProcess(Recorder):
         """False when too much is waiting and none of it may be lost; see :class:`Recorder`."""
         return self._gone or not self._lossless or self._waiting_bytes < MOST_WAITING_BYTES
 
-    def tell(self, node: str, telemetry: Telemetry) -> None:
+    def tell(self, frame: bytes | None) -> None:
         """Send it on, keep it for a while, or lose it and count that; see :class:`Recorder`."""
         if self._gone:
             return
-        try:
-            frame = encode(Observation(node, telemetry.tick, telemetry.figures, telemetry.traces))
-        except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+        if frame is None:
             self.lost += 1
             return
         if not self._lossless and self._waiting_bytes + len(frame) > MOST_WAITING_BYTES:

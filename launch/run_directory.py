@@ -52,10 +52,26 @@ def sweep_directories() -> None:
 
     A run's directory bears its supervisor's process id; it is ours and nobody's when that process is gone.
     """
+    for path, alive in _ours():
+        if not alive:
+            shutil.rmtree(path, ignore_errors=True)  # another supervisor may be sweeping too
+
+
+def run_directories() -> list[Path]:
+    """The directories of the runs of this user whose supervisors live."""
+    return [path for path, alive in _ours() if alive]
+
+
+def _ours() -> Iterator[tuple[Path, bool]]:
+    """This user's directories of runs, and whether their supervisors live."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = path.name.removeprefix(_PREFIX).split("-")[0]
-        if pid.isdigit() and path.is_dir() and path.stat().st_uid == os.getuid() and not Path(f"/proc/{pid}").exists():
-            shutil.rmtree(path, ignore_errors=True)  # another supervisor may be sweeping too
+        try:
+            ours = pid.isdigit() and path.is_dir() and path.stat().st_uid == os.getuid()
+        except FileNotFoundError:  # it went meanwhile
+            continue
+        if ours:
+            yield path, Path(f"/proc/{pid}").exists()
 
 
 def require_new(path: Path) -> None:

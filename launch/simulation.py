@@ -64,7 +64,7 @@ class Simulation:
         """Everything at rest at tick 0."""
         session = prepared.session
         self._session, self._id = session, prepared.id
-        bundles = cut(prepared, Run(SIMULATED, None, "", traces=True))
+        bundles = cut(prepared, Run(SIMULATED, None, ""))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
         self._drivers, self._device_ports = [], []

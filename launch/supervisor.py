@@ -30,6 +30,7 @@ from manyhands.launch.conductor import (
     Terminate,
 )
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
+from manyhands.launch.gallery import Showing, condition_of, describe, observation_frame
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.placement import placement
@@ -97,6 +98,8 @@ class Supervisor:
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
         self._clock_name, self._reach, self._record = clock, reach, record
         self._recorder, self._logs = recorder or Recorder(), logs
+        self._about = describe(prepared, clock, reach.transport, ticks)
+        self._showing: Showing | None = None
         self._show = show
         self._graph = topology(session)
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
@@ -132,6 +135,7 @@ class Supervisor:
         reach = self._reach
         transport = ZmqTransport.of(reach.transport, directory, reach.ring())
         processes = Processes(directory)
+        showing = self._showing = Showing(directory, self._about)
         try:
             local = [name for name in self._graph.nodes if name not in reach.remote]
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
@@ -139,8 +143,7 @@ class Supervisor:
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
             self._conductor.observers = self._audience.serve(transport, reach, self._graph)
             self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
-            traces = self._record or self._recorder.wants_traces or self._audience.wants_traces
-            run = Run(self._clock_name, directory, endpoint, traces, reach, private)
+            run = Run(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
             if self._clock_name == REALTIME:
                 raised = reach.transport == "ipc" and may_raise()
@@ -157,6 +160,7 @@ class Supervisor:
             self._recorder.close()
             processes.end_all()
             transport.close()
+            showing.close()
 
     def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
         """The loop: wait for anything, tell the conductor, do as it says."""
@@ -206,11 +210,11 @@ class Supervisor:
             elif clock.now() >= deadline:
                 self._carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
-            if self._show is not None and clock.now() - shown >= REFRESH:
+            if clock.now() - shown >= REFRESH:
                 shown = clock.now()
                 self._log.flush()
                 self._tally(hub, transport)
-                self._show(self._progress(processes))
+                self._tell(self._progress(processes))
         self._tally(hub, transport)
         for fault in conductor.faults:
             self._log.note(Event.FAULT, text=fault)
@@ -220,8 +224,14 @@ class Supervisor:
             self._log.note(Event.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
+        self._tell(self._progress(processes))
+
+    def _tell(self, progress: Progress) -> None:
+        """Show how the session is, here and to whoever looks on."""
         if self._show is not None:
-            self._show(self._progress(processes))
+            self._show(progress)
+        if self._showing is not None:
+            self._showing.tell_condition(condition_of(progress))
 
     def _tell_of_recorder(self, incident: str | None) -> None:
         if incident is not None:
@@ -253,7 +263,10 @@ class Supervisor:
                     case EndSession(reason):
                         self._carry_out(self._conductor.stop(reason), hub, processes)
             self._audience.tell(sender, message)
-            self._recorder.tell(sender, message)
+            told = observation_frame(sender, message)
+            self._recorder.tell(told)
+            if self._showing is not None:
+                self._showing.tell(told)
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
@@ -314,6 +327,7 @@ class Supervisor:
             self._refused,
             frozenset(self._told.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
             conductor.incidents.sentences,
+            tuple(conductor.faults),
         )
 
     def _outcome(self, ended_by: signal.Signals | None) -> Outcome:

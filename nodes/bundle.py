@@ -146,6 +146,7 @@ class EnvironmentBundle:
         feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
+        masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
 
     Raises:
         ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
@@ -161,6 +162,7 @@ class EnvironmentBundle:
     feedthrough_rungs: Mapping[str, tuple[Matrix, ...]] = field(default_factory=dict)
     enforce: bool = False
     model: ModelName | None = None
+    masses: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
@@ -306,7 +308,6 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "peers": lambda peers: all(_are_texts((p.name, p.address, *p.ports)) and type(p.binds) is bool for p in peers),
     "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
-    "traces": lambda traces: type(traces) is bool,
 }
 """Of what type a node takes these to be, without looking again."""
 
@@ -320,6 +321,7 @@ _READ: dict[str, Any] = {
     "Phi_E": _optional_array,
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
+    "masses": lambda data: tuple(str(name) for name in data),
     "limits": _limits,
     "tool_magnitude": _bounds,
     "tool_step": _bounds,

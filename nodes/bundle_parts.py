@@ -54,7 +54,6 @@ class Common:
         peers: its links.
         telemetry_ticks: ticks between two telemetry messages.
         telemetry_first: ticks to the first, at most as many: nodes do not all tell in the same tick.
-        traces: whether a device's telemetry carries every x and f_v.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, for which alone there is room.
@@ -76,7 +75,6 @@ class Common:
     peers: tuple[Peer, ...]
     telemetry_ticks: int
     telemetry_first: int
-    traces: bool
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:

@@ -81,7 +81,7 @@ class ControlLine:
         self._transport, self._common = transport, common
         self.log = log or Log(None, common.session, common.name, RealtimeClock())
         self._link: Link = transport.join(common.control, common.name)
-        self._lossless = common.clock == SIMULATED and common.traces
+        self._lossless = common.clock == SIMULATED
         self._due = Instant(0)
         self._words: deque[Word] = deque(maxlen=_WORDS_KEPT)
         self._asked_to_stop = False

@@ -5,20 +5,32 @@ Lengths of time are in microseconds, energies in joules, speeds in m/s; traces a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.passivity_controller import PassivityController
+from manyhands.protocol.topics import DISPLACEMENT, FORCE, FREE_POSITION, LEDGER, MASS_POSITION, TAU, TOOL_POSITION
 
-LEDGER = "ledger"
+__all__ = [
+    "DISPLACEMENT",
+    "FORCE",
+    "FREE_POSITION",
+    "LEDGER",
+    "MASS_POSITION",
+    "TAU",
+    "TOOL_POSITION",
+]
+
 LEDGER_MIN = "ledger_min"
 SPEED = "speed"
 PEAK_SPEED = "peak_speed"
 FINAL_SPEED = "final_speed"
 LATE = "late"
 STALE = "stale"
-TAU = "tau_us"
 PERIOD = "period_us"
 TAU_BREACHES = "tau_breaches"
 CLIPPED = "clipped"  # ticks whose force a device clipped: a coupling misbehaves
@@ -41,9 +53,6 @@ LEDGER_MIN_TICK = "ledger_min_tick"  # of the party's own ticks, from 1 on; 0 wh
 LEDGER_MARGIN = "ledger_margin"  # by how much the least total stayed above the bound, J
 ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
-DISPLACEMENT = "x"
-FREE_POSITION = "p"
-FORCE = "f_v"
 
 
 def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
@@ -56,6 +65,11 @@ def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
         LEDGER_MIN_TICK: float(ledger.at),
         LEDGER_MARGIN: ledger.margin,
     }
+
+
+def ledger_trace(ledger: Ledger | None, totals: Sequence[float]) -> dict[str, NDArray[np.float64]]:
+    """The ledger's totals of so many ticks, J, as a trace of one column; nothing where nothing was promised."""
+    return {} if ledger is None else {LEDGER: np.array(totals)[:, None]}
 
 
 def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:

@@ -11,10 +11,12 @@ from typing import Final
 
 from manyhands.protocol.messages import (
     Absent,
+    Condition,
     Connect,
     Echo,
     Fault,
     Force,
+    Grasp,
     LinkHello,
     Message,
     NodeHello,
@@ -24,6 +26,7 @@ from manyhands.protocol.messages import (
     Reaction,
     Ready,
     Refusal,
+    Release,
     Report,
     Return,
     Role,
@@ -109,7 +112,8 @@ _TABLE: Final = (
         Rate.ONCE,
     ),
     Channel("telemetry", (Telemetry,), _NODES, (Role.SUPERVISOR,), "", "", Rate.TEN_HZ),
-    Channel("observation", (Observation,), (Role.SUPERVISOR,), (Role.OBSERVER,), "", "", Rate.TEN_HZ),
+    Channel("observation", (Observation, Condition), (Role.SUPERVISOR,), (Role.OBSERVER,), "", "", Rate.TEN_HZ),
+    Channel("grip", (Grasp, Release), (Role.HAND,), (Role.DEVICE,), "", "m", Rate.ONCE),
 )
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({channel.name: channel for channel in _TABLE})

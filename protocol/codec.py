@@ -34,10 +34,12 @@ from manyhands.protocol.limits import (
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Absent,
+    Condition,
     Connect,
     Echo,
     Fault,
     Force,
+    Grasp,
     LinkHello,
     Message,
     NodeHello,
@@ -47,6 +49,7 @@ from manyhands.protocol.messages import (
     Reaction,
     Ready,
     Refusal,
+    Release,
     Report,
     Return,
     Rung,
@@ -127,6 +130,9 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Report: (33, (fields.COUNT, fields.FIGURES, fields.COUNTS, fields.PERCENTILES)),
     Fault: (34, (fields.TEXT,)),
     Observation: (35, (fields.NAME, fields.COUNT, fields.FIGURES, fields.TRACES)),
+    Condition: (36, (fields.NAME, fields.ELAPSED, fields.STATES, fields.NAMES, *[fields.SENTENCES] * 3)),
+    Grasp: (37, (fields.VALUES,)),
+    Release: (38, ()),
 }
 _KINDS: Final = {number: kind for kind, (number, _) in LAYOUTS.items()}
 _FIELD_NAMES: Final = {kind: tuple(f.name for f in dataclasses.fields(kind)) for kind in LAYOUTS}

@@ -19,6 +19,7 @@ from manyhands.protocol.limits import (
     MAX_PID,
     MAX_PORTS,
     MAX_RUNG,
+    MAX_SENTENCES,
     MAX_TEXT,
     MAX_TRACE_SIDE,
 )
@@ -133,10 +134,6 @@ def _mapping(pack: Callable[[Any], object], read: Callable[[object], Any]) -> Fi
     return Field(pack_all, read_all)
 
 
-def _pack_ports(value: Any) -> object:
-    return list(value) if isinstance(value, tuple) else value
-
-
 def _read_ports(value: object) -> tuple[str, ...]:
     if type(value) is not list or not 1 <= len(value) <= MAX_PORTS:
         raise Unfit(f"found {_describe(value)}; expected an array of 1 to {MAX_PORTS} ports")
@@ -144,6 +141,19 @@ def _read_ports(value: object) -> tuple[str, ...]:
     if len(set(ports)) != len(ports):
         raise Unfit(f"found {_describe(list(ports))}; expected every port once")
     return ports
+
+
+def _pack_tuple(value: Any) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _list_of(what: str, most: int, read: Callable[[object], str]) -> Field:
+    def read_all(value: object) -> tuple[str, ...]:
+        if type(value) is not list or len(value) > most:
+            raise Unfit(f"found {_describe(value)}; expected an array of at most {most} {what}")
+        return tuple(read(item) for item in value)
+
+    return Field(_pack_tuple, read_all)
 
 
 def _pack_feedthrough(value: Any) -> object:
@@ -226,10 +236,14 @@ ROLE: Final = _choice(Role)
 REFUSAL_CODE: Final = _choice(RefusalCode)
 COUNT: Final = integer(0, MAX_COUNT)
 PID: Final = integer(1, MAX_PID)
-PORTS: Final = Field(_pack_ports, _read_ports)
+PORTS: Final = Field(_pack_tuple, _read_ports)
 FEEDTHROUGH: Final = Field(_pack_feedthrough, _read_feedthrough)
 ENDPOINT: Final = Field(_same, _word(MAX_ENDPOINT))
 ENDPOINTS: Final = _mapping(_same, ENDPOINT.read)
+NAMES: Final = _list_of("names", MAX_ENTRIES, _read_name)
+SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, _read_text)
+STATES: Final = _mapping(_same, _read_name)
+ELAPSED: Final = Field(_plain_number, _read_finite)
 RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = Field(pack_values, read_values)
 FIGURES: Final = _mapping(_plain_number, _read_number)

@@ -28,6 +28,9 @@ MAX_ENDPOINT: Final = 256
 MAX_ENTRIES: Final = 2048
 """Most entries of one mapping (endpoints, figures, counts, traces)."""
 
+MAX_SENTENCES: Final = 128
+"""Most sentences of one kind in a Condition."""
+
 MAX_CONTAINERS: Final = 5000
 """Most arrays and maps in one frame: empty ones cost a hundred times their length. A report of all maps needs 4100."""
 

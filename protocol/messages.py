@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
 
-PROTOCOL_VERSION: Final[int] = 3
+PROTOCOL_VERSION: Final[int] = 4
 """The version of SPEC.md that this code speaks."""
 
 Values: TypeAlias = NDArray[np.float64]
@@ -29,6 +29,7 @@ class Role(StrEnum):
     ENVIRONMENT = "environment"
     SUPERVISOR = "supervisor"
     OBSERVER = "observer"
+    HAND = "hand"
 
 
 class RefusalCode(StrEnum):
@@ -267,6 +268,44 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class Condition:
+    """From the supervisor to whoever looks on: how the session is.
+
+    Attributes:
+        phase: where it stands.
+        elapsed: since the first tick, s.
+        states: where each node stands.
+        silent: nodes that run, and whose telemetry has not come for a while.
+        notices: assumptions of the certificate that were found broken, a sentence each.
+        incidents: what the session withstood, likewise, the latest.
+        faults: what went wrong, likewise.
+    """
+
+    phase: str
+    elapsed: float
+    states: Mapping[str, str]
+    silent: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    incidents: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """From a person's hand elsewhere: there it wants the device to be, m, one entry an axis."""
+
+    position: Values
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Grasp) and np.array_equal(self.position, other.position)
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """From the same: it has let go."""
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """A node's last word on a run: ticks done, figures, counts, and per quantity its percentiles."""
 
@@ -305,6 +344,9 @@ Message: TypeAlias = (
     | SignalMessage
     | Telemetry
     | Observation
+    | Condition
+    | Grasp
+    | Release
     | Report
     | Fault
 )

@@ -15,6 +15,7 @@ from manyhands.design.errors import CertificateError, DesignError
 from manyhands.launch.display import say
 from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
 from manyhands.launch.files import TargetError
+from manyhands.launch.looking.sessions import NoSession
 from manyhands.launch.preparation import NotCertified, Prepared, prepare
 from manyhands.launch.reach import ReachError
 from manyhands.launch.recording import RecordingError
@@ -143,6 +144,7 @@ _BAD_INPUT = (
     KeyFileError,
     LinkTooWide,
     ModelError,
+    NoSession,
     ReachError,
     RecordingError,
     SessionError,

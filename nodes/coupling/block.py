@@ -47,9 +47,10 @@ class Block:
         self.applied = self._f
         self._rows = self._common.telemetry_first
         # nothing of telemetry's size is allocated in a tick
-        rows = self._common.telemetry_ticks if self._common.traces else 0
+        rows = self._common.telemetry_ticks
         self._trace_p: list[Floats] = [self._p] * rows
         self._trace_f: list[Floats] = [self._p] * rows
+        self._energy = [0.0] * rows
         self._filled = 0
 
     def _core_of(self, rung: int) -> CouplingCore:
@@ -104,9 +105,9 @@ class Block:
         """Step past ``tick``: what can wait until the forces are on their way."""
         self.core.absorb(self.applied)
         self.ticks = tick + 1
-        if self._common.traces:
-            row = self._filled
-            self._trace_p[row], self._trace_f[row] = self._p, self.applied.copy()
+        row, ledger = self._filled, self.core.ledger
+        self._trace_p[row], self._trace_f[row] = self._p, self.applied.copy()
+        self._energy[row] = 0.0 if ledger is None else ledger.total
         self._filled += 1
 
     def astray(self, joint: Joint, told: int, awaited: int) -> bool:
@@ -141,11 +142,11 @@ class Block:
             **names.ledger_figures(self.core.ledger),
             **names.stray_frames([*devices, self.environment]),
         }
-        traces = (
-            {names.FREE_POSITION: np.array(self._trace_p[:rows]), names.FORCE: np.array(self._trace_f[:rows])}
-            if self._common.traces
-            else {}
-        )
+        traces = {
+            names.FREE_POSITION: np.array(self._trace_p[:rows]),
+            names.FORCE: np.array(self._trace_f[:rows]),
+            **names.ledger_trace(self.core.ledger, self._energy[:rows]),
+        }
         control.publish(Telemetry(self.ticks, figures, traces))
 
     def report(self, devices: tuple[Joint, ...] = ()) -> Report:

@@ -104,8 +104,7 @@ class CouplingNode:
                 joint.new = joint.new and joint.tick < 0  # one who has come back since the samples is not heard yet
             tick += 1
             block.publish(control, devices)
-        if self._common.traces:
-            block.publish_rest(control, devices)
+        block.publish_rest(control, devices)
 
     def report(self) -> Report:
         """The block's."""

@@ -53,6 +53,8 @@ class Account:
         m, rows = len(common.ports), common.telemetry_ticks
         self._trace_x: list[Floats] = [[0.0] * m] * rows
         self._trace_f: list[Floats] = [[0.0] * m] * rows
+        self._trace_tau: list[int] = [0] * rows
+        self._energy = [0.0] * rows
         self._speeds = [0.0] * rows
         self._filled, self._rows = 0, common.telemetry_first
         self._sampled: Instant | None = None
@@ -61,7 +63,7 @@ class Account:
         """Another certificate's tau from now on."""
         self._assumed_tau = tau
 
-    def tick(self, tick: int, x: Floats, f: Floats, speed: float, times: Times) -> None:
+    def tick(self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times) -> None:
         """A tick that was answered; x (m) and f (N) are kept until they are told."""
         due, _, sampled, _, _, applied = times
         tau = applied - sampled
@@ -81,7 +83,8 @@ class Account:
             self._lateness.judge(*times)
         row = self._filled
         self._trace_x[row], self._trace_f[row] = x, f
-        self._speeds[row] = speed
+        self._trace_tau[row], self._energy[row] = tau, core.ledger.total
+        self._speeds[row] = core.speed
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -121,11 +124,12 @@ class Account:
             **names.ledger_figures(core.ledger),
             **names.stray_frames(joints),
         }
-        traces = (
-            {names.DISPLACEMENT: np.array(self._trace_x[:rows]), names.FORCE: np.array(self._trace_f[:rows])}
-            if self._common.traces
-            else {}
-        )
+        traces = {
+            names.DISPLACEMENT: np.array(self._trace_x[:rows]),
+            names.FORCE: np.array(self._trace_f[:rows]),
+            **names.ledger_trace(core.ledger, self._energy[:rows]),
+            names.TAU: np.array(self._trace_tau[:rows], dtype=np.float64)[:, None] / 1e3,
+        }
         control.publish(Telemetry(self.ticks, figures, traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
 

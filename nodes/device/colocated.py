@@ -66,7 +66,7 @@ class CarriedBlock:
 
     def end(self) -> None:
         """The loop is over."""
-        if self.block is not None and self.control is not None and self.bundle.common.traces:
+        if self.block is not None and self.control is not None:
             self.block.publish_rest(self.control)
 
     def report(self) -> Report:

@@ -126,7 +126,7 @@ class DeviceNode:
             driver.idle()
             if self._next_rung != self._rung:
                 self._change_rung()
-            account.tick(tick, x, held, core.speed, (due, ready, sampled, sent, received, applied))
+            account.tick(tick, x, held, core, (due, ready, sampled, sent, received, applied))
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1

@@ -56,6 +56,11 @@ class ForceLaw(Protocol):
         """Step to the next tick, with the tools at x_e(k), m."""
         ...
 
+    @property
+    def masses(self) -> Floats:
+        """Where the masses are after :meth:`advance`, m; none where nobody knows of any."""
+        ...
+
 
 class BlackBox:
     """The law of a model that is asked at the predicted tool position."""
@@ -81,14 +86,20 @@ class BlackBox:
         self._k += 1
         self._answer = None
 
+    @property
+    def masses(self) -> Floats:
+        """None that are known."""
+        return []
+
 
 class LinearLaw:
     """The law f_e = -(I + D_E S D_V S)^{-1} (C_E eta + D_E r), eta(k+1) = A_E eta + B_E x_e: E as it is proved."""
 
     failure: str | None = None
 
-    def __init__(self, E: StateSpace) -> None:
-        """Start at rest."""
+    def __init__(self, E: StateSpace, masses: int = 0) -> None:
+        """Start at rest; of the state, so many entries behind the tools are positions of masses."""
+        self._positions = slice(E.inputs, E.inputs + masses)
         self._output, self._D = np.hstack([E.C, E.D]), E.D
         self._state = np.hstack([E.A, E.B])  # over (eta, x_e)
         self._eta = np.zeros(E.order)
@@ -107,6 +118,12 @@ class LinearLaw:
     def advance(self, x_e: Vector) -> None:
         """One step of E."""
         self._eta = self._state @ np.concatenate([self._eta, x_e])
+
+    @property
+    def masses(self) -> Floats:
+        """Where the masses are, m."""
+        found: Floats = self._eta[self._positions].tolist()
+        return found
 
 
 class EnforcedCore:
@@ -183,6 +200,17 @@ class EnforcedCore:
             self.controller.settle()
         self._x_e = self._next
         self._law.advance(self._x_e)
+
+    @property
+    def tools(self) -> Floats:
+        """x_e of the tick that was settled last, m."""
+        found: Floats = self._x_e.tolist()
+        return found
+
+    @property
+    def masses(self) -> Floats:
+        """Where the masses were then, m; none where nobody knows of any."""
+        return self._law.masses
 
     def freeze(self, block: int) -> None:
         """From the next tick on s = 0: the block's tool rests, and no force goes to it."""

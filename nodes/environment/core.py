@@ -64,6 +64,7 @@ class EnvironmentCore:
         T: float,
         blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
         ramp: int = RAMP,
+        masses: int = 0,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -74,6 +75,7 @@ class EnvironmentCore:
             T: period, s.
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
+            masses: how many entries of the state, behind the m tools, are positions of masses.
 
         Raises:
             ValueError: the algebraic loop has no unique solution, the blocks do not hold every port once, or D_V joins
@@ -91,6 +93,7 @@ class EnvironmentCore:
         if np.any(np.asarray(D_V)[~inside]):
             raise ValueError("found a feedthrough D_V between ports of two blocks; expected one within each block")
         self._E, self._T, self._m, self._n = E, T, m, n
+        self._positions = slice(m, m + masses)
         self._Phi = None if Phi_E is None else linear_map(Phi_E)
         self._D_V = np.array(D_V, dtype=np.float64)
         self._step = _closed(E, self._D_V)
@@ -132,6 +135,16 @@ class EnvironmentCore:
             w = [(at - last) / T for at, last in zip(x_e, self._x_e, strict=True)]
             self.ledger.enter(T * (dot(w, self._Phi(w)) - dot(w, self._f)))
         self._x_e = x_e
+
+    @property
+    def tools(self) -> Floats:
+        """x_e of the tick that was settled last, m."""
+        return self._x_e
+
+    @property
+    def masses(self) -> Floats:
+        """Where the masses were then, m; none where the environment is no network."""
+        return self._eta[self._positions]
 
     def freeze(self, block: int) -> None:
         """From the next tick on s = 0: the block's tool rests, and no force goes to it."""

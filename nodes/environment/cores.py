@@ -42,7 +42,7 @@ def environment_core(
     elif E is None:
         raise ValueError("found an environment without matrices and without a model; expected one of the two")
     elif bundle.enforce:
-        law = LinearLaw(E)
+        law = LinearLaw(E, len(bundle.masses))
     else:
-        return EnvironmentCore(E, D_V, bundle.Phi_E, common.period, blocks)
+        return EnvironmentCore(E, D_V, bundle.Phi_E, common.period, blocks, masses=len(bundle.masses))
     return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks)

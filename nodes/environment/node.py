@@ -13,6 +13,7 @@ import numpy as np
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.control import NOT_AT_ALL, ControlLine
+from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.cores import Core, environment_core
 from manyhands.nodes.environment.places import Places
@@ -25,7 +26,7 @@ from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
-from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
+from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Tool, Values
 from manyhands.protocol.transport import Link
 
 _TURN = from_seconds(0.001)  # for one of them, when several are waited for
@@ -44,7 +45,8 @@ class EnvironmentNode:
         self._feedthrough: dict[str, Values] = {}
         self._core: Core | None = None
         self._places: Places | None = None
-        self._ticks = self._frozen_ticks = 0
+        self._account = Account(bundle.common)
+        self._frozen_ticks = 0
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
@@ -84,8 +86,7 @@ class EnvironmentNode:
         places = self._places = Places(self._joints, core, self._bundle.feedthrough_rungs, life, start.tick > 0)
         places.last, places.log = start.ticks, control.log
         places.know(self._feedthrough, self._bundle.feedthrough)
-        clock, rows = self._clock, self._common.telemetry_ticks
-        first = self._common.telemetry_first % rows
+        clock, account = self._clock, self._account
         stale, give_way = self._patience.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
         # not before the first tick is due: devices are not silent until then
@@ -95,9 +96,12 @@ class EnvironmentNode:
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 places.obey(word, control, tick)
             if not (places.all_seated and self._all_heard(places, p, tick)):
-                tick = self._wait(places, p, tick, now, life, control)
-                if tick < 0:
+                found = self._wait(places, p, tick, now, life, control)
+                if found < 0:
                     break
+                if found != tick:
+                    self._publish(control, core, places)  # rows follow each other
+                    tick = found
             now = clock.now()
             if stale is not None and now - answered > stale:
                 places.let_go(tick)
@@ -111,10 +115,11 @@ class EnvironmentNode:
             give_way()
             core.settle()
             self._frozen_ticks += not places.all_seated
+            account.tick(tick, core)
             tick += 1
-            self._ticks = tick
-            if tick % rows == first:
-                self._publish(control, places)
+            if account.due:
+                self._publish(control, core, places)
+        self._publish(control, core, places)
         if tick == start.ticks and not places.all_seated:
             self._say_goodbye(places, p, tick)
 
@@ -194,7 +199,7 @@ class EnvironmentNode:
         """Ticks, ledger, and how often couplings were frozen."""
         places = self._places
         return Report(
-            self._ticks,
+            self._account.ticks,
             self._figures(),
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
@@ -210,7 +215,7 @@ class EnvironmentNode:
             return {}
         return {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
 
-    def _publish(self, control: ControlLine, places: Places) -> None:
+    def _publish(self, control: ControlLine, core: Core, places: Places) -> None:
         figures = {
             names.FROZEN: float(places.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
@@ -218,4 +223,4 @@ class EnvironmentNode:
             **self._figures(),
             **names.stray_frames(self._joints),
         }
-        control.publish(Telemetry(self._ticks, figures, {}))
+        self._account.publish(control, core, figures)

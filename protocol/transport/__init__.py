@@ -8,10 +8,11 @@ same tests (``tests/protocol/test_transport.py``). A link or a hub is used by on
 
 from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import Protocol
 
 from manyhands.protocol.clock import Duration
-from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_NAME
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_NAME, MAX_SOCKET_PATH
 
 
 class TransportError(Exception):
@@ -208,6 +209,20 @@ def require_name(name: str) -> None:
     if not (plain and 1 <= len(name) <= MAX_NAME and name not in {".", ".."}):
         raise TransportError(
             f"found the name {name!r:.100}; expected 1 to {MAX_NAME} ASCII characters, no space and none of / \\ * @ :"
+        )
+
+
+def require_path(path: Path) -> None:
+    """Refuse what cannot be the path of a Unix-domain socket.
+
+    Raises:
+        TransportError: if it is too long.
+    """
+    length = len(bytes(path))
+    if length > MAX_SOCKET_PATH:
+        raise TransportError(
+            f"found a socket path of {length} bytes, {path}; expected at most {MAX_SOCKET_PATH}; "
+            "choose a shorter directory, such as one directly under /tmp"
         )
 
 

@@ -19,10 +19,9 @@ from manyhands.protocol.limits import (
     LINGER_MS,
     LINK_QUEUE_FRAMES,
     MAX_CONTROL_BYTES,
-    MAX_SOCKET_PATH,
     SILENCE_MS,
 )
-from manyhands.protocol.transport import Hub, Link, TransportError, require_name
+from manyhands.protocol.transport import Hub, Link, TransportError, require_name, require_path
 from manyhands.protocol.transport.doorkeeper import Doorkeeper
 from manyhands.protocol.transport.sockets import ZmqHub, ZmqLink, failed
 
@@ -200,12 +199,7 @@ class ZmqTransport:
         return socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def _claim(self, path: Path) -> None:
-        length = len(bytes(path))
-        if length > MAX_SOCKET_PATH:
-            raise TransportError(
-                f"found a socket path of {length} bytes, {path}; expected at most {MAX_SOCKET_PATH}; "
-                "choose a shorter directory, such as one directly under /tmp"
-            )
+        require_path(path)
         if path.exists():  # ZeroMQ would take it away from whoever listens there
             raise TransportError(f"found {path} in use; expected a name bound once, in its own directory")
         self._files.append(path)

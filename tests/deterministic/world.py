@@ -70,7 +70,7 @@ class World:
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
-        self._bundles = cut(prepared, Run(clock, None, "wire://hub", traces=False))
+        self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, 0, budget=budget)
         self.processes: dict[str, Process] = {}

@@ -112,7 +112,7 @@ def of_couplings(session: Session, grants: set[Grant]) -> set[Grant]:
 
 
 def bundles_of(prepared: Prepared) -> dict[str, Bundle]:
-    return cut(prepared, Run(SIMULATED, Path(), "", traces=True))
+    return cut(prepared, Run(SIMULATED, Path(), ""))
 
 
 def whole(prepared: Prepared) -> tuple[StateSpace, dict[str, int]]:

@@ -78,7 +78,7 @@ def importable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def environment_bundle(session: Session, uncertified: bool = False) -> EnvironmentBundle:
-    bundle = cut(prepare(session, uncertified=uncertified), Run(SIMULATED, None, "", traces=True))["environment"]
+    bundle = cut(prepare(session, uncertified=uncertified), Run(SIMULATED, None, ""))["environment"]
     assert isinstance(bundle, EnvironmentBundle)
     return bundle
 
@@ -137,7 +137,7 @@ def test_nothing_is_imported_before_the_environment_runs(file: Path) -> None:
     prepared = prepare(load_session(file))
     assert prepared.certificate is not None
     assert prepared.certificate.loop.enforced == ("environment",)
-    bundles = cut(prepared, Run(SIMULATED, None, "", traces=True))
+    bundles = cut(prepared, Run(SIMULATED, None, ""))
     assert MODULE not in sys.modules
     for name, bundle in bundles.items():
         assert (MODULE in repr(bundle)) == (name == "environment")

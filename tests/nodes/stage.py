@@ -118,9 +118,7 @@ class Stage:
         """``ticks``: how many to run; 0 until the stage is left. ``tick``: the one that the session is at already."""
         self.graph = topology(prepared.session)
         self._new_life, self._ticks, self._tick = new_life, ticks, tick
-        self._bundles = {
-            name: _in_step(bundle) for name, bundle in cut(prepared, Run(clock, None, "", traces=True)).items()
-        }
+        self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, Run(clock, None, "")).items()}
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
         self.lines: dict[str, Line] = {}

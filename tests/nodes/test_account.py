@@ -25,7 +25,6 @@ COMMON = Common(
     session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=TAU / 1e9, clock="realtime",
     transport="ipc", public={}, private="", directory="", control="", ports=("dx",), peers=(), telemetry_ticks=ROWS,
     telemetry_first=ROWS,
-    traces=True,
 )  # fmt: skip
 CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)
 GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))

@@ -42,7 +42,7 @@ def prepared() -> Prepared:
 
 @pytest.fixture(scope="module")
 def bundles(prepared: Prepared) -> dict[str, Bundle]:
-    return cut(prepared, Run("simulated", None, "", traces=True))
+    return cut(prepared, Run("simulated", None, ""))
 
 
 @pytest.fixture
@@ -271,7 +271,7 @@ def test_without_traces_a_coupling_tells_figures_alone(
 ) -> None:
     bundle = bundles["cx"]
     assert isinstance(bundle, CouplingBundle)
-    common = dataclasses.replace(bundle.common, traces=False, telemetry_ticks=2, telemetry_first=2)
+    common = dataclasses.replace(bundle.common, telemetry_ticks=2, telemetry_first=2)
     bundle = dataclasses.replace(bundle, common=common)
     node, line = CouplingNode(bundle), new_line()
     far = meet(node, bundle)

@@ -35,7 +35,7 @@ def prepared() -> Prepared:
 
 @pytest.fixture
 def bundle(prepared: Prepared) -> CouplingBundle:
-    bundle = cut(prepared, Run("simulated", None, "", traces=True))["cx"]
+    bundle = cut(prepared, Run("simulated", None, ""))["cx"]
     assert isinstance(bundle, CouplingBundle)
     assert len(bundle.rungs) > 2
     return dataclasses.replace(bundle, limits=dataclasses.replace(bundle.limits, force=(LIMIT,)))
@@ -225,7 +225,7 @@ def test_rows_follow_each_other(bundle: CouplingBundle, block: Block, world: Hel
 def test_without_a_recording_no_trace_is_kept(
     bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]
 ) -> None:
-    quiet = dataclasses.replace(bundle, common=dataclasses.replace(bundle.common, traces=False))
+    quiet = dataclasses.replace(bundle, common=dataclasses.replace(bundle.common))
     block, line = Block(quiet, block.environment), new_line()
     for tick in range(bundle.common.telemetry_first):
         step(block, world, tick, 0.0, 0.1)

@@ -70,7 +70,7 @@ def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life
 
 def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) -> None:
     """The environment may have reckoned with the first already; and a block is asked for one p(k) a tick."""
-    bundles = cut(prepared, Run("simulated", None, "", traces=True))
+    bundles = cut(prepared, Run("simulated", None, ""))
     device, coupling = bundles["dx"], bundles["cx"]
     assert isinstance(device, DeviceBundle)
     assert isinstance(coupling, CouplingBundle)
@@ -90,7 +90,7 @@ def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) 
 
 
 def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", None, "", traces=True))
+    bundles = cut(prepared, Run("simulated", None, ""))
     device = bundles["dx"]
     assert isinstance(device, DeviceBundle)
     bundle_files.save(bundles["cx"], tmp_path / "cx.bundle")
@@ -105,7 +105,7 @@ def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: P
 def test_a_block_that_has_not_begun_has_nothing_to_tell(
     prepared: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
 ) -> None:
-    carried = CarriedBlock(cut(prepared, Run("simulated", None, "", traces=True))["cx"])  # type: ignore[arg-type]
+    carried = CarriedBlock(cut(prepared, Run("simulated", None, ""))["cx"])  # type: ignore[arg-type]
     carried.listen()
     carried.end()
     assert carried.report() == Report(0, {}, {}, {})

@@ -43,11 +43,11 @@ REPORT = Report(5, {}, {}, {})
 SECOND = 1_000_000_000
 
 
-def common(clock: str = "realtime", traces: bool = False, control: str = "memory://control") -> Common:
+def common(clock: str = "realtime", control: str = "memory://control") -> Common:
     return Common(
         session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=0.0, clock=clock, transport="tcp",
         public={}, private="", directory="", control=control, ports=("dx",), peers=(), telemetry_ticks=100,
-        telemetry_first=100, traces=traces,
+        telemetry_first=100,
     )  # fmt: skip
 
 
@@ -217,7 +217,7 @@ class Test_telemetry:
     @pytest.mark.parametrize(("clock", "traces"), [("realtime", True), ("realtime", False), ("simulated", False)])
     def test_what_nobody_takes_is_dropped_and_counted(self, line: Line, clock: str, traces: bool) -> None:
         line.room = 2
-        one = control(line, clock=clock, traces=traces)
+        one = control(line, clock=clock)
         for tick in range(5):
             one.publish(Telemetry(tick, {}, {}))
         assert one.dropped == 3
@@ -225,7 +225,7 @@ class Test_telemetry:
 
     def test_a_recording_in_simulated_time_is_whole_or_an_error(self, line: Line) -> None:
         line.room = 1
-        one = control(line, clock="simulated", traces=True)
+        one = control(line, clock="simulated")
         one.publish(Telemetry(1, {}, {}))
         with pytest.raises(TelemetryLost, match="record less"):
             one.publish(Telemetry(2, {}, {}))

@@ -42,7 +42,7 @@ def common(*peers: Peer) -> Common:
     return Common(
         session="s", name="c", role=Role.COUPLING, certificate="id", period=0.001, tau=0.0, clock="simulated",
         transport="ipc", public={}, private="", directory="", control="memory://control", ports=("a", "b", "c"),
-        peers=peers, telemetry_ticks=100, telemetry_first=100, traces=False,
+        peers=peers, telemetry_ticks=100, telemetry_first=100,
     )  # fmt: skip
 
 

@@ -103,7 +103,7 @@ class Alone:
     def __init__(
         self, prepared: Prepared, life: Any, line: Any, later: Callable[[int], Force | None], **hand: Any
     ) -> None:
-        bundle = cut(prepared, Run(REALTIME, None, "", traces=True))["dx"]
+        bundle = cut(prepared, Run(REALTIME, None, ""))["dx"]
         assert isinstance(bundle, DeviceBundle)
         self.time, self.line, self.life = Time(), line, life
         self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)

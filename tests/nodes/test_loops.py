@@ -37,7 +37,7 @@ Loops = Callable[[Prepared], tuple[dict[str, Node], dict[str, Any]]]
 
 def nodes_of(prepared: Prepared) -> dict[str, Node]:
     out: dict[str, Node] = {}
-    for name, bundle in cut(prepared, Run("simulated", None, "", traces=True)).items():
+    for name, bundle in cut(prepared, Run("simulated", None, "")).items():
         match bundle:
             case DeviceBundle():
                 out[name] = DeviceNode(bundle, simulated_driver(bundle))

@@ -89,7 +89,7 @@ class Test_its_process:
 
     def bundle(self, folder: Path) -> None:
         session = load_session(SESSIONS / "example1-uncoupled.yaml", ["observers={watch: {reads: [telemetry]}}"])
-        bundle = bundle_of(prepare(session, uncertified=True), Run("realtime", None, "", traces=False), "watch")
+        bundle = bundle_of(prepare(session, uncertified=True), Run("realtime", None, ""), "watch")
         assert isinstance(bundle, ObserverBundle)
         save(bundle, folder / "watch.bundle")
 

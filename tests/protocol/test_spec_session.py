@@ -119,7 +119,7 @@ def test_who_listens_and_who_connects(prepared: Prepared) -> None:
         name: role.upper() for name, role in roles.items() if role in (Role.DEVICE, Role.COUPLING, Role.OBSERVER)
     }
     rows: set[tuple[str, str, str]] = set()
-    for name, bundle in cut(prepared, Run("simulated", None, "", traces=False)).items():
+    for name, bundle in cut(prepared, Run("simulated", None, "")).items():
         transport = Recorder()
         bind_links(bundle.common, transport)
         rows |= {(roles[name], roles[peer], _general(domain, placeholders)) for domain, peer in transport.bound.items()}
@@ -165,7 +165,7 @@ class Told:
 
 def test_what_a_report_counts(prepared: Prepared) -> None:
     counted: dict[str, list[str]] = {}
-    for bundle in cut(prepared, Run("simulated", None, "", traces=False)).values():
+    for bundle in cut(prepared, Run("simulated", None, "")).values():
         node: Node
         match bundle:
             case DeviceBundle():
@@ -209,7 +209,7 @@ def test_what_becomes_of_a_seat() -> None:
 
 def test_the_domain_of_a_link_that_is_bound_anew(prepared: Prepared) -> None:
     """`COUPLING-DEVICE.1`, and then `.2`, each for that device alone."""
-    (bundle,) = (b for b in cut(prepared, Run("simulated", None, "", traces=False)).values() if b.common.name == "cx")
+    (bundle,) = (b for b in cut(prepared, Run("simulated", None, "")).values() if b.common.name == "cx")
     transport = Recorder()
     _, hub = transport.bind_hub(HUB_NAME, ("cx",))
     line = ControlLine(transport, dataclasses.replace(bundle.common, control=hub))

@@ -168,7 +168,7 @@ def test_the_ports_it_names(tmp_path: Path) -> None:
 
 def test_a_guests_bundle_holds_what_it_says(tmp_path: Path) -> None:
     prepared = prepare(load_session(write_session(tmp_path)), uncertified=True)
-    bundle = bundle_of(prepared, Run("realtime", None, "", traces=True), "right")
+    bundle = bundle_of(prepared, Run("realtime", None, ""), "right")
     assert isinstance(bundle, DeviceBundle)
     assert bundle.common.ports == ("right",)
     assert [peer.name for peer in bundle.common.peers] == ["right_coupling"]

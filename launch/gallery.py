@@ -1,0 +1,118 @@
+"""What a running session shows to whoever may enter its directory: a description, and then all that its nodes tell.
+
+This is the supervisor's end; :mod:`manyhands.launch.looking` is the other one. Nobody is waited for, and nothing that
+anybody looks at reaches a node.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from manyhands.design.certificate import Certificate
+from manyhands.launch.outcome import Progress
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.session import Interval, NetworkEnvironment, Session
+from manyhands.launch.topology import topology
+from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.protocol.codec import encode
+from manyhands.protocol.limits import MAX_SENTENCES
+from manyhands.protocol.messages import Condition, Observation, Telemetry, presentable
+from manyhands.protocol.transport.gallery import Gallery
+
+
+def observation_frame(node: str, telemetry: Telemetry) -> bytes | None:
+    """What is told of a node's telemetry to who may know all of it; None where that is longer than a frame may be."""
+    try:
+        return encode(Observation(node, telemetry.tick, telemetry.figures, telemetry.traces))
+    except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+        return None
+
+
+def condition_of(progress: Progress) -> Condition:
+    """How the session is, from what a display is told."""
+    told = (progress.notices, progress.incidents, progress.faults)
+    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in told)
+    silent = tuple(sorted(progress.silent))
+    return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
+
+
+def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> About:
+    """The session's description, as it is about to be started."""
+    session, graph = prepared.session, topology(prepared.session)
+    masses, springs = _world(session)
+    return About(
+        session=session.name,
+        id=prepared.id,
+        pid=os.getpid(),
+        clock=clock,
+        transport=transport,
+        period=session.period,
+        ticks=ticks,
+        started=time.time(),
+        nodes={
+            name: NodeAbout(role, graph.ports[name], graph.carriers.get(name)) for name, role in graph.nodes.items()
+        },
+        links=tuple(LinkAbout((link.connector, link.binder), link.ports) for link in graph.links),
+        masses=masses,
+        springs=springs,
+        grips=(),
+        reach={
+            port: limit
+            for name, device in session.devices.items()
+            for port, limit in zip(session.ports_of(name), device.limits.displacement, strict=True)
+        },
+        certificate=None if prepared.certificate is None else _certificate(prepared, prepared.certificate),
+        environment=session.environment.type,
+    )
+
+
+def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbout:
+    session = prepared.session
+    return CertificateAbout(
+        tau=certificate.tau,
+        margins=dict(certificate.margins),
+        gamma=None if certificate.transparency is None else certificate.transparency.gamma,
+        delta_D={name: min(session.osp_level(name).diagonal().tolist()) for name in session.devices},
+        ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
+        enforced=tuple(prepared.loop.enforced),
+    )
+
+
+def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
+    """Masses (kg) and springs of an environment that is a network; of an interval the middle, as it is run."""
+    environment = session.environment
+    if not isinstance(environment, NetworkEnvironment):
+        return {}, ()
+    springs = (
+        SpringAbout(link.between, Interval.of(link.stiffness).nominal, Interval.of(link.damping).nominal)
+        for link in environment.links
+    )
+    return {name: Interval.of(mass).nominal for name, mass in environment.masses.items()}, tuple(springs)
+
+
+class Showing:
+    """One session's gallery, from before its nodes are started to after their end."""
+
+    def __init__(self, directory: Path, about: About) -> None:
+        """Open it in the session's directory.
+
+        Raises:
+            OSError, TransportError: it cannot be opened there.
+        """
+        self._gallery = Gallery(directory)
+        about.save(directory)
+
+    def tell(self, frame: bytes | None) -> None:
+        """Show a node's observation."""
+        if frame is not None:
+            self._gallery.show(frame)
+
+    def tell_condition(self, condition: Condition) -> None:
+        """Show how the session is."""
+        self._gallery.show(encode(condition))
+
+    def close(self) -> None:
+        """Close it. A second time does nothing."""
+        self._gallery.close()

@@ -1,0 +1,177 @@
+"""What a running session says of itself to whoever may enter its directory: who takes part, in what world, how surely.
+
+One JSON file, written by the supervisor before its nodes are started. What changes while the session runs comes from
+its gallery (:mod:`manyhands.protocol.transport.gallery`); what is here does not change. It holds no key and no block of
+V.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from manyhands.protocol.messages import Role
+
+ABOUT: Final = "about.json"
+"""The file's name in the session's directory."""
+
+MAX_ABOUT_BYTES: Final = 16 * 2**20
+
+
+class AboutError(Exception):
+    """A session's description cannot be read; names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class NodeAbout:
+    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if it does."""
+
+    role: Role
+    ports: tuple[str, ...]
+    process: str | None = None
+
+
+@dataclass(frozen=True)
+class LinkAbout:
+    """A link: its two ends, the one nearer to a hand first, and its ports."""
+
+    ends: tuple[str, str]
+    ports: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SpringAbout:
+    """A spring and a damper of the virtual world, between two ports, masses or the ground: N/m and N*s/m."""
+
+    ends: tuple[str, str]
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class CertificateAbout:
+    """What the session's certificate says: delay that it covers (s), margins by condition, levels, rungs of its ladder.
+
+    Attributes:
+        tau: longest delay inside the tick, s.
+        margins: by condition, N*s/m.
+        gamma: proved level of the transparency objective, or None.
+        delta_D: the least eigenvalue of each device's level, N*s/m.
+        ladder: delays that further rungs cover, s.
+        enforced: parties whose promise a controller keeps at run time, and no proof.
+    """
+
+    tau: float
+    margins: Mapping[str, float]
+    gamma: float | None
+    delta_D: Mapping[str, float]
+    ladder: tuple[float, ...]
+    enforced: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class About:
+    """A session, as it was started.
+
+    Attributes:
+        session: its name.
+        id: id of its certificate, or of the uncertified session.
+        pid: its supervisor's process id.
+        clock: "realtime" or "simulated".
+        transport: "ipc" or "tcp".
+        period: T, s.
+        ticks: how many it runs; 0 for no end.
+        started: seconds since 1970.
+        nodes: by name, devices first, then couplings, then the environment.
+        links: in the session's order.
+        masses: of the virtual world, kg by name; empty where it is no network.
+        springs: of the virtual world; likewise.
+        grips: devices that a person's browser can hold.
+        reach: of each port's device, the greatest displacement, m.
+        certificate: None for a session that nothing proves.
+        environment: the environment's type.
+    """
+
+    session: str
+    id: str
+    pid: int
+    clock: str
+    transport: str
+    period: float
+    ticks: int
+    started: float
+    nodes: Mapping[str, NodeAbout]
+    links: tuple[LinkAbout, ...]
+    masses: Mapping[str, float]
+    springs: tuple[SpringAbout, ...]
+    grips: tuple[str, ...]
+    reach: Mapping[str, float]
+    certificate: CertificateAbout | None
+    environment: str
+
+    def as_plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return dataclasses.asdict(self)
+
+    def save(self, directory: Path) -> None:
+        """Write it into the session's directory, for its user alone (mode 0600), whole or not at all.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        partial = directory / f".{ABOUT}.part"
+        partial.touch(mode=0o600)
+        partial.write_text(json.dumps(self.as_plain(), allow_nan=False))
+        partial.replace(directory / ABOUT)
+
+    @classmethod
+    def load(cls, directory: Path) -> About:
+        """Read it from a session's directory.
+
+        Raises:
+            AboutError: not readable, or no such description.
+        """
+        path = directory / ABOUT
+        try:
+            if path.stat().st_size > MAX_ABOUT_BYTES:
+                raise AboutError(f"{path}: found more than {MAX_ABOUT_BYTES} bytes; expected a session's description")
+            return _about(json.loads(path.read_text()))
+        except OSError as error:
+            raise AboutError(f"{path}: cannot be read: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise AboutError(
+                f"{path}: found no session's description ({type(error).__name__}); expected one of this version"
+            ) from error
+
+
+def _about(data: Any) -> About:
+    certificate = data["certificate"]
+    lists = {name: tuple(data[name]) for name in ("grips",)}
+    return About(
+        **{
+            **data,
+            **lists,
+            "nodes": {
+                name: NodeAbout(Role(node["role"]), tuple(node["ports"]), node["process"])
+                for name, node in data["nodes"].items()
+            },
+            "links": tuple(LinkAbout(_two(link["ends"]), tuple(link["ports"])) for link in data["links"]),
+            "springs": tuple(
+                SpringAbout(_two(spring["ends"]), spring["stiffness"], spring["damping"]) for spring in data["springs"]
+            ),
+            "certificate": None
+            if certificate is None
+            else CertificateAbout(
+                **{**certificate, **{name: tuple(certificate[name]) for name in ("ladder", "enforced")}}
+            ),
+        }
+    )
+
+
+def _two(ends: Any) -> tuple[str, str]:
+    first, second = ends
+    return first, second

@@ -1,0 +1,98 @@
+"""Where a running session can be looked at, by anybody who may enter its directory: one speaks, any number listen.
+
+ZeroMQ's PUB and SUB, one way. A visitor comes and goes as it likes and says nothing; one that does not read misses what
+finds no room in its queue, and nobody waits for it. What is shown is all there is: whoever may see less is an observer
+with keys (:mod:`manyhands.launch.audience`), not a visitor.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import zmq
+
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
+from manyhands.protocol.transport import milliseconds, require_path, require_sendable
+from manyhands.protocol.transport.sockets import failed
+
+GALLERY: Final = "gallery"
+"""The socket's name in its session's directory."""
+
+
+class Gallery:
+    """The end that speaks."""
+
+    def __init__(self, directory: Path) -> None:
+        """Open it in ``directory``, which exists and which only the session's user may enter.
+
+        Raises:
+            TransportError: the socket cannot be bound there.
+        """
+        self._path = directory.absolute() / GALLERY
+        require_path(self._path)
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.PUB)
+        self._socket.setsockopt(zmq.SNDHWM, LINK_QUEUE_FRAMES)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        try:
+            self._socket.bind(f"ipc://{self._path}")
+        except zmq.ZMQError as error:
+            self.close()
+            raise failed(f"bind {self._path}", error) from error
+
+    def show(self, frame: bytes) -> None:
+        """Show a frame to whoever is there, and return at once.
+
+        Raises:
+            ValueError: if the frame is longer than ``MAX_CONTROL_BYTES``.
+        """
+        require_sendable(frame)
+        try:
+            self._socket.send(frame, zmq.NOBLOCK)
+        except zmq.Again:  # PUB drops instead; kept for what ZeroMQ may decide otherwise
+            return
+
+    def close(self) -> None:
+        """Close it, and leave no file. A second time does nothing."""
+        self._socket.close()
+        self._context.term()
+        self._path.unlink(missing_ok=True)
+
+
+class Visit:
+    """The end that listens."""
+
+    def __init__(self, directory: Path) -> None:
+        """Enter the gallery of the session in ``directory``, now or as soon as it is there.
+
+        Raises:
+            TransportError: there can be none.
+        """
+        path = directory.absolute() / GALLERY
+        require_path(path)
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.RCVHWM, LINK_QUEUE_FRAMES)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.SUBSCRIBE, b"")
+        try:
+            self._socket.connect(f"ipc://{path}")
+        except zmq.ZMQError as error:
+            self.close()
+            raise failed(f"connect to {path}", error) from error
+
+    def recv(self, timeout: Duration | None) -> bytes | None:
+        """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever)."""
+        if not self._socket.poll(milliseconds(timeout), zmq.POLLIN):
+            return None
+        try:
+            return self._socket.recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return None
+
+    def close(self) -> None:
+        """Leave. A second time does nothing."""
+        self._socket.close()
+        self._context.term()
