@@ -29,8 +29,8 @@ from manyhands.launch import supervisor as supervisor_module
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recording import RecordingError
-from manyhands.launch.recording_file import read_recording
+from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.session import load_session
 from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import topology

@@ -13,7 +13,7 @@ from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plots import plot_comparison, plot_velocities
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import IPC
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.running import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation

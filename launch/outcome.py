@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from manyhands.launch.conductor import Phase
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.protocol.messages import Telemetry
 
 

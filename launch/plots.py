@@ -11,7 +11,7 @@ matplotlib.use("Agg")  # files only: no screen is needed, and none is looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 
 _SIZE = (8.0, 3.2)  # inches
 _DPI = 130

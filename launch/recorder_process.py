@@ -21,7 +21,7 @@ from manyhands.launch.conductor import signal_name
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import ONE_THREAD
 from manyhands.launch.recorder import Recorder
-from manyhands.launch.recording import RecordingError
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.recorder.layout import Recorded

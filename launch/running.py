@@ -11,7 +11,7 @@ from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import Reach
 from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recording import STREAMED
+from manyhands.launch.recordings.recording import STREAMED
 from manyhands.launch.report import save_json
 from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.supervisor import Supervisor

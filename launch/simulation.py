@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.topology import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore

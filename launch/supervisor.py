@@ -39,7 +39,7 @@ from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import Processes
 from manyhands.launch.reach import HUB_NAME, Reach
 from manyhands.launch.recorder import Recorder
-from manyhands.launch.recording import Collector
+from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.report import run_report
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.run_directory import run_directory

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 import manyhands
-from manyhands.launch.cli import designing, machine, network, running
+from manyhands.launch.cli import designing, examining, looking, machine, network, recording, replaying, running, viewing
 from manyhands.launch.cli.common import err, out, unwind
 from manyhands.launch.display import say
 
@@ -26,7 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for group in (designing, running, network, machine):
+for group in (designing, running, network, machine, looking, viewing, recording, replaying, examining):
     app.add_typer(group.commands)
 
 

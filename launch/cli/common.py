@@ -18,7 +18,7 @@ from manyhands.launch.files import TargetError
 from manyhands.launch.looking.sessions import NoSession
 from manyhands.launch.preparation import NotCertified, Prepared, prepare
 from manyhands.launch.reach import ReachError
-from manyhands.launch.recording import RecordingError
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.session import PythonEnvironment, Session, SessionError
 from manyhands.launch.topology import LinkTooWide
 from manyhands.nodes.bundle import CLOCKS
@@ -42,6 +42,12 @@ out, err = _console(stderr=False), _console(stderr=True)
 SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="A session file, or the name of a shipped one.")]
 Overrides = Annotated[
     list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
+]
+RunningName = Annotated[
+    str | None,
+    typer.Option(
+        "--session", metavar="NAME", help="Which running session, by its name or process id; by default the only one."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]

@@ -32,7 +32,7 @@ from manyhands.launch.display import say
 from manyhands.launch.files import require_target
 from manyhands.launch.keys import load_folder
 from manyhands.launch.reach import Listen, reach
-from manyhands.launch.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
+from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
 from manyhands.launch.run_directory import SessionDirectory, is_bare, require_new
 from manyhands.launch.shipped import load_named
 from manyhands.launch.summary import print_report

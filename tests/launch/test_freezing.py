@@ -21,7 +21,7 @@ from manyhands.design.proof import prove
 from manyhands.design.proof.claim import read
 from manyhands.design.reduction import at_any_ratio, reduced
 from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.clutch import LET_GO, RAMP, SLOWEST

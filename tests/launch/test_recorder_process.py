@@ -15,8 +15,8 @@ import pytest
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recorder import Recorder
 from manyhands.launch.recorder_process import MOST_WAITING_BYTES, RecorderProcess
-from manyhands.launch.recording import RecordingError
-from manyhands.launch.recording_file import read_recording
+from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.session import load_session
 from manyhands.protocol.messages import Telemetry
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from manyhands.launch.files import TargetError
-from manyhands.launch.recording import Collector, Recording, RecordingError, require_suffix
+from manyhands.launch.recordings.recording import Collector, Recording, RecordingError, require_suffix
 
 X = np.array([[0.1, 1 / 3], [0.2, -2.0], [0.3, 1e-300]])
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from manyhands.launch.recording import RecordingError
-from manyhands.launch.recording_file import read_recording
+from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.layout import Recorded, encode_rows
 from manyhands.protocol.codec import encode

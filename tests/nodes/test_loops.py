@@ -13,7 +13,7 @@ import pytest
 
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recording import Collector
+from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.topology import topology

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from manyhands.launch.recording import RecordingError
-from manyhands.launch.recording_file import read_recording
+from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder import status
 from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore
 from manyhands.nodes.recorder.file import RecordingFile

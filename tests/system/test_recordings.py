@@ -22,8 +22,8 @@ from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recording import Recording
-from manyhands.launch.recording_file import read_recording
+from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation

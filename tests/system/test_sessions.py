@@ -10,7 +10,7 @@ import pytest
 from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.supervisor import Supervisor

@@ -24,7 +24,7 @@ from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import Reach, reach
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.launch.supervisor import Supervisor

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 
 from .stage import PORTS, prepared
 

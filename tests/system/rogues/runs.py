@@ -7,7 +7,7 @@ from functools import wraps
 
 import numpy as np
 
-from manyhands.launch.recording import Recording
+from manyhands.launch.recordings.recording import Recording
 
 from . import around
 from .stage import Played, play

@@ -1,8 +1,8 @@
 """Reading a recording that was written as it happened: whole, or as far as it goes.
 
 A recorder that was killed, a full disk, a power failure leave a file without its end. What is in it in whole chunks is
-read, and :attr:`~manyhands.launch.recording.Recording.cut` says where it ends and why that is known. The file may come
-from anywhere: its lengths are held against its size, its chunks against their checksums.
+read, and :attr:`~manyhands.launch.recordings.recording.Recording.cut` says where it ends and why that is known. The
+file may come from anywhere: its lengths are held against its size, its chunks against their checksums.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from manyhands.launch.recording import Array, Collector, Recording, RecordingError
+from manyhands.launch.recordings.recording import Array, Collector, Recording, RecordingError
 from manyhands.nodes.recorder.layout import FORCE, METADATA, SAMPLE, Recorded, decode_rows
 from manyhands.protocol.channels import channel_name
 

@@ -1,0 +1,7 @@
+"""The command that draws a recorded run: plot."""
+
+from __future__ import annotations
+
+import typer
+
+commands = typer.Typer()
