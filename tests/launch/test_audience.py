@@ -62,12 +62,6 @@ def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> Non
         "watch": Observation("dx", 7, OF_DEVICE.figures, {}),
         "scope": Observation("dx", 7, {}, {"x": X}),
     }
-    assert audience.wants_traces
-
-
-def test_telemetry_alone_needs_no_traces() -> None:
-    assert not Audience(session("{watch: {reads: [telemetry, dx/telemetry]}}")).wants_traces
-    assert not Audience(session("{}")).wants_traces
 
 
 def test_nobody_waits_for_an_observer_that_is_not_there() -> None:

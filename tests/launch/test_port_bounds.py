@@ -155,7 +155,8 @@ def test_telemetry_comes_ten_times_a_second_or_as_often_as_its_traces_need(monke
 
     assert [ticks(period, "c") for period in (0.05, 0.001, 0.0001)] == [2, 100, 1000]
     monkeypatch.setattr(bundles, "MOST_TRACE_VALUES", 1200)
-    assert [ticks(0.0001, name) for name in ("dx", "c")] == [600, 200]
+    # x, f_v, ledger and tau of one port; p and f_v of three, and a ledger
+    assert [ticks(0.0001, name) for name in ("dx", "c")] == [1200 // 4, 1200 // 7]
 
 
 def test_the_largest_traces_fit_a_frame() -> None:

@@ -126,6 +126,7 @@ def test_what_can_be_observed_of_each_role() -> None:
         Role.ENVIRONMENT: ("telemetry",),
         Role.SUPERVISOR: (),
         Role.OBSERVER: (),
+        Role.HAND: (),
     }
 
 

@@ -41,7 +41,7 @@ class Device:
         self.at += after
         due, applied = Instant(self.at), Instant(self.at + tau)
         x = np.array([float(tick) if value is None else value])
-        self.account.tick(tick, x, -x, 0.5, (due, due, due, due, applied, applied))
+        self.account.tick(tick, x, -x, CORE, (due, due, due, due, applied, applied))
         self.account.publish(self.line, CORE, GUARD, [])
 
     def jump(self) -> None:
@@ -84,6 +84,7 @@ def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Cal
         assert 0 < len(rows) <= ROWS
         assert list(rows) == list(range(telemetry.tick - len(rows), telemetry.tick))
         np.testing.assert_array_equal(telemetry.traces["f_v"][:, 0], -rows)
+        assert telemetry.traces["ledger"].shape == telemetry.traces["tau_us"].shape == (len(rows), 1)
         told += [int(row) for row in rows]
     assert told == done
 
@@ -110,6 +111,9 @@ def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> Non
     for tick in range(2 * ROWS):
         device.tick(tick, tau=5000 if tick == 1 else 1000)
     assert [telemetry.figures["tau_worst_us"] for telemetry in device.line.telemetry] == [5.0, 1.0]
+    first, second = (telemetry.traces["tau_us"][:, 0].tolist() for telemetry in device.line.telemetry)
+    assert first == [1.0, 5.0, *[1.0] * (ROWS - 2)]
+    assert second == [1.0] * ROWS
 
 
 @pytest.mark.parametrize(

@@ -266,7 +266,7 @@ def test_a_coupling_clips_a_force_before_it_is_handed_on_and_absorbed(
     assert node.report().counts["saturated"] == 2
 
 
-def test_without_traces_a_coupling_tells_figures_alone(
+def test_a_coupling_tells_its_figures_and_what_it_is_seen_by(
     bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
 ) -> None:
     bundle = bundles["cx"]
@@ -279,10 +279,15 @@ def test_without_traces_a_coupling_tells_figures_alone(
         send(far["dx"], Sample(k, 0, one(0.0)))
         send(far["environment"], Reaction(k, 0, one(9.0)))
     node.loop(Start(0, 3), new_life(), line)
-    (telemetry,) = line.telemetry
-    assert telemetry.tick == 2
-    assert telemetry.traces == {}
-    assert telemetry.figures["saturated"] == 2.0
+    first, rest = line.telemetry
+    assert (first.tick, rest.tick) == (2, 3)
+    assert first.figures["saturated"] == 2.0
+    assert {name: trace.shape for name, trace in first.traces.items()} == {
+        "p": (2, 1),
+        "f_v": (2, 1),
+        "ledger": (2, 1),
+    }
+    assert first.traces["ledger"][-1, 0] == first.figures["ledger"]
 
 
 # --- the environment

@@ -64,7 +64,7 @@ def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life
         stage.reports()
     for coupling, device in stage.graph.carriers.items():
         assert [told.tick for told in stage.lines[coupling].told] == [told.tick for told in stage.lines[device].told]
-        assert stage.lines[coupling].told[0].traces.keys() == {"p", "f_v"}
+        assert stage.lines[coupling].told[0].traces.keys() == {"p", "f_v", "ledger"}
         np.testing.assert_array_equal(stage.lines[coupling].trace("f_v"), stage.lines[device].trace("f_v"))
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from manyhands.protocol.channels import CHANNELS, Rate, channel_name
 from manyhands.protocol.codec import LAYOUTS
-from manyhands.protocol.messages import Force, Observation, Reaction, Role, Sample, Tool
+from manyhands.protocol.messages import Condition, Force, Observation, Reaction, Role, Sample, Tool
 
 
 def test_every_message_has_a_channel_and_every_channel_a_message() -> None:
@@ -45,4 +45,10 @@ def test_an_observer_writes_to_nobody_and_reads_observations_alone() -> None:
     assert {c.name for c in CHANNELS.values() if Role.OBSERVER in c.senders} == {"control"}  # to join
     assert {c.name for c in CHANNELS.values() if Role.OBSERVER in c.receivers} == {"control", "observation"}
     assert CHANNELS["observation"].senders == (Role.SUPERVISOR,)
-    assert CHANNELS["observation"].messages == (Observation,)
+    assert CHANNELS["observation"].messages == (Observation, Condition)
+
+
+def test_a_hand_writes_to_devices_alone_and_reads_nothing() -> None:
+    assert {c.name for c in CHANNELS.values() if Role.HAND in c.senders} == {"grip"}
+    assert not {c.name for c in CHANNELS.values() if Role.HAND in c.receivers}
+    assert CHANNELS["grip"].receivers == (Role.DEVICE,)

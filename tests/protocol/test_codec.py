@@ -16,10 +16,12 @@ from manyhands.protocol.codec import LAYOUTS, ForeignHello, decode, encode
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Absent,
+    Condition,
     Connect,
     Echo,
     Fault,
     Force,
+    Grasp,
     LinkHello,
     Message,
     NodeHello,
@@ -30,6 +32,7 @@ from manyhands.protocol.messages import (
     Ready,
     Refusal,
     RefusalCode,
+    Release,
     Report,
     Return,
     Role,
@@ -94,6 +97,16 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
     Shift: st.builds(Shift, names, st.integers(0, limits.MAX_RUNG)),
     Rung: st.builds(Rung, st.integers(0, limits.MAX_RUNG)),
     Observation: st.builds(Observation, names, counts, figures, st.dictionaries(names, traces, max_size=3)),
+    Condition: st.builds(
+        Condition,
+        names,
+        st.floats(allow_nan=False, allow_infinity=False),
+        st.dictionaries(names, names, max_size=3),
+        st.lists(names, max_size=3).map(tuple),
+        *[st.lists(texts, max_size=3).map(tuple)] * 3,
+    ),
+    Grasp: st.builds(Grasp, values),
+    Release: st.just(Release()),
 }
 SIGNALS = (Sample, Tool, Reaction, Force)
 

@@ -16,6 +16,7 @@ from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
+from manyhands.protocol.topics import TOPICS
 from manyhands.protocol.transport.door import Refused
 
 from .spec_text import SPEC, table
@@ -60,6 +61,16 @@ def test_channels() -> None:
         for channel in CHANNELS.values()
     ]
     assert table("| channel | messages | from | to | quantity | unit | rate |") == expected
+
+
+def test_topics() -> None:
+    expected = [
+        [role, topic.name, topic.trace, topic.symbol, topic.unit, topic.columns]
+        for role, topics in TOPICS.items()
+        for topic in topics
+    ]
+    found = table("| role | topic | trace | quantity | unit | columns |")
+    assert [[cell.strip("`") for cell in row] for row in found] == expected
 
 
 def test_messages_and_their_fields() -> None:
@@ -137,7 +148,7 @@ def test_what_is_counted_at_a_door() -> None:
     assert [row[0] for row in table("| count at a door | is |")] == list(Refused)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, 3, 4])
 def test_what_is_said_to_be_new_is_there(version: int) -> None:
     new = SPEC.split(f"Version {version}, against version {version - 1}:")[1].split(", against version")[0]
     numbered = [(name, number) for name, number in re.findall(r"(\w+) \((\d+)\)", new) if name != "section"]
@@ -146,7 +157,8 @@ def test_what_is_said_to_be_new_is_there(version: int) -> None:
         assert LAYOUTS[getattr(messages, name)][0] == int(number)
     fields = {field.name for kind in LAYOUTS for field in dataclasses.fields(kind)}
     for name in re.findall(r"`(\w+)`", new):
-        assert name in {*Role, *CHANNELS, *RefusalCode, *DROP_REASONS, *fields}, name
+        topics = {topic.name for own in TOPICS.values() for topic in own}
+        assert name in {*Role, *CHANNELS, *RefusalCode, *DROP_REASONS, *fields, *topics}, name
     for name in re.findall(r"\b[A-Z]{2,}(?:_[A-Z]+)+\b", new):
         assert hasattr(limits, name), name
 

@@ -1,0 +1,85 @@
+"""What the environment tells of tools and masses: rows that follow each other, of what its core has settled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.bundles import Run, cut
+from manyhands.launch.preparation import prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import EnvironmentBundle
+from manyhands.nodes.environment.account import Account
+from manyhands.nodes.environment.cores import environment_core
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+T = 0.001
+
+
+def environment(*overrides: str) -> EnvironmentBundle:
+    prepared = prepare(load_session(SESSIONS / "example1-centralised.yaml", overrides), uncertified=True)
+    bundle = cut(prepared, Run("simulated", None, ""))["environment"]
+    assert isinstance(bundle, EnvironmentBundle)
+    return bundle
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        ("environment.enforce=true",),
+        ("environment.delay=2", "design.coupling=given", "design.stiffness=500", "design.damping=1"),
+    ],
+)
+def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_line: Callable[[], Any]) -> None:
+    """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, with what is told of x_e and q alone."""
+    bundle = environment(*overrides)
+    m = len(bundle.common.ports)
+    core, account, line = environment_core(bundle, np.eye(m) * 1e-3), Account(bundle.common), new_line()
+    rng = np.random.default_rng(1)
+    p = np.cumsum(rng.normal(size=(bundle.common.telemetry_first, m)) * 1e-4, axis=0)
+    for tick, row in enumerate(p):
+        core.react(row.tolist())
+        core.settle()
+        account.tick(tick, core)
+    assert account.due
+    account.publish(line, core, {"frozen": 0.0})
+    (told,) = line.telemetry
+    assert (told.tick, told.figures) == (len(p), {"frozen": 0.0})
+    x_e, q = told.traces["x_e"], told.traces["q"]
+    assert x_e.shape == (len(p), m)
+    assert q.shape == (len(p), 1)
+    if core.ledger is None:
+        assert "ledger" not in told.traces
+    else:
+        assert told.traces["ledger"][-1, 0] == core.ledger.total
+    late = next((int(o[-1]) for o in overrides if o.startswith("environment.delay")), 0)  # it feels tools of then
+    x_e = np.vstack([np.zeros((late, m)), x_e])[: len(p)]
+    mass, ground = 3.0, (2600.0, 0.5)
+    hands = list(zip((3800.0, 3500.0, 3300.0), (0.1, 0.2, 0.3), strict=True))
+    v, w = np.diff(q[:, 0], prepend=0.0) / T, np.diff(x_e, axis=0, prepend=np.zeros((1, m))) / T
+    pull = sum(k * (x_e[:, i] - q[:, 0]) + b * (w[:, i] - v) for i, (k, b) in enumerate(hands))
+    force = pull - ground[0] * q[:, 0] - ground[1] * v
+    inertia = mass * np.diff(v, prepend=0.0) / T
+    np.testing.assert_allclose(
+        inertia, force, atol=1e-6 * np.abs(force).max()
+    )  # second differences of doubles over T^2
+
+
+def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[], Any]) -> None:
+    bundle = environment()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
+    for tick in range(7):
+        core.react([0.001 * tick, 0.0, 0.0])
+        core.settle()
+        account.tick(tick, core)
+    account.publish(line, core, {})
+    account.publish(line, core, {})
+    (told,) = line.telemetry
+    assert told.tick == 7
+    assert told.traces["x_e"].shape == (7, 3)
+    assert account.ticks == 7
