@@ -22,8 +22,11 @@ types: $(VENV)/.installed
 imports: $(VENV)/.installed
 	$(BIN)/lint-imports
 
+# what starts sessions in real time runs alone; the rest in so many processes at once, and 0 is none beside this one
+WORKERS ?= 2
 pytest: $(VENV)/.installed
-	$(BIN)/pytest
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile tests/design tests/protocol tests/nodes tests/deterministic tests/fuzz
+	$(BIN)/pytest tests/launch tests/system
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`
 campaign: $(VENV)/.installed
