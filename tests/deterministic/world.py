@@ -130,7 +130,7 @@ class World:
     @property
     def tick(self) -> int:
         """The environment's; 0 for none."""
-        return 0 if self.environment is None else self.environment._ticks
+        return 0 if self.environment is None else self.environment._account.ticks
 
     @property
     def whole(self) -> bool:
