@@ -12,13 +12,13 @@ from pathlib import Path
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 
 
-def run(*arguments: str | Path) -> str:
+def run(*arguments: str | Path, cwd: Path | None = None) -> str:
     """Run a command to its end; returns what it said on standard output.
 
     Raises:
         AssertionError: its exit code is not 0; with what it said.
     """
-    done = subprocess.run([*MANYHANDS, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([*MANYHANDS, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, (
         f"manyhands {' '.join(map(str, arguments))} ended with {done.returncode}: {done.stderr}"
     )

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from .commands import read_until, run, started
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]
@@ -40,6 +43,27 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == expected, f"{arguments}: {done.stderr}"
+
+
+def test_the_readmes_terminals_show_what_they_say(tmp_path: Path) -> None:
+    """The lines of the three terminals, in their order; what goes on is ended with Ctrl-C, as a person would."""
+    text = (ROOT / "README.md").read_text()
+    lines = re.findall(r"^(\d) \$ manyhands (.*?)(?:  +#.*)?$", text, flags=re.MULTILINE)
+    assert [terminal for terminal, _ in lines] == ["1", "2", *"3333"]
+    (launch, view, listing, *later) = [shlex.split(line) for _, line in lines]
+    with started(*launch, cwd=tmp_path) as session:
+        read_until(session, "running")
+        with started(*view, cwd=tmp_path) as page:
+            read_until(page, "http://127.0.0.1:")
+            assert "browser" in run(*listing)
+            page.send_signal(signal.SIGINT)
+            page.communicate(timeout=60)
+        session.send_signal(signal.SIGINT)
+        session.communicate(timeout=60)
+        assert session.returncode == 130
+    for arguments in later:
+        run(*arguments, cwd=tmp_path)
+    assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
 def test_every_key_of_the_files_is_told(tmp_path: Path) -> None:
