@@ -24,13 +24,19 @@ from manyhands.launch.cli.common import (
     refuse,
     require_one_of,
 )
+from manyhands.launch.cli.completing import node_names
 from manyhands.launch.display import say
 from manyhands.launch.shipped import load_named
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 
 commands = typer.Typer()
 
-NodeName = Annotated[str, typer.Argument(metavar="NODE", help="A device, a coupling, the environment, or an observer.")]
+NodeName = Annotated[
+    str,
+    typer.Argument(
+        metavar="NODE", help="A device, a coupling, the environment, or an observer.", autocompletion=node_names
+    ),
+]
 
 
 @commands.command(epilog="Example: manyhands graph example1.yaml --access")
