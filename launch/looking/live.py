@@ -107,7 +107,7 @@ def _cells(node: NodeScene) -> list[str]:
 def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
     """The places of the columns that find room, the least important left out first."""
     needed = [
-        max(map(cell_len, (*title.replace(" [", "\n[").split("\n"), *(row[place] for row in rows))), default=0) + 2
+        max(map(cell_len, (*title.replace(" [", "\n[").split("\n"), *(row[place] for row in rows))), default=0) + 3
         for place, title in enumerate(titles)
     ]
     ranks = {len(_FIXED) + place: column.rank for place, column in enumerate(COLUMNS)}
