@@ -41,7 +41,7 @@ class Device:
         self.at += after
         due, applied = Instant(self.at), Instant(self.at + tau)
         x = np.array([float(tick) if value is None else value])
-        self.account.tick(tick, x, -x, 0.5, (due, due, due, due, applied, applied))
+        self.account.tick(tick, x, -x, CORE, (due, due, due, due, applied, applied))
         self.account.publish(self.line, CORE, GUARD, [])
 
     def jump(self) -> None:
@@ -110,6 +110,15 @@ def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> Non
     for tick in range(2 * ROWS):
         device.tick(tick, tau=5000 if tick == 1 else 1000)
     assert [telemetry.figures["tau_worst_us"] for telemetry in device.line.telemetry] == [5.0, 1.0]
+
+
+def test_telemetry_tells_the_percentiles_of_the_true_period_since_the_start(device: Device) -> None:
+    for tick in range(2 * ROWS):
+        device.tick(tick, after=3 * MS if tick == 15 else MS)
+    first, second = (telemetry.figures for telemetry in device.line.telemetry)
+    assert first["period_us_p50"] == first["period_us_p99"] == pytest.approx(1000.0, rel=0.01)
+    assert second["period_us_p50"] == pytest.approx(1000.0, rel=0.01)
+    assert second["period_us_p99"] == pytest.approx(3000.0, rel=0.01)
 
 
 @pytest.mark.parametrize(
