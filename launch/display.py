@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from manyhands.launch.columns import COLUMNS
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
 from manyhands.launch.topology import Topology
@@ -86,17 +87,17 @@ class LiveTable:
         table = Table(title=f"{self._title}: {progress.phase}", title_justify="left")
         table.add_column("node")
         table.add_column("role")
-        for column in ("tick", "rate [Hz]", *_COLUMN_NAMES):
+        for column in ("tick", "rate [Hz]", *(column.title for column in COLUMNS)):
             table.add_column(column, justify="right")
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
             away = progress.states[name] in _AWAY
             if telemetry is None or progress.phase is Phase.STARTING or away:
-                table.add_row(name, role.value, progress.states[name], *[""] * (1 + len(_COLUMNS)))
+                table.add_row(name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS)))
                 continue
             rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)
             table.add_row(name, role.value, str(telemetry.tick), rate,
-                          *(_figure(telemetry, key, form) for key, form in _COLUMNS))  # fmt: skip
+                          *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
         return Group(table, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
@@ -122,19 +123,3 @@ _AWAY = {state.value for state in NodeState} - {
     NodeState.ENDED.value,
 }
 _INCIDENTS_SHOWN = 5
-_COLUMN_NAMES = ("late", "τ p50 [µs]", "τ p99 [µs]", "rung", "frozen", "speed [m/s]", "ledger [J]", "refused")
-_COLUMNS = (
-    (names.LATE, ".0f"),
-    (f"{names.TAU}_p50", ".0f"),
-    (f"{names.TAU}_p99", ".0f"),
-    (names.RUNG, ".0f"),
-    (names.FROZEN, ".0f"),
-    (names.SPEED, ".2e"),
-    (names.LEDGER, ".2e"),
-    (names.NOT_ADMITTED, ".0f"),
-)
-
-
-def _figure(telemetry: Telemetry, key: str, form: str) -> str:
-    value = telemetry.figures.get(key)
-    return "" if value is None else format(value, form)

@@ -65,6 +65,7 @@ def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> Abou
         },
         certificate=None if prepared.certificate is None else _certificate(prepared, prepared.certificate),
         environment=session.environment.type,
+        observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
     )
 
 
@@ -102,7 +103,11 @@ class Showing:
             OSError, TransportError: it cannot be opened there.
         """
         self._gallery = Gallery(directory)
-        about.save(directory)
+        try:
+            about.save(directory)
+        except OSError:
+            self._gallery.close()
+            raise
 
     def tell(self, frame: bytes | None) -> None:
         """Show a node's observation."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,10 +14,12 @@ import typer
 from rich.console import Console
 
 from manyhands.design.errors import CertificateError, DesignError
+from manyhands.launch.cli.completing import running_names, session_files
 from manyhands.launch.display import say
-from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
+from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.files import TargetError
 from manyhands.launch.looking.sessions import NoSession
+from manyhands.launch.looking.topics_named import NoTopic
 from manyhands.launch.preparation import NotCertified, Prepared, prepare
 from manyhands.launch.reach import ReachError
 from manyhands.launch.recordings.recording import RecordingError
@@ -32,21 +36,35 @@ MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
 _NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command what that means."""
+        raise BrokenPipeError
+
+
 def _console(stderr: bool) -> Console:
-    console = Console(stderr=stderr, highlight=False, soft_wrap=True)
-    return console if console.is_terminal else Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
+    console = _Console(stderr=stderr, highlight=False, soft_wrap=True)
+    return console if console.is_terminal else _Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
 
 
 out, err = _console(stderr=False), _console(stderr=True)
 
-SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="A session file, or the name of a shipped one.")]
+SessionPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SESSION", help="A session file, or the name of a shipped one.", autocompletion=session_files
+    ),
+]
 Overrides = Annotated[
     list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
 ]
 RunningName = Annotated[
     str | None,
     typer.Option(
-        "--session", metavar="NAME", help="Which running session, by its name or process id; by default the only one."
+        "--session",
+        metavar="NAME",
+        help="Which running session, by its name or process id; by default the only one.",
+        autocompletion=running_names,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -112,6 +130,24 @@ def require_folder(path: Path | None) -> None:
         refuse(f"{path}: found a file; expected the name of a folder")
 
 
+@contextmanager
+def pipe_may_close() -> Iterator[None]:
+    """Whoever reads standard output may have had enough, as ``head`` does: then the command is done, and well."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _nobody_reads()
+        raise typer.Exit(EXIT_OK) from None
+
+
+def _nobody_reads() -> None:
+    """Let go of a standard output that nobody reads, for the interpreter flushes it once more at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
 def end(code: int) -> None:
     """End the command with this exit code."""
     if code:
@@ -151,6 +187,7 @@ _BAD_INPUT = (
     LinkTooWide,
     ModelError,
     NoSession,
+    NoTopic,
     ReachError,
     RecordingError,
     SessionError,
@@ -176,6 +213,9 @@ def errors() -> Iterator[None]:
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
     except (LimitExceeded, ModelFailure) as error:
         say(err, f"error: {error}")
+        raise typer.Exit(EXIT_FAILED) from error
+    except BrokenPipeError as error:
+        _nobody_reads()
         raise typer.Exit(EXIT_FAILED) from error
     except OSError as error:
         say(err, f"error: {error.filename or ''}: {error.strerror}")

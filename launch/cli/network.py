@@ -14,37 +14,93 @@ from manyhands.launch.cli.common import (
     Json,
     KeyFolder,
     Overrides,
+    RunningName,
     SessionPath,
     Uncertified,
     end,
     err,
     errors,
     out,
+    pipe_may_close,
     prepare_session,
     refuse,
     require_one_of,
 )
+from manyhands.launch.cli.completing import node_names, session_files
 from manyhands.launch.display import say
 from manyhands.launch.shipped import load_named
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 
 commands = typer.Typer()
 
-NodeName = Annotated[str, typer.Argument(metavar="NODE", help="A device, a coupling, the environment, or an observer.")]
+NodeName = Annotated[
+    str,
+    typer.Argument(
+        metavar="NODE", help="A device, a coupling, the environment, or an observer.", autocompletion=node_names
+    ),
+]
 
 
-@commands.command(epilog="Example: manyhands graph example1.yaml --access")
+@commands.command(epilog="Example: manyhands graph example1.yaml --format svg -o graph.svg")
 def graph(
-    session: SessionPath,
+    session: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SESSION]",
+            help="A session file, or the name of a shipped one; without --session.",
+            autocompletion=session_files,
+        ),
+    ] = None,
+    running: RunningName = None,
     access: Annotated[bool, typer.Option("--access", help="Show who may read and write what.")] = False,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="text|mermaid|svg",
+            help="By default as the suffix of FILE, or text.",
+            autocompletion=lambda: ["text", "mermaid", "svg"],
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", metavar="FILE", help="Write it here instead (.svg, .mmd, .txt, .json).")
+    ] = None,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
-    """Show a session's processes and links, or what each of them may read and write."""
-    with errors():
-        from manyhands.launch.graph import run_graph
+    """Show a session's processes and links, or who may read and write what; of a running one, how each is."""
+    with errors(), pipe_may_close():
+        from manyhands.launch.files import require_target
+        from manyhands.launch.graph import FORMATS, format_of, show_scene, show_session
+        from manyhands.launch.looking.listing import look_at
+        from manyhands.launch.looking.sessions import find_session
+        from manyhands.protocol.clock import RealtimeClock
 
-        end(run_graph(load_named(session, overrides), out, access, as_json))
+        if (session is None) is (running is None):
+            refuse("found neither SESSION nor --session NAME, or both; expected a file, or the name of a running one")
+        if form is not None:
+            require_one_of("--format", form, FORMATS)
+            if as_json:
+                refuse("found --format and --json; expected one of them")
+        if running is not None and (access or overrides):
+            refuse("found --access or --set with --session; expected them with a session file")
+        if access and form not in (None, "text"):
+            refuse(f"--access: found --format {form}; expected text or --json")
+        if output is not None:
+            require_target(output)
+        shape = format_of(form, output, as_json)
+        if access and shape not in ("text", "json"):
+            refuse(f"--access: found {output}; expected .txt or .json")
+        if session is not None:
+            code = show_session(load_named(session, overrides), out, shape, output, access)
+        else:
+            scenes = look_at([find_session(running)], RealtimeClock())
+            if not scenes:
+                refuse(f"--session: found that {running} cannot be looked at; expected one that runs")
+            code = show_scene(scenes[0], out, shape, output)
+        if output is not None:
+            say(err, f"written to {output}")
+        end(code)
 
 
 @commands.command(epilog="Example: manyhands keys example1.yaml -o keys")

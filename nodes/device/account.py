@@ -121,6 +121,8 @@ class Account:
             names.CLIPPED: float(guard.clipped),
             f"{names.TAU}_p50": self._tau.quantile(0.5),
             f"{names.TAU}_p99": self._tau.quantile(0.99),
+            f"{names.PERIOD}_p50": self._true_period.quantile(0.5),
+            f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
             **names.ledger_figures(core.ledger),
             **names.stray_frames(joints),
         }

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,8 @@ ABOUT: Final = "about.json"
 """The file's name in the session's directory."""
 
 MAX_ABOUT_BYTES: Final = 16 * 2**20
+
+_LATEST: Final = 2.5e11  # the end of the year 9891: what calendars can show
 
 
 class AboutError(Exception):
@@ -94,6 +97,7 @@ class About:
         reach: of each port's device, the greatest displacement, m.
         certificate: None for a session that nothing proves.
         environment: the environment's type.
+        observers: by name what each may read, as in the session.
     """
 
     session: str
@@ -112,6 +116,7 @@ class About:
     reach: Mapping[str, float]
     certificate: CertificateAbout | None
     environment: str
+    observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_plain(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -148,30 +153,97 @@ class About:
             ) from error
 
 
+_SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
+    "session": str,
+    "id": str,
+    "pid": int,
+    "clock": str,
+    "transport": str,
+    "period": (int, float),
+    "ticks": int,
+    "started": (int, float),
+    "environment": str,
+}
+"""What is neither a list nor a map, and of what type it is."""
+
+
 def _about(data: Any) -> About:
     certificate = data["certificate"]
-    lists = {name: tuple(data[name]) for name in ("grips",)}
-    return About(
+    nodes = {
+        _text(name): NodeAbout(Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]))
+        for name, node in data["nodes"].items()
+    }
+    about = About(
         **{
             **data,
-            **lists,
-            "nodes": {
-                name: NodeAbout(Role(node["role"]), tuple(node["ports"]), node["process"])
-                for name, node in data["nodes"].items()
-            },
-            "links": tuple(LinkAbout(_two(link["ends"]), tuple(link["ports"])) for link in data["links"]),
+            "nodes": nodes,
+            "links": tuple(LinkAbout(_two(link["ends"]), _texts(link["ports"])) for link in data["links"]),
+            "masses": _numbers(data["masses"]),
             "springs": tuple(
-                SpringAbout(_two(spring["ends"]), spring["stiffness"], spring["damping"]) for spring in data["springs"]
+                SpringAbout(_two(spring["ends"]), _number(spring["stiffness"]), _number(spring["damping"]))
+                for spring in data["springs"]
             ),
-            "certificate": None
-            if certificate is None
-            else CertificateAbout(
-                **{**certificate, **{name: tuple(certificate[name]) for name in ("ladder", "enforced")}}
-            ),
+            "grips": _texts(data["grips"]),
+            "reach": _numbers(data["reach"]),
+            "certificate": None if certificate is None else _certificate(certificate),
+            "observers": {_text(name): _texts(reads) for name, reads in data["observers"].items()},
+        }
+    )
+    for name, kind in _SCALARS.items():
+        if not isinstance(data[name], kind) or isinstance(data[name], bool):
+            raise TypeError(f"{name}: found {data[name]!r}")
+    if not (0.0 < about.period < math.inf and 0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
+        raise ValueError("found a period, an instant, a process id or a number of ticks that there cannot be")
+    for link in about.links:
+        for name in link.ends:
+            _known(name, nodes)
+    return about
+
+
+def _certificate(data: Any) -> CertificateAbout:
+    gamma = data["gamma"]
+    return CertificateAbout(
+        **{
+            **data,
+            "tau": _number(data["tau"]),
+            "margins": _numbers(data["margins"]),
+            "gamma": None if gamma is None else _number(gamma),
+            "delta_D": _numbers(data["delta_D"]),
+            "ladder": tuple(map(_number, data["ladder"])),
+            "enforced": _texts(data["enforced"]),
         }
     )
 
 
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"found {value!r}; expected a text")
+    return value
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list):
+        raise TypeError(f"found {values!r}; expected a list")
+    return tuple(map(_text, values))
+
+
+def _number(value: Any) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise TypeError(f"found {value!r}; expected a number")
+    return value
+
+
+def _numbers(values: Any) -> dict[str, float]:
+    return {_text(name): _number(value) for name, value in values.items()}
+
+
+def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
+    """A node's name, or None, which is nobody's."""
+    if name is not None and name not in nodes:
+        raise ValueError(f"found {name!r}; expected a node")
+    return name
+
+
 def _two(ends: Any) -> tuple[str, str]:
-    first, second = ends
+    first, second = _texts(ends)
     return first, second

@@ -5,6 +5,7 @@ Who shows it (a table, a page, a line a tick) reads it; nothing here waits, prin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -59,6 +60,7 @@ class NodeScene:
         figures: of its latest telemetry.
         heard: when that came; None if none has.
         late: whether more of its ticks than usual were late lately.
+        silent: whether the supervisor has not heard of it for a while, though it runs.
     """
 
     name: str
@@ -85,8 +87,8 @@ class NodeScene:
     def take(self, told: Observation, now: Instant) -> None:
         """Its latest telemetry."""
         late = told.figures.get(names.LATE, 0.0)
-        if self._since is None or told.tick < self.tick:  # the first, or of a new process
-            self._since, self.rate = (now, told.tick, late), None
+        if self._since is None or told.tick < self.tick or late < self._since[2]:  # the first, or of a new process
+            self._since, self.rate, self.late = (now, told.tick, late), None, False
         since, tick, late_then = self._since
         if now - since >= RATE_OVER:
             done = told.tick - tick
@@ -94,6 +96,12 @@ class NodeScene:
             self.late = late - late_then > LATE_SHARE * max(done, 1)
             self._since = now, told.tick, late
         self.tick, self.figures, self.heard = told.tick, dict(told.figures), now
+
+    def stand(self, state: str, silent: bool) -> None:
+        """Where the supervisor sees it; whoever does not run, or says nothing, has no rate."""
+        self.state, self.silent = state, silent
+        if STATE_HEALTH.get(state) is not Health.OK or silent:
+            self._since, self.rate, self.late = None, None, False
 
 
 class Scene:
@@ -123,8 +131,7 @@ class Scene:
             case Condition():
                 self.condition = message
                 for name, seen in self.nodes.items():
-                    seen.state = message.states.get(name, "")
-                    seen.silent = name in message.silent
+                    seen.stand(message.states.get(name, ""), name in message.silent)
                 return message
             case _:
                 self.malformed += 1
@@ -143,8 +150,9 @@ class Scene:
 
     @property
     def frozen(self) -> int:
-        """Couplings that are frozen now."""
-        return round(sum(n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT))
+        """Couplings that are frozen now, as the environment says; what is no number counts as none."""
+        told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
+        return round(sum(value for value in told if math.isfinite(value)))
 
     @property
     def health(self) -> Health:

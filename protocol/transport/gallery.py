@@ -5,6 +5,7 @@ finds no room in its queue, and nobody waits for it. What is shown is all there 
 with keys (:mod:`manyhands.launch.audience`), not a visitor.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -38,7 +39,7 @@ class Gallery:
         try:
             self._socket.bind(f"ipc://{self._path}")
         except zmq.ZMQError as error:
-            self.close()
+            _leave(self._context, self._socket)
             raise failed(f"bind {self._path}", error) from error
 
     def show(self, frame: bytes) -> None:
@@ -46,18 +47,19 @@ class Gallery:
 
         Raises:
             ValueError: if the frame is longer than ``MAX_CONTROL_BYTES``.
+            TransportError: if it is closed.
         """
         require_sendable(frame)
         try:
-            self._socket.send(frame, zmq.NOBLOCK)
-        except zmq.Again:  # PUB drops instead; kept for what ZeroMQ may decide otherwise
-            return
+            self._socket.send(frame, zmq.NOBLOCK)  # PUB drops for whom its queue is full
+        except zmq.ZMQError as error:
+            raise failed(f"show at {self._path}", error) from error
 
     def close(self) -> None:
         """Close it, and leave no file. A second time does nothing."""
-        self._socket.close()
-        self._context.term()
-        self._path.unlink(missing_ok=True)
+        if not self._socket.closed:
+            _leave(self._context, self._socket)
+            self._path.unlink(missing_ok=True)
 
 
 class Visit:
@@ -80,19 +82,37 @@ class Visit:
         try:
             self._socket.connect(f"ipc://{path}")
         except zmq.ZMQError as error:
-            self.close()
+            _leave(self._context, self._socket)
             raise failed(f"connect to {path}", error) from error
 
     def recv(self, timeout: Duration | None) -> bytes | None:
-        """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever)."""
-        if not self._socket.poll(milliseconds(timeout), zmq.POLLIN):
-            return None
+        """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever).
+
+        Raises:
+            TransportError: if it is closed.
+        """
         try:
+            if not self._socket.poll(milliseconds(timeout), zmq.POLLIN):
+                return None
             return self._socket.recv(zmq.NOBLOCK)
         except zmq.Again:
             return None
+        except zmq.ZMQError as error:
+            raise failed("look on", error) from error
 
     def close(self) -> None:
         """Leave. A second time does nothing."""
-        self._socket.close()
-        self._context.term()
+        _leave(self._context, self._socket)
+
+
+def await_any(visits: Sequence[Visit], timeout: Duration) -> None:
+    """Return as soon as any of the visits has a frame, or after ``timeout``."""
+    poller = zmq.Poller()
+    for visit in visits:
+        poller.register(visit._socket, zmq.POLLIN)
+    poller.poll(milliseconds(timeout))
+
+
+def _leave(context: zmq.Context[zmq.Socket[bytes]], socket: zmq.Socket[bytes]) -> None:
+    socket.close()
+    context.term()

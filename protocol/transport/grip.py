@@ -4,7 +4,7 @@ Only the latest matters, nobody waits, and a device reads it in its tick without
 socket, and not ZeroMQ. Who may enter the directory may hold the device.
 """
 
-import os
+import contextlib
 import socket
 from pathlib import Path
 from typing import Final
@@ -46,11 +46,12 @@ class GripInlet:
         """
         self._path = grip_path(directory, device)
         self.malformed = 0
-        self._path.unlink(missing_ok=True)  # of the device's former process
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
+            self._path.unlink(missing_ok=True)  # of the device's former process
             self._socket.bind(str(self._path))
+            self._file = self._path.stat().st_ino
         except OSError as error:
             self._socket.close()
             raise TransportError(f"cannot bind {self._path}: {error.strerror}") from error
@@ -71,9 +72,11 @@ class GripInlet:
         return last
 
     def close(self) -> None:
-        """Close it, and leave no file. A second time does nothing."""
+        """Close it, and leave no file, unless it is the next process's by now. A second time does nothing."""
+        with contextlib.suppress(FileNotFoundError):
+            if self._socket.fileno() >= 0 and self._path.stat().st_ino == self._file:
+                self._path.unlink()
         self._socket.close()
-        self._path.unlink(missing_ok=True)
 
 
 class GripOutlet:
@@ -90,14 +93,15 @@ class GripOutlet:
         self._socket.setblocking(False)
 
     def say(self, message: Grasp | Release) -> bool:
-        """Say it, and return at once; False if nobody is there, or has no room.
+        """Say it, and return at once; False if nobody is there, or has no room, or this end is closed.
 
         Raises:
             ValueError: the message is not what the protocol allows.
         """
+        frame = encode(message)
         try:
-            return self._socket.sendto(encode(message), os.fspath(self._path)) > 0
-        except (BlockingIOError, FileNotFoundError, ConnectionRefusedError):
+            return self._socket.sendto(frame, self._path) > 0
+        except OSError:  # gone, full, or in its place something that is no device's: it will not have heard
             return False
 
     def close(self) -> None:

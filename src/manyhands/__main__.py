@@ -26,7 +26,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")  # read when numpy is first imported
     from manyhands.launch.cli import app  # after the handler: this import takes a noticeable time
 
-    app()
+    app(prog_name="manyhands")  # completion goes by it, and python -m has another
 
 
 if __name__ == "__main__":

@@ -116,6 +116,15 @@ def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> Non
     assert second == [1.0] * ROWS
 
 
+def test_telemetry_tells_the_percentiles_of_the_true_period_since_the_start(device: Device) -> None:
+    for tick in range(2 * ROWS):
+        device.tick(tick, after=3 * MS if tick == 15 else MS)
+    first, second = (telemetry.figures for telemetry in device.line.telemetry)
+    assert first["period_us_p50"] == first["period_us_p99"] == pytest.approx(1000.0, rel=0.01)
+    assert second["period_us_p50"] == pytest.approx(1000.0, rel=0.01)
+    assert second["period_us_p99"] == pytest.approx(3000.0, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("after", "breaches"),
     [

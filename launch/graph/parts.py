@@ -1,0 +1,192 @@
+"""What every picture of a session is made of: nodes in their layers, links between them, and how each is. Pure.
+
+A picture of a session file knows no healths; one of a running session has them from its scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from manyhands.launch.access import DATA, joins
+from manyhands.launch.session import Session
+from manyhands.launch.topology import topology
+from manyhands.nodes.observer.scene import Health, Scene
+from manyhands.protocol.messages import Role
+
+LAYERS: Final = {Role.DEVICE: 0, Role.COUPLING: 1, Role.ENVIRONMENT: 2}
+"""From the hands on the left to the world."""
+
+_MOST_PORTS: Final = 4  # named in a label; more are counted
+
+
+@dataclass(frozen=True)
+class Part:
+    """A node, or an observer.
+
+    Attributes:
+        name: its own.
+        role: what it is.
+        ports: in order; none of an observer.
+        note: what else is to be said of it; empty where nothing is.
+        health: how it is; None in a picture of a file.
+        detail: where it stands, in words.
+    """
+
+    name: str
+    role: Role
+    ports: tuple[str, ...] = ()
+    note: str = ""
+    health: Health | None = None
+    detail: str = ""
+
+    @property
+    def label(self) -> tuple[str, ...]:
+        """The lines that stand in its box, its name first."""
+        lines = [self.name, self.role.value if not self.note else f"{self.role.value}, {self.note}"]
+        if self.role is not Role.OBSERVER and self.ports:
+            lines.append(_few(self.ports))
+        if self.health is not None:
+            lines.append(self.health.value if not self.detail else f"{self.health.value}: {self.detail}")
+        return tuple(lines)
+
+    @property
+    def whole(self) -> str:
+        """All that is known of it, in a sentence."""
+        ports = f"; ports {', '.join(self.ports)}" if self.ports else ""
+        return f"{': '.join(self.label[:2])}{ports}{''.join(f'; {line}' for line in self.label[3:])}"
+
+
+@dataclass(frozen=True)
+class Tie:
+    """What joins two parts: a link, or a line that is none.
+
+    Attributes:
+        ends: the one nearer to a hand first.
+        ports: of the link.
+        there: what is said from the first end to the second, in the paper's letters; empty where there is no link.
+        back: likewise, from the second to the first.
+        health: how it is; None in a picture of a file.
+        why: what joins them where it is no link.
+        looks: whether it is that the second one looks on at the first.
+    """
+
+    ends: tuple[str, str]
+    ports: tuple[str, ...] = ()
+    there: str = ""
+    back: str = ""
+    health: Health | None = None
+    why: str = ""
+    looks: bool = False
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether its label stands beside it; what an observer reads, its own box says."""
+        return not self.looks
+
+    @property
+    def is_link(self) -> bool:
+        """Whether it is a link of the session, with a signal each way."""
+        return not self.why
+
+    @property
+    def label(self) -> str:
+        """What stands beside it."""
+        return f"{self.there} → ← {self.back}" if self.is_link else self.why
+
+    @property
+    def whole(self) -> str:
+        """All that is known of it, in a sentence."""
+        first, second = self.ends
+        if not self.is_link:
+            return f"{first}, {second}: {self.why}"
+        health = "" if self.health is None else f"; {self.health.value}"
+        return f"{first} to {second}: {self.there}, back: {self.back}; ports {', '.join(self.ports)}{health}"
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A session's graph; ``health`` is that of the whole, None of a file."""
+
+    title: str
+    parts: tuple[Part, ...]
+    ties: tuple[Tie, ...]
+    health: Health | None = None
+
+
+def drawing_of_session(session: Session) -> Drawing:
+    """The graph of a session file, with its observers."""
+    graph = topology(session)
+    parts = [
+        Part(name, role, graph.ports[name], _carried(graph.carriers.get(name))) for name, role in graph.nodes.items()
+    ]
+    links = [((link.connector, link.binder), link.ports) for link in graph.links]
+    ties = [_link(ends, ports, graph.nodes, None) for ends, ports in links]
+    reads = {name: tuple(observer.reads) for name, observer in session.observers.items()}
+    return Drawing(
+        session.name, (*parts, *_observers(reads)), (*ties, *_carriers(graph.carriers), *_looks(reads, graph.nodes))
+    )
+
+
+def drawing_of_scene(scene: Scene) -> Drawing:
+    """The graph of a running session, with the health of each node and link."""
+    about = scene.about
+    carriers = {name: node.process for name, node in about.nodes.items() if node.process is not None}
+    roles = {name: node.role for name, node in about.nodes.items()}
+    parts = []
+    for name, node in about.nodes.items():
+        seen = scene.nodes[name]
+        detail = "" if seen.health is Health.OK and seen.rate is None else seen.state
+        if seen.health in (Health.OK, Health.LATE) and seen.rate is not None:
+            detail = f"{seen.rate:.0f} ticks/s"
+        parts.append(Part(name, node.role, node.ports, _carried(node.process), seen.health, detail))
+    ties = [_link(link.ends, link.ports, roles, scene.link_health(link)) for link in about.links]
+    return Drawing(
+        about.session,
+        (*parts, *_observers(about.observers)),
+        (*ties, *_carriers(carriers), *_looks(about.observers, roles)),
+        scene.health,
+    )
+
+
+def _carried(carrier: str | None) -> str:
+    return "" if carrier is None else f"in {carrier}"
+
+
+def _link(ends: tuple[str, str], ports: tuple[str, ...], roles: Mapping[str, Role], health: Health | None) -> Tie:
+    """A link; what its ends say are the channels between such roles."""
+    there, back = (_signal(roles[sender], roles[hearer]) for sender, hearer in (ends, ends[::-1]))
+    return Tie(ends, ports, there, back, health)
+
+
+def _signal(sender: Role, hearer: Role) -> str:
+    """The letters of what one role says to another in every tick."""
+    return ", ".join(channel.symbol for channel in DATA if channel.symbol and joins(channel, sender, hearer))
+
+
+def _carriers(carriers: Mapping[str, str]) -> list[Tie]:
+    return [Tie((carrier, name), why="one process") for name, carrier in carriers.items()]
+
+
+def _observers(reads: Mapping[str, tuple[str, ...]]) -> list[Part]:
+    return [Part(name, Role.OBSERVER, note=f"reads {_few(what)}") for name, what in reads.items()]
+
+
+def _looks(reads: Mapping[str, tuple[str, ...]], roles: Mapping[str, Role]) -> list[Tie]:
+    """From whom an observer hears, as far as it reads single nodes; what it reads of all of them, its label says."""
+    found = []
+    for name, what in reads.items():
+        of: dict[str, list[str]] = {}
+        for one in what:
+            node, slash, last = one.partition("/")
+            if slash and node in roles:
+                of.setdefault(node, []).append(last)
+        found += [Tie((node, name), why=", ".join(lasts), looks=True) for node, lasts in of.items()]
+    return found
+
+
+def _few(names: tuple[str, ...]) -> str:
+    if len(names) <= _MOST_PORTS:
+        return ", ".join(names)
+    return f"{', '.join(names[: _MOST_PORTS - 1])} … {len(names)} in all"

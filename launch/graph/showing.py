@@ -1,0 +1,116 @@
+"""A graph in the form that was asked for, to standard output or into a file."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import typer
+from rich.console import Console
+
+from manyhands.launch.exits import EXIT_OK
+from manyhands.launch.files import TargetError, replacing
+from manyhands.launch.graph.mermaid import mermaid
+from manyhands.launch.graph.objects import access_object, graph_object, scene_object
+from manyhands.launch.graph.parts import Drawing, drawing_of_scene, drawing_of_session
+from manyhands.launch.graph.svg import svg
+from manyhands.launch.graph.tables import print_access, print_graph, print_scene
+from manyhands.launch.session import Session
+from manyhands.nodes.observer.scene import Scene
+
+TEXT, JSON = "text", "json"
+
+PICTURES: Final[dict[str, Callable[[Drawing], str]]] = {"mermaid": mermaid, "svg": svg}
+"""The forms that are drawn."""
+
+FORMATS: Final = (TEXT, *PICTURES)
+"""What ``--format`` may be."""
+
+_SUFFIXES: Final = {".svg": "svg", ".mmd": "mermaid", ".mermaid": "mermaid", ".txt": TEXT, ".json": JSON}
+_FILE_WIDTH = 140
+
+
+def format_of(name: str | None, output: Path | None, as_json: bool) -> str:
+    """The form that is meant: as asked for, or as the file's suffix has it, or text.
+
+    Raises:
+        TargetError: the file's suffix is none that is known, and nothing else was said.
+    """
+    if as_json:
+        return JSON
+    if name is not None:
+        return name
+    if output is None:
+        return TEXT
+    try:
+        return _SUFFIXES[output.suffix]
+    except KeyError:
+        known = ", ".join(_SUFFIXES)
+        raise TargetError(f"{output}: found the suffix {output.suffix!r}; expected {known}, or --format") from None
+
+
+def run_graph(session: Session, out: Console, show_access: bool, as_json: bool) -> int:
+    """Print a session's graph, or its capability table.
+
+    Args:
+        session: the session.
+        out: for the tables.
+        show_access: print who may read and write what, instead of nodes and links.
+        as_json: print one JSON object instead of tables.
+
+    Returns:
+        The exit code.
+    """
+    return show_session(session, out, JSON if as_json else TEXT, None, show_access)
+
+
+def show_session(session: Session, out: Console, form: str, output: Path | None, show_access: bool = False) -> int:
+    """Show the graph of a session file, or its capability table (as text or JSON); returns the exit code.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    if form in PICTURES:
+        return _put(PICTURES[form](drawing_of_session(session)), output)
+    if form == JSON:
+        return _put(_as_json(access_object(session) if show_access else graph_object(session)), output)
+    write = print_access if show_access else print_graph
+    return _print(lambda console: write(console, session), out, output)
+
+
+def show_scene(scene: Scene, out: Console, form: str, output: Path | None) -> int:
+    """Show the graph of a running session, with the health of each node and link; returns the exit code.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    if form in PICTURES:
+        return _put(PICTURES[form](drawing_of_scene(scene)), output)
+    if form == JSON:
+        return _put(_as_json(scene_object(scene)), output)
+    return _print(lambda console: print_scene(console, scene), out, output)
+
+
+def _as_json(plain: dict[str, Any]) -> str:
+    return json.dumps(plain, indent=2, allow_nan=False) + "\n"
+
+
+def _print(write: Callable[[Console], None], out: Console, output: Path | None) -> int:
+    if output is None:
+        write(out)
+        return EXIT_OK
+    text = io.StringIO()
+    write(Console(file=text, width=_FILE_WIDTH, highlight=False))
+    return _put(text.getvalue(), output)
+
+
+def _put(text: str, output: Path | None) -> int:
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        with replacing(output) as partial:
+            partial.write_text(text, encoding="utf-8")
+    return EXIT_OK

@@ -1,0 +1,116 @@
+"""A drawing as SVG: one file without scripts or anything from elsewhere, for light and dark, with text that is text."""
+
+from __future__ import annotations
+
+from html import escape
+
+from manyhands.launch.graph.layout import AISLE, BELOW, LINE, MARGIN, PADDING, Box, layout
+from manyhands.launch.graph.parts import Drawing, Part, Tie
+
+_STYLE = """
+    svg { color-scheme: light dark; }
+    .ground { fill: #ffffff; }
+    text { font: 12px ui-monospace, SFMono-Regular, Menlo, Consolas, "DejaVu Sans Mono", monospace; fill: #1b1f24;
+      user-select: text; white-space: pre; }
+    .title { font-size: 16px; font-weight: 600; }
+    .name { font-weight: 600; }
+    .small, .tie text { fill: #57606a; }
+    .tie text { font-size: 11px; paint-order: stroke; stroke: #ffffff; stroke-width: 4px; }
+    .box { fill: #f6f8fa; stroke: #57606a; stroke-width: 1.5; }
+    .environment .box { fill: #eef4fb; }
+    .observer .box { stroke-dasharray: 4 3; }
+    .line { fill: none; stroke: #57606a; stroke-width: 1.5; }
+    .aside .line { stroke-dasharray: 2 4; }
+    .ok { --health: #2e7d32; } .waiting { --health: #757575; } .late { --health: #b26a00; }
+    .frozen { --health: #0277bd; } .silent { --health: #8e24aa; } .away { --health: #c62828; }
+    .told .box, .told .line { stroke: var(--health); stroke-width: 2.5; }
+    .told .health { fill: var(--health); font-weight: 600; }
+    @media (prefers-color-scheme: dark) {
+      .ground { fill: #0d1117; } text { fill: #e6edf3; } .small, .tie text { fill: #9da7b3; }
+      .tie text { stroke: #0d1117; } .box { fill: #161b22; stroke: #8b949e; } .environment .box { fill: #14202e; }
+      .line { stroke: #8b949e; }
+      .ok { --health: #4caf50; } .waiting { --health: #9e9e9e; } .late { --health: #ffb74d; }
+      .frozen { --health: #4fc3f7; } .silent { --health: #ce93d8; } .away { --health: #ef5350; }
+    }
+"""
+
+
+def svg(drawing: Drawing) -> str:
+    """The drawing's text."""
+    placed = layout(drawing)
+    health = "" if drawing.health is None else f": {drawing.health.value}"
+    parts = ", ".join(part.whole for part in drawing.parts)
+    size = f'width="{placed.width:.0f}" height="{placed.height:.0f}"'
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {placed.width:.0f} {placed.height:.0f}" '
+        'role="img" aria-labelledby="graph-title graph-description">',
+        f'  <title id="graph-title">{_text(drawing.title + health)}</title>',
+        f'  <desc id="graph-description">{_text(f"Nodes: {parts}")}</desc>',
+        f"  <style>{_STYLE}  </style>",
+        f'  <rect class="ground" {size}/>',
+        f'  <text class="title" x="{MARGIN:.0f}" y="28">{_text(drawing.title + health)}</text>',
+        *(_tie(tie, placed.boxes[tie.ends[0]], placed.boxes[tie.ends[1]]) for tie in drawing.ties),
+        *(_part(part, placed.boxes[part.name]) for part in drawing.parts),
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _tie(tie: Tie, first: Box, second: Box) -> str:
+    """A curve from the first box's right side to the second one's left; level where the second one is tall."""
+    if tie.looks:
+        return _look(tie, first, second)
+    x0, x1 = first.x + first.width, second.x
+    y0 = first.middle
+    y1 = (
+        min(max(y0, second.y + PADDING), second.y + second.height - PADDING) if _spans(second, first) else second.middle
+    )
+    bend = (x1 - x0) / 2
+    kind = "tie link" if tie.is_link else "tie aside"
+    told = "" if tie.health is None else f" told {tie.health.value}"
+    label = tie.label if tie.health is None else f"{tie.label} ({tie.health.value})"
+    at, level = x0 + 0.5 * (x1 - x0), y0 + 0.5 * (y1 - y0) - 5
+    return (
+        f'  <g class="{kind}{told}"><title>{_text(tie.whole)}</title>'
+        f'<path class="line" d="M {x0:.1f} {y0:.1f} C {x0 + bend:.1f} {y0:.1f} {x1 - bend:.1f} {y1:.1f} '
+        f'{x1:.1f} {y1:.1f}"/><text x="{at:.1f}" y="{level:.1f}" text-anchor="middle">{_text(label)}</text></g>'
+    )
+
+
+def _look(tie: Tie, seen: Box, observer: Box) -> str:
+    """From a box's right side down beside it, where no other box is, to the top of the observer's."""
+    x0, y0 = seen.x + seen.width, seen.middle + seen.height / 4
+    x1, y1 = observer.x + observer.width / 2, observer.y
+    down, bend = x0 + AISLE, BELOW / 2
+    low = y1 - BELOW + PADDING
+    return (
+        f'  <g class="tie aside"><title>{_text(tie.whole)}</title><path class="line" d="M {x0:.1f} {y0:.1f} '
+        f"Q {down:.1f} {y0:.1f} {down:.1f} {min(y0 + PADDING, low):.1f} L {down:.1f} {low:.1f} "
+        f'C {down:.1f} {low + bend:.1f} {x1:.1f} {y1 - bend:.1f} {x1:.1f} {y1:.1f}"/></g>'
+    )
+
+
+def _spans(tall: Box, other: Box) -> bool:
+    return tall.height > other.height and tall.y <= other.middle <= tall.y + tall.height
+
+
+def _part(part: Part, box: Box) -> str:
+    told = "" if part.health is None else f" told {part.health.value}"
+    label = part.label
+    top = box.middle - LINE * len(label) / 2
+    classes = ["name", *["small"] * (len(label) - 1)]
+    if part.health is not None:
+        classes[-1] = "health"
+    texts = "".join(
+        f'<text class="{kind}" x="{box.x + PADDING:.1f}" y="{top + LINE * (number + 0.75):.1f}">{_text(line)}</text>'
+        for number, (kind, line) in enumerate(zip(classes, label, strict=True))
+    )
+    return (
+        f'  <g class="node {part.role.value}{told}"><title>{_text(part.whole)}</title><rect class="box" '
+        f'x="{box.x:.1f}" y="{box.y:.1f}" width="{box.width:.1f}" height="{box.height:.1f}" rx="6"/>{texts}</g>'
+    )
+
+
+def _text(text: str) -> str:
+    """Fit for XML: what means something there escaped, what may not stand there replaced."""
+    return escape("".join(c if c.isprintable() else "\ufffd" for c in text))

@@ -1,0 +1,102 @@
+"""A session's nodes and links as tables, how they are where it runs, and who may read and write what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from manyhands.launch.access import Capability, access
+from manyhands.launch.display import say
+from manyhands.launch.graph.objects import signals
+from manyhands.launch.session import Session
+from manyhands.launch.topology import topology
+from manyhands.nodes.observer.scene import Scene
+from manyhands.protocol.channels import CHANNELS
+from manyhands.protocol.messages import Role
+
+_SAID_ONCE = (
+    "Besides, once: on every link the handshake, in which a coupling tells the environment the D_V of its block; "
+    "between every process and the supervisor what starts and ends the session."
+)
+
+
+def print_graph(out: Console, session: Session) -> None:
+    """Nodes with their ports, and links with what goes there and back."""
+    graph = topology(session)
+    nodes = _table(f"{session.name}: nodes", "node", "role", "ports")
+    for name, role in graph.nodes.items():
+        carrier = graph.carriers.get(name)
+        nodes.add_row(name, role if carrier is None else f"{role}, in {carrier}", ", ".join(graph.ports[name]))
+    for name, observer in session.observers.items():
+        nodes.add_row(name, "observer", f"reads {', '.join(observer.reads)}")
+    out.print(nodes)
+    links = _table(f"{session.name}: links", "from", "to", "ports", "there", "back")
+    for link in graph.links:
+        ends = (link.connector, link.binder)  # from the hand to the world, as the tick goes
+        there, back = _there_and_back(ends, graph.nodes)
+        links.add_row(*ends, ", ".join(link.ports), there, back)
+    out.print(links)
+
+
+def print_scene(out: Console, scene: Scene) -> None:
+    """The same of a running session, with the health of each node and link."""
+    about = scene.about
+    roles = {name: node.role for name, node in about.nodes.items()}
+    nodes = _table(f"{about.session}: nodes", "node", "role", "ports", "state", "health")
+    for name, node in about.nodes.items():
+        role = node.role if node.process is None else f"{node.role}, in {node.process}"
+        seen = scene.nodes[name]
+        nodes.add_row(escape(name), escape(role), escape(", ".join(node.ports)), escape(seen.state), seen.health.value)
+    for name, reads in about.observers.items():
+        nodes.add_row(escape(name), "observer", escape(f"reads {', '.join(reads)}"))
+    out.print(nodes)
+    links = _table(f"{about.session}: links", "from", "to", "ports", "there", "back", "health")
+    for link in about.links:
+        there, back = _there_and_back(link.ends, roles)
+        ends = map(escape, link.ends)
+        links.add_row(*ends, escape(", ".join(link.ports)), there, back, scene.link_health(link).value)
+    out.print(links)
+
+
+def print_access(out: Console, session: Session) -> None:
+    """Who may read and write what, a row for each node and channel."""
+    table = _table(f"{session.name}: who may read and write what", "node", "role", "", "channel", "which ports")
+    for rows in _by_node_and_channel(access(session)):
+        first = rows[0]
+        direction = "to" if first.action == "write" else "from"
+        lines = [f"{direction} {row.peer}: {', '.join(row.content or row.ports)}" for row in rows]
+        table.add_row(first.node, first.role, f"{first.action}s", _signal(first.channel), "\n".join(lines))
+    out.print(table)
+    say(out, _SAID_ONCE)
+
+
+def _by_node_and_channel(table: Iterable[Capability]) -> list[list[Capability]]:
+    """The rows of one node and channel together; a channel is either read or written by one node."""
+    grouped: dict[tuple[str, str], list[Capability]] = {}
+    for row in table:
+        grouped.setdefault((row.node, row.channel), []).append(row)
+    return list(grouped.values())
+
+
+def _there_and_back(ends: tuple[str, str], roles: Mapping[str, Role]) -> tuple[str, str]:
+    there, back = (
+        ", ".join(_signal(name) for name in signals(roles[sender], roles[hearer]))
+        for sender, hearer in (ends, ends[::-1])
+    )
+    return there, back
+
+
+def _signal(name: str) -> str:
+    """A channel with its quantity, such as ``sample (x, m)``."""
+    channel = CHANNELS[name]
+    return f"{name} ({channel.symbol}, {channel.unit})" if channel.symbol else name
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=escape(title), title_justify="left")
+    for column in columns:
+        table.add_column(column, overflow="fold")  # a name is never cut short: who may read it is the point
+    return table

@@ -1,0 +1,160 @@
+"""What `manyhands top` shows: every node of a running session, and below them what is not as it should be."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from manyhands.launch.columns import COLUMNS
+from manyhands.launch.looking.listing import rounded, session_object, shown
+from manyhands.launch.looking.watching import Seeing
+from manyhands.nodes.observer.scene import Health, NodeScene, Scene
+from manyhands.protocol.clock import Instant, from_seconds
+
+REFRESH: Final = from_seconds(0.2)
+"""The shortest time between two pictures on a terminal."""
+
+PRINT_EVERY: Final = from_seconds(2.0)
+"""The same where there is no terminal, and each picture is one more table."""
+
+STYLES: Final = {
+    Health.OK: "green",
+    Health.WAITING: "dim",
+    Health.LATE: "yellow",
+    Health.FROZEN: "cyan",
+    Health.SILENT: "magenta",
+    Health.AWAY: "red",
+}
+"""How a terminal shows a health; the word stands beside it."""
+
+_FIXED: Final = ("node", "role", "state", "tick", "rate [Hz]")
+_MOST_SENTENCES: Final = 8  # of a kind, the latest
+
+
+def top_object(scene: Scene) -> dict[str, Any]:
+    """A session as ``--json`` prints it: as in a list, with each node's figures, its links and what was told of it."""
+    found = session_object(scene)
+    for name, node in scene.nodes.items():
+        keys = {column.figure for column in COLUMNS} & node.figures.keys()
+        found["nodes"][name]["figures"] = {
+            key: value if math.isfinite(value := node.figures[key]) else None for key in sorted(keys)
+        }
+    found["links"] = [
+        {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links
+    ]
+    condition = scene.condition
+    for kind in ("notices", "incidents", "faults"):
+        found[kind] = [] if condition is None else list(getattr(condition, kind))
+    return found
+
+
+def picture(scene: Scene, width: int) -> RenderableType:
+    """Table and sentences, for a terminal of so many columns; figures that find no room are left out."""
+    about, condition = scene.about, scene.condition
+    phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
+    title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {scene.health}"
+    rows = [_cells(node) for node in scene.nodes.values()]
+    titles = [*_FIXED, *(column.title for column in COLUMNS), "health"]
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    kept = _fitting(titles, rows, width)
+    for place in kept:
+        left = titles[place] in ("node", "role", "state", "health")
+        table.add_column(Text(titles[place].replace(" [", "\n[")), justify="left" if left else "right", overflow="fold")
+    for node, row in zip(scene.nodes.values(), rows, strict=True):
+        *rest, health = [Text(row[place]) for place in kept]
+        health.stylize(STYLES[node.health])
+        table.add_row(*rest, health)
+    return Group(table, *(Text(text, style=style) for text, style in sentences(scene)))
+
+
+def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
+    """What is to be told below the table, each with a style: links that are not well, notices, incidents, faults."""
+    for link in scene.about.links:
+        health = scene.link_health(link)
+        if health is not Health.OK:
+            yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
+    condition = scene.condition
+    if condition is None:
+        return
+    told = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
+    for texts, kind, style in (*told, (condition.faults, "fault", "red")):
+        if len(texts) > _MOST_SENTENCES:
+            yield f"{kind}s: {len(texts) - _MOST_SENTENCES} earlier ones", style
+        for text in texts[-_MOST_SENTENCES:]:
+            yield f"{kind}: {text}", style
+
+
+def _cells(node: NodeScene) -> list[str]:
+    figures = [column.cell(node.figures) for column in COLUMNS]
+    tick = "" if node.heard is None else str(node.tick)
+    return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures, node.health.value]
+
+
+def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
+    """The places of the columns that find room, the least important left out first."""
+    needed = [
+        max(map(cell_len, (*title.replace(" [", "\n[").split("\n"), *(row[place] for row in rows))), default=0) + 3
+        for place, title in enumerate(titles)
+    ]
+    ranks = {len(_FIXED) + place: column.rank for place, column in enumerate(COLUMNS)}
+    ranks[_FIXED.index("role")] = 6  # mostly the name says it
+    kept = list(range(len(titles)))
+    for place in sorted(ranks, key=ranks.__getitem__, reverse=True):
+        if sum(needed[one] for one in kept) > width:
+            kept.remove(place)
+    return kept
+
+
+def show_live(scene: Scene, seeing: Seeing, console: Console, stop: Callable[[], bool]) -> None:
+    """Show a session on a terminal until it is over, or ``stop`` says that the person has seen enough."""
+    shown_at: Instant | None = None
+    with Live(console=console, auto_refresh=False, screen=True, vertical_overflow="crop") as live:
+        for seen in seeing:
+            if stop():
+                return
+            if shown_at is None or seen.at - shown_at >= REFRESH:
+                shown_at = seen.at
+                live.update(picture(scene, console.width), refresh=True)
+
+
+def tell(scene: Scene, seeing: Seeing, show: Callable[[Scene], None]) -> None:
+    """Show a session where there is no terminal: now and then, and once more at its end."""
+    shown_at: Instant | None = None
+    last: Instant | None = None
+    for seen in seeing:
+        last = seen.at
+        shown_at = seen.at if shown_at is None else shown_at
+        if seen.at - shown_at >= PRINT_EVERY:
+            shown_at = seen.at
+            show(scene)
+    if last is None or shown_at != last:
+        show(scene)
+
+
+@contextmanager
+def quit_key() -> Iterator[Callable[[], bool]]:
+    """Whether somebody has pressed q at this terminal; never, where standard input is none."""
+    if not sys.stdin.isatty():
+        yield lambda: False
+        return
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    try:
+        tty.setcbreak(fd)  # keys come one by one; Ctrl-C goes on being a signal
+        yield lambda: bool(select.select([fd], [], [], 0)[0]) and b"q" in os.read(fd, 64).lower()
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)

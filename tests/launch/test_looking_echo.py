@@ -1,0 +1,174 @@
+"""Topics by name, the lines of an echo, and what is found of a topic's pace."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.looking.echoing import Echo
+from manyhands.launch.looking.pacing import Pacing, sentence
+from manyhands.launch.looking.topics_named import NoTopic, find_topic, named_topics, session_of
+from manyhands.nodes.observer.scene import Scene
+from manyhands.protocol.clock import Instant
+from manyhands.protocol.messages import Condition, Observation
+from manyhands.protocol.topics import TOPICS
+
+from .looked import ABOUT, MS, condition, telemetry
+
+
+def read(frame: bytes) -> Observation | Condition | None:
+    return Scene(ABOUT).take(frame, Instant(0))
+
+
+class TestNames:
+    def test_every_topic_of_every_node_and_no_other(self) -> None:
+        expected = [f"{name}/{topic.name}" for name, node in ABOUT.nodes.items() for topic in TOPICS[node.role]] + [
+            f"{name}/telemetry" for name in ABOUT.nodes
+        ]
+        assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])
+        assert named_topics(ABOUT)["environment/masses"].columns == ("hub",)
+
+    def test_a_session_that_nothing_proves_has_no_ledgers_and_one_without_masses_none_of_them(self) -> None:
+        names = named_topics(replace(ABOUT, certificate=None, masses={}))
+        assert not [name for name in names if name.endswith(("/ledger", "/masses"))]
+        assert "environment/tools" in names
+
+    @pytest.mark.parametrize("name", ["d/sample", "/s/d/sample"])
+    def test_short_and_in_full(self, name: str) -> None:
+        found = find_topic(ABOUT, name)
+        assert (found.full, found.columns) == ("/s/d/sample", ("d.x", "d.y"))
+
+    @pytest.mark.parametrize(
+        ("name", "hint"),
+        [
+            ("d/smaple", "did you mean d/sample?"),
+            ("d/x", "did you mean d/sample?"),
+            ("cx/p", "did you mean cx/tool?"),
+            ("/s/supervisor/conditions", "did you mean supervisor/condition?"),
+            ("/other/d/sample", "did you mean d/sample?"),
+            ("zzz", "'s'; expected one of: d/sample, d/force"),
+            ("", "'s'; expected one of: d/sample, d/force"),
+            ("///", "'s'; expected one of: d/sample, d/force"),
+        ],
+    )
+    def test_unknown(self, name: str, hint: str) -> None:
+        with pytest.raises(NoTopic) as error:
+            find_topic(ABOUT, name)
+        assert f"found no topic {name!r} in session" in str(error.value)
+        assert hint in str(error.value)
+        assert str(error.value).endswith("supervisor/condition")
+
+    def test_the_session_of_a_name(self) -> None:
+        assert [session_of(name) for name in ("/s/d/x", "d/x", "/d/x", "", "a/b/c/d")] == ["s", None, None, None, None]
+
+
+def echoed(name: str, *frames: bytes, **options: Any) -> list[Any]:
+    echo = Echo(find_topic(ABOUT, name), ABOUT.period, **options)
+    return [json.loads(line, parse_constant=pytest.fail) for frame in frames for line in echo.lines(read(frame), 1234)]
+
+
+class TestEcho:
+    def test_ports_and_masses_are_lists_and_one_quantity_a_number(self) -> None:
+        assert echoed("d/sample", telemetry("d", 1002, 2)) == [
+            {"tick": 1000, "time": 1.0, "x": [1000.0, 1000.1]},
+            {"tick": 1001, "time": 1.001, "x": [1001.0, 1001.1]},
+        ]
+        assert echoed("d/tau", telemetry("d", 1, 1)) == [{"tick": 0, "time": 0.0, "tau_us": 0.0}]
+        assert echoed("cy/ledger", telemetry("cy", 8, 1)) == [{"tick": 7, "time": 0.007, "ledger": 7.0}]
+        assert echoed("environment/masses", telemetry("environment", 8, 1)) == [{"tick": 7, "time": 0.007, "q": [7.0]}]
+
+    def test_others_say_nothing_of_it(self) -> None:
+        assert echoed("cx/tool", telemetry("d", 10, 2), telemetry("cy", 10, 2), condition(), b"junk") == []
+
+    def test_every_so_many_ticks_wherever_a_batch_begins_and_to_the_count(self) -> None:
+        batches = [telemetry("d", 105, 98), telemetry("d", 205)]
+        assert [line["tick"] for line in echoed("d/sample", *batches, every=50)] == [50, 100, 150, 200]
+        assert [line["tick"] for line in echoed("d/sample", *batches, every=50, count=3)] == [50, 100, 150]
+        assert [line["tick"] for line in echoed("d/sample", *batches, count=1)] == [7]
+
+    def test_figures_and_conditions(self) -> None:
+        frames = [telemetry("d", 100 * number, 1, speed=number, late=math.inf) for number in (1, 2, 3)]
+        assert echoed("d/telemetry", *frames, every=2) == [
+            {"tick": 100, "figures": {"speed": 1.0, "late": None}},
+            {"tick": 300, "figures": {"speed": 3.0, "late": None}},
+        ]
+        (line,) = echoed("supervisor/condition", telemetry("d", 10, 2), condition())
+        assert line | {"states": {}} == {
+            "tick": 1234, "time": 1.234, "phase": "running", "elapsed": 2.5, "states": {}, "silent": [],
+            "notices": ["a notice"], "incidents": [], "faults": [],
+        }  # fmt: skip
+        assert line["states"]["cx"] == "running"
+
+    def test_what_is_no_number_is_null_and_what_does_not_fit_is_left_out(self) -> None:
+        echo = Echo(find_topic(ABOUT, "d/sample"), ABOUT.period)
+
+        def lines(tick: int, trace: list[list[float]]) -> list[str]:
+            return list(echo.lines(Observation("d", tick, {}, {"x": np.array(trace)}), 0))
+
+        assert lines(2, [[math.nan, -math.inf]]) == ['{"tick": 1, "time": 0.001, "x": [null, null]}']
+        assert lines(2, [[1.0]]) == lines(0, [[1.0, 2.0]]) == []
+        assert echo.misfits == 2
+        assert list(echo.lines(Observation("d", 5, {}, {}), 0)) == []
+
+
+def paced(name: str, frames: dict[int, bytes], window: int = 10_000) -> dict[str, Any]:
+    pacing = Pacing(find_topic(ABOUT, name), window)
+    for at, frame in frames.items():
+        pacing.take(read(frame), Instant(at * MS))
+    return pacing.found()
+
+
+class TestPace:
+    def test_ticks_a_second_and_how_batches_arrive(self) -> None:
+        found = paced("cx/tool", {0: telemetry("cx", 100), 90: telemetry("cx", 200), 200: telemetry("cx", 300)})
+        assert found["rate"] == pytest.approx(1000.0)
+        assert (found["of"], found["window"], found["missing"], found["restarts"]) == ("ticks", 300, 0, 0)
+        assert found["arrival_ms"] == pytest.approx({"p50": 100.0, "p99": 109.8, "min": 90.0, "max": 110.0})
+        assert "period_us" not in found  # a coupling paces nothing
+        assert "tau_us" not in found
+        assert "batches arrive here" in sentence(found)
+
+    def test_a_device_says_itself_how_even_its_ticks_are(self) -> None:
+        figures = {"period_us_p50": 1000.0, "period_us_p99": 1200.0}
+        found = paced("d/force", {0: telemetry("d", 100, **figures), 100: telemetry("d", 200, **figures)})
+        assert found["period_us"] == {"p50": 1000.0, "p99": 1200.0}
+        assert found["tau_us"] == pytest.approx({"p50": 99.5, "p99": 197.01, "min": 0.0, "max": 199.0})
+        assert "1000/1200 us (the device's, since its start)" in sentence(found)
+        assert "period_us" not in paced("d/force", {0: telemetry("d", 100, period_us_p50=math.nan, period_us_p99=1.0)})
+
+    def test_ticks_that_nobody_told_of_are_counted(self) -> None:
+        found = paced("d/sample", {0: telemetry("d", 100), 100: telemetry("d", 250), 200: telemetry("d", 400)})
+        assert found["missing"] == 100
+        assert found["rate"] == pytest.approx(1500.0)
+
+    def test_a_node_that_begins_anew_is_paced_anew(self) -> None:
+        told = {0: telemetry("d", 900), 100: telemetry("d", 100), 200: telemetry("d", 200)}
+        found = paced("d/sample", told)
+        assert (found["restarts"], found["missing"], found["window"]) == (1, 0, 200)
+        assert found["rate"] == pytest.approx(1000.0)
+
+    def test_the_window_is_of_the_latest(self) -> None:
+        slow = {100 * n: telemetry("cx", 50 * n, 50) for n in range(1, 11)}
+        fast = {1000 + 100 * n: telemetry("cx", 500 + 100 * n) for n in range(1, 11)}
+        assert paced("cx/tool", slow | fast, window=500)["rate"] == pytest.approx(1000.0)
+        assert paced("cx/tool", slow | fast)["rate"] < 800.0
+        assert paced("cx/tool", slow | fast, window=2)["rate"] == pytest.approx(1000.0)  # two arrivals at the least
+
+    def test_messages_that_are_no_ticks(self) -> None:
+        found = paced("d/telemetry", {0: telemetry("d", 100), 50: telemetry("d", 200), 200: telemetry("d", 300)})
+        assert (found["of"], found["rate"]) == ("messages", 10.0)
+        found = paced("supervisor/condition", {0: condition(), 100: telemetry("d", 100), 200: condition()})
+        assert (found["window"], found["rate"]) == (2, 5.0)
+        assert "missing" not in found
+
+    def test_before_a_second_message_nothing_is_claimed(self) -> None:
+        for frames in ({}, {5: telemetry("cx", 100)}, {5: telemetry("d", 100)}):
+            found = paced("cx/tool", frames)
+            assert (found["rate"], found["arrival_ms"]) == (None, None)
+            assert sentence(found) == "/s/cx/tool: waiting for a second message"
+            json.dumps(found, allow_nan=False)

@@ -1,0 +1,173 @@
+"""What a list and a top show of sessions, and that both end in bounded time."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Sequence
+
+import pytest
+from rich.console import Console
+
+from manyhands.launch.columns import COLUMNS
+from manyhands.launch.looking.listing import GLANCE, Glance, glance, print_sessions, session_object
+from manyhands.launch.looking.live import PRINT_EVERY, picture, show_live, tell, top_object
+from manyhands.launch.looking.watching import watch
+from manyhands.nodes.observer.scene import Scene
+from manyhands.protocol.clock import Duration, Instant
+
+from .looked import ABOUT, MS, Frames, condition, telemetry
+
+
+def minute(extra: dict[int, list[bytes]] | None = None, seconds: int = 3) -> dict[int, list[bytes]]:
+    """Frames of a session in which all is well: each node's telemetry ten times a second, conditions five times."""
+    frames = {100 * n: [telemetry(name, 100 * n, late=0.0) for name in ABOUT.nodes] for n in range(1, 10 * seconds + 1)}
+    for at in range(200, 1000 * seconds, 200):
+        frames[at].append(condition())
+    for at, more in (extra or {}).items():
+        frames[at] = frames.get(at, []) + more
+    return frames
+
+
+def glanced(*sessions: Frames) -> tuple[list[Glance], float]:
+    """What is seen of sessions that share a clock, and how long it took, s."""
+    clock = sessions[0].clock
+    glances = [Glance(Scene(ABOUT), frames) for frames in sessions]
+
+    def await_frames(unsettled: Sequence[Glance], timeout: Duration) -> None:
+        assert timeout <= GLANCE
+        clock.sleep_until(Instant(clock.now() + min(timeout, 10 * MS)))
+
+    glance(glances, clock, await_frames)
+    return glances, clock.now() / 1e9
+
+
+def test_a_glance_ends_as_soon_as_all_rates_are_known() -> None:
+    (one,), took = glanced(Frames(minute()))
+    assert one.settled
+    assert took == pytest.approx(0.6, abs=0.02)
+    assert one.scene.rate == pytest.approx(1000.0, rel=0.05)
+
+
+def test_who_does_not_run_is_not_waited_for() -> None:
+    frames = {at: [f for f in some if f != telemetry("cx", at, late=0.0)] for at, some in minute().items()}
+    frames[200] = [*frames[200], condition(cx="lost")]
+    frames = {at: [condition(cx="lost") if f == condition() else f for f in some] for at, some in frames.items()}
+    (one,), took = glanced(Frames(frames))
+    assert took < 0.7
+    assert session_object(one.scene)["nodes"]["cx"]["health"] == "away"
+
+
+def test_a_session_that_says_nothing_is_not_waited_for_without_end() -> None:
+    (one,), took = glanced(Frames({}))
+    assert took == pytest.approx(GLANCE / 1e9, abs=0.02)
+    said = session_object(one.scene)
+    assert (said["phase"], said["rate"], said["tick"], said["health"]) == (None, None, 0, "waiting")
+    json.dumps(said, allow_nan=False)
+
+
+def shown(text: io.StringIO) -> list[list[str]]:
+    return [[c.strip() for c in line.split("│")[1:-1]] for line in text.getvalue().splitlines() if line[:1] == "│"]
+
+
+def test_a_list_has_a_row_for_each_session_and_node() -> None:
+    (one,), _ = glanced(Frames(minute()))
+    text = io.StringIO()
+    print_sessions(Console(file=text, width=140), [one.scene], ABOUT.started + 3700.0)
+    session, *nodes = shown(text)
+    assert session[:3] == ["s", "17", "realtime"]
+    assert session[3].endswith("(1:01:40)")
+    assert session[4:] == ["600", "1000", "ok"]
+    assert nodes[0] == ["d", "device", "running", "1000", "ok"]
+    assert [row[0] for row in nodes] == list(ABOUT.nodes)
+
+
+def scene_of(*frames: bytes) -> Scene:
+    scene = Scene(ABOUT)
+    for number, frame in enumerate(frames):
+        scene.take(frame, Instant(number * 100 * MS))
+    return scene
+
+
+def printed(scene: Scene, width: int) -> str:
+    text = io.StringIO()
+    Console(file=text, width=width, highlight=False).print(picture(scene, width))
+    return text.getvalue()
+
+
+FIGURES = {"late": 3.0, "tau_us_p50": 120.0, "tau_us_p99": 350.0, "speed": 0.01, "ledger": 0.25,
+           "ledger_margin": 0.125, "rung": 1.0, "not_admitted": 7.0}  # fmt: skip
+
+
+def test_a_picture_has_every_node_and_figure_and_what_is_not_well() -> None:
+    scene = scene_of(telemetry("d", 100, **FIGURES), condition(silent=("cx",), incidents=("dx came back",)))
+    text = printed(scene, 200)
+    (row,) = [line.split() for line in text.splitlines() if line.split()[:2] == ["d", "device"]]
+    assert row == [
+        "d",
+        "device",
+        "running",
+        "100",
+        "3",
+        "120",
+        "350",
+        "1",
+        "1.00e-02",
+        "2.50e-01",
+        "1.25e-01",
+        "7",
+        "ok",
+    ]
+    for line in ("link cx - environment: silent", "link d - cx: silent", "notice: a notice", "incident: dx came back"):
+        assert line in text
+    assert "link d - cy" not in text  # it is well
+    assert "s (process 17, realtime clock): running, 2 s; silent" in text
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 140])
+def test_where_there_is_little_room_figures_are_left_out_and_no_name_is_cut(width: int) -> None:
+    scene = scene_of(*(telemetry(name, 100, **FIGURES) for name in ABOUT.nodes), condition())
+    text = printed(scene, width)
+    assert max(map(len, text.splitlines())) <= width
+    assert "environment" in text
+    assert "running" in text
+    heads = [column.title.split(" [")[0] for column in sorted(COLUMNS, key=lambda column: column.rank)]
+    kept = [head in text for head in heads]
+    assert kept == sorted(kept, reverse=True)  # the more important ones
+
+
+def test_only_the_latest_sentences_are_shown() -> None:
+    text = printed(scene_of(condition(incidents=tuple(f"number {n}" for n in range(20)))), 100)
+    assert "incidents: 12 earlier ones" in text
+    assert "incident: number 11" not in text
+    assert "incident: number 19" in text
+
+
+def test_markup_of_a_node_is_no_markup() -> None:
+    text = printed(scene_of(condition(incidents=("[bold]x[/bold] :smile:",))), 100)
+    assert "incident: [bold]x[/bold] :smile:" in text
+
+
+def test_as_json() -> None:
+    said = top_object(scene_of(telemetry("d", 100, **FIGURES | {"ledger": math.nan}), condition(silent=("cx",))))
+    json.dumps(said, allow_nan=False)
+    assert said["nodes"]["d"]["figures"] == FIGURES | {"ledger": None}
+    assert {"between": ["d", "cx"], "health": "silent"} in said["links"]
+    assert (said["notices"], said["incidents"], said["faults"]) == (["a notice"], [], [])
+
+
+def test_a_terminal_is_drawn_at_most_five_times_a_second_until_a_key_is_pressed() -> None:
+    frames, text = Frames(minute()), io.StringIO()
+    scene, console = Scene(ABOUT), Console(file=text, width=100, height=30, force_terminal=True)
+    seeing = watch(frames, scene, frames.clock, lambda: False)
+    show_live(scene, seeing, console, stop=lambda: frames.clock.now() >= 2000 * MS)
+    assert frames.clock.now() == 2000 * MS
+    assert 5 <= text.getvalue().count("(process 17") <= 11
+
+
+def test_without_a_terminal_it_is_told_every_two_seconds_and_at_the_end() -> None:
+    frames = Frames(minute({5000: [condition("over")]}, seconds=5))
+    scene, told = Scene(ABOUT), []
+    tell(scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9))
+    assert told == pytest.approx([0.1 + PRINT_EVERY / 1e9, 0.1 + 2 * PRINT_EVERY / 1e9, 5.0])

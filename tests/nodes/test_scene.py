@@ -1,0 +1,167 @@
+"""What is known of a running session from what it shows: rates and healths, frame by frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.about import About, LinkAbout, NodeAbout
+from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, Health, Scene
+from manyhands.protocol.clock import Instant
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Condition, Observation, Role, Stop
+
+STEP = 100_000_000  # ns between two telemetries
+
+
+def about() -> About:
+    return About(
+        session="s", id="i", pid=1, clock="realtime", transport="ipc", period=0.001, ticks=0, started=0.0,
+        nodes={"d": NodeAbout(Role.DEVICE, ("d",)), "c": NodeAbout(Role.COUPLING, ("d",)),
+               "environment": NodeAbout(Role.ENVIRONMENT, ("d",))},
+        links=(LinkAbout(("c", "environment"), ("d",)), LinkAbout(("d", "c"), ("d",))),
+        masses={}, springs=(), grips=(), reach={}, certificate=None, environment="network",
+    )  # fmt: skip
+
+
+class Seen:
+    """A scene whose frames come by a clock of the test's own."""
+
+    def __init__(self) -> None:
+        self.scene, self.at = Scene(about()), 0
+
+    def tell(self, node: str, tick: int, after: int = STEP, **figures: float) -> None:
+        self.at += after
+        self.scene.take(encode(Observation(node, tick, figures, {"x": np.zeros((1, 1))})), Instant(self.at))
+
+    def condition(self, silent: tuple[str, ...] = (), phase: str = "running", **states: str) -> None:
+        stand = {"d": "running", "c": "running", "environment": "running", **states}
+        self.scene.take(encode(Condition(phase, 1.0, stand, silent)), Instant(self.at))
+
+    def telemetries(self, node: str, count: int, ticks: int = 100, late: int = 0) -> None:
+        """So many telemetries, with so many ticks and late ones between any two."""
+        for number in range(1, count + 1):
+            self.tell(node, number * ticks, late=float(number * late))
+
+
+def test_the_rate_is_that_of_ticks_between_looks_of_half_a_second() -> None:
+    seen = Seen()
+    seen.tell("d", 100)
+    assert seen.scene.nodes["d"].rate is None
+    for number in range(2, 6):
+        seen.tell("d", 100 * number)
+        assert seen.scene.nodes["d"].rate is None  # not yet half a second
+    seen.tell("d", 600)
+    assert seen.scene.nodes["d"].rate == pytest.approx(1000.0)
+    for number in range(1, 1 + RATE_OVER // STEP):
+        seen.tell("d", 600 + 50 * number)
+    assert seen.scene.nodes["d"].rate == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize("restarted", [{"tick": 40, "late": 300.0}, {"tick": 5000, "late": 0.0}])
+def test_a_new_process_that_counts_from_nothing_is_looked_at_anew(restarted: dict[str, float]) -> None:
+    """It may count its ticks from 0, or, where it joined the session again, its late ones alone."""
+    seen = Seen()
+    seen.condition()
+    seen.telemetries("d", 8, late=50)
+    assert seen.scene.nodes["d"].health is Health.LATE
+    seen.tell("d", int(restarted["tick"]), late=restarted["late"])
+    assert (seen.scene.nodes["d"].rate, seen.scene.nodes["d"].health) == (None, Health.OK)
+    for number in range(1, 6):
+        seen.tell("d", int(restarted["tick"]) + 100 * number, late=restarted["late"])
+    assert seen.scene.nodes["d"].rate == pytest.approx(1000.0)
+    assert seen.scene.nodes["d"].health is Health.OK
+
+
+@pytest.mark.parametrize(
+    ("state", "silent", "late", "health"),
+    [
+        ("running", False, 0, Health.OK),
+        ("running", False, 1, Health.OK),  # as many as every machine has now and then
+        ("running", False, 2, Health.LATE),
+        ("running", True, 0, Health.SILENT),
+        ("running", True, 2, Health.SILENT),
+        ("starting", False, 0, Health.WAITING),
+        ("ready", False, 2, Health.WAITING),
+        ("done", False, 0, Health.WAITING),
+        ("ended", False, 0, Health.WAITING),
+        ("lost", False, 0, Health.AWAY),
+        ("lost", True, 2, Health.AWAY),
+        ("leaving", False, 0, Health.AWAY),
+        ("gone for good", False, 0, Health.AWAY),
+        ("failed", False, 0, Health.AWAY),
+        ("a word of another version", False, 0, Health.WAITING),
+    ],
+)
+def test_how_a_node_is(state: str, silent: bool, late: int, health: Health) -> None:
+    assert LATE_SHARE == 0.01
+    seen = Seen()
+    seen.condition()
+    seen.telemetries("d", 6, late=late)
+    seen.condition(silent=("d",) if silent else (), d=state)
+    assert seen.scene.nodes["d"].health is health
+    rated = seen.scene.nodes["d"].rate is not None
+    assert rated == (state == "running" and not silent)  # who is away, or says nothing, has no rate
+
+
+def test_before_anything_is_heard_all_wait() -> None:
+    scene = Scene(about())
+    assert (scene.tick, scene.rate, scene.frozen, scene.condition) == (0, None, 0, None)
+    assert scene.health is Health.WAITING
+    assert scene.link_health(scene.about.links[0]) is Health.WAITING
+
+
+def test_a_link_is_as_the_worse_of_its_ends_and_a_session_as_its_worst_node() -> None:
+    seen = Seen()
+    seen.condition(silent=("c",), d="lost")
+    inner, outer = (seen.scene.link_health(link) for link in seen.scene.about.links)
+    assert (inner, outer) == (Health.SILENT, Health.AWAY)
+    assert seen.scene.health is Health.AWAY
+    seen.condition()
+    assert seen.scene.health is Health.OK
+
+
+@pytest.mark.parametrize(("frozen", "health"), [(0.0, Health.OK), (2.0, Health.FROZEN), (math.nan, Health.OK),
+                                                (math.inf, Health.OK)])  # fmt: skip
+def test_frozen_couplings_are_the_sessions_health(frozen: float, health: Health) -> None:
+    seen = Seen()
+    seen.condition()
+    seen.tell("environment", 100, **{names.FROZEN: frozen})
+    assert seen.scene.health is health
+    assert seen.scene.frozen == (2 if frozen == 2.0 else 0)
+    seen.condition(d="lost")
+    assert seen.scene.health is Health.AWAY  # which is worse
+
+
+def test_the_sessions_rate_is_the_environments() -> None:
+    seen = Seen()
+    seen.telemetries("d", 6, ticks=50)
+    assert seen.scene.rate is None
+    seen.telemetries("environment", 6)
+    assert seen.scene.rate == pytest.approx(1000.0)
+    assert seen.scene.tick == 600
+
+
+@given(st.lists(st.one_of(
+    st.binary(max_size=40),
+    st.builds(Observation, st.sampled_from(["d", "c", "environment", "stranger"]), st.integers(0, 2**62),
+              st.dictionaries(st.sampled_from([names.LATE, names.FROZEN, "speed"]), st.floats()), st.just({})),
+    st.builds(Condition, st.sampled_from(["running", "over"]), st.floats(0, 1e9),
+              st.dictionaries(st.sampled_from(["d", "c", "x"]), st.sampled_from(["running", "lost", "odd"]))),
+    st.just(Stop("no word of a gallery's")),
+), max_size=20))  # fmt: skip
+def test_whatever_comes_is_taken_in_or_counted(frames: list[bytes | Observation | Condition | Stop]) -> None:
+    scene, taken = Scene(about()), 0
+    for number, frame in enumerate(frames):
+        got = scene.take(frame if isinstance(frame, bytes) else encode(frame), Instant(number * STEP))
+        known = isinstance(frame, Condition) or (isinstance(frame, Observation) and frame.node in scene.nodes)
+        assert (got is not None) == known
+        taken += got is not None
+        assert scene.health in Health
+        assert scene.frozen >= 0
+    assert scene.malformed == len(frames) - taken

@@ -1,0 +1,170 @@
+"""Looking on at a session that really runs: every command, its ends, and that nobody who looks on changes anything."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from manyhands.launch.cli import app
+
+from .commands import MANYHANDS, read_until
+
+ROLES = {"d": "device", "cx": "coupling", "cy": "coupling", "cz": "coupling", "environment": "environment"}
+END = 60.0  # s, of patience with a process that is about to end
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[subprocess.Popen[str]]:
+    """One session for all of them, in a temporary directory of its own; whoever looks on has to look there."""
+    folder = tempfile.mkdtemp(prefix="mh", dir="/tmp")
+    command = [*MANYHANDS, "launch", "example1-operator.yaml", "--set", "observers={scope: {reads: [cx/tool]}}"]
+    with subprocess.Popen(
+        command, env={**os.environ, "TMPDIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        process.folder = folder  # type: ignore[attr-defined]  # where it runs
+        try:
+            read_until(process, ": running")
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.communicate(timeout=END)
+    left = os.listdir(folder)
+    shutil.rmtree(folder)
+    assert left == []
+
+
+@pytest.fixture(autouse=True)
+def look_there(session: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Temporary files are where the session's are, in this process and those that it starts."""
+    folder: str = session.folder  # type: ignore[attr-defined]
+    monkeypatch.setenv("TMPDIR", folder)
+    monkeypatch.setattr(tempfile, "tempdir", folder)
+    before = signal.getsignal(signal.SIGINT)  # which the command line takes over
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def looked(*arguments: object) -> str:
+    """What a command prints that ends by itself."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
+def looked_json(*arguments: object) -> Any:
+    return json.loads(looked(*arguments))
+
+
+def settled(*arguments: object, key: str) -> Any:
+    """The same, again and again until ``key`` is known: on a busy machine a glance may see nothing."""
+    for _ in range(40):
+        said = looked_json(*arguments)
+        (one,) = said if isinstance(said, list) else [said]
+        if one[key] is not None:
+            return one
+    pytest.fail(f"{arguments} never knew its {key}")
+
+
+@contextmanager
+def onlooker(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A command that goes on looking, in a process of its own."""
+    command = [*MANYHANDS, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def test_list(session: subprocess.Popen[str]) -> None:
+    said = settled("list", "--json", key="phase")
+    assert (said["session"], said["pid"], said["clock"]) == ("example-1-operator", session.pid, "realtime")
+    assert said["phase"] == "running"
+    assert {name: node["role"] for name, node in said["nodes"].items()} == ROLES
+    text = looked("list")
+    assert "running sessions" in text
+    assert "environment" in text
+
+
+def test_graph(tmp_path: Path) -> None:
+    said = looked_json("graph", "--session", "example-1-operator", "--json")
+    assert {name: node["role"] for name, node in said["nodes"].items()} == ROLES
+    assert said["observers"] == {"scope": {"reads": ["cx/tool"]}}
+    assert len(said["links"]) == 6
+    assert all(link["health"] for link in said["links"])
+    assert looked("graph", "--session", "example-1-operator", "-o", tmp_path / "g.svg") == ""
+    assert ET.parse(tmp_path / "g.svg").getroot().tag == "{http://www.w3.org/2000/svg}svg"
+
+
+def test_echo_says_ticks_that_follow_each_other(session: subprocess.Popen[str]) -> None:
+    lines = [json.loads(line) for line in looked("echo", "d/sample", "-n", 30, "--session", session.pid).splitlines()]
+    assert [line["tick"] - lines[0]["tick"] for line in lines] == list(range(30))
+    assert all(len(line["x"]) == 3 and line["time"] == round(line["tick"] * 0.001, 9) for line in lines)
+    (figures,) = map(json.loads, looked("echo", "/example-1-operator/d/telemetry", "-n", 1).splitlines())
+    assert {"late", "tau_us_p50", "period_us_p50", "period_us_p99", "ledger"} <= figures["figures"].keys()
+    (condition,) = map(json.loads, looked("echo", "supervisor/condition", "-n", 1).splitlines())
+    assert condition["phase"] == "running"
+    assert condition["states"] == dict.fromkeys(ROLES, "running")
+
+
+def test_hz() -> None:
+    said = settled("hz", "d/force", "--duration", "1.5", "--json", key="rate")
+    assert said["topic"] == "/example-1-operator/d/force"
+    assert said["window"] > 0
+    assert {"p50", "p99"} <= said["period_us"].keys()
+    assert {"p50", "p99", "max"} <= said["tau_us"].keys()
+
+
+def test_top() -> None:
+    said = looked_json("top", "--once", "--json")
+    assert said["nodes"].keys() == ROLES.keys()
+    assert len(said["links"]) == 6
+    assert "example-1-operator (process " in looked("top", "--once")
+
+
+def test_whoever_looks_on_ends_as_he_likes_and_one_that_stalls_changes_nothing(session: subprocess.Popen[str]) -> None:
+    """At the end of the session its last onlooker ends by itself, and the session as if nobody had looked on."""
+    with (
+        onlooker("echo", "d/sample") as leaves,
+        onlooker("hz", "d/sample") as interrupted,
+        onlooker("echo", "environment/tools") as stalled,
+        onlooker("echo", "supervisor/condition") as stays,
+    ):
+        for process in (leaves, interrupted, stalled, stays):
+            assert process.stdout is not None
+            assert process.stdout.readline()
+        stalled.send_signal(signal.SIGSTOP)
+        assert leaves.stdout is not None
+        leaves.stdout.close()  # as head does
+        assert leaves.wait(END) == 0
+        assert leaves.stderr is not None
+        assert leaves.stderr.read() == ""
+        interrupted.send_signal(signal.SIGINT)
+        out, errors = interrupted.communicate(timeout=END)
+        assert (interrupted.returncode, errors) == (130, "")
+        assert "missing" in out.splitlines()[-1]
+        first, second = (int(json.loads(looked("echo", "d/sample", "-n", 1))["tick"]) for _ in range(2))
+        assert second > first  # it goes on
+        session.send_signal(signal.SIGINT)
+        session.communicate(timeout=END)
+        assert session.returncode == 130
+        conditions, errors = stays.communicate(timeout=END)
+        assert (stays.returncode, errors) == (0, "")
+        assert json.loads(conditions.splitlines()[-1])["phase"] in ("ending", "over", "running")
+        stalled.send_signal(signal.SIGCONT)
+        out, errors = stalled.communicate(timeout=END)
+        assert (stalled.returncode, errors) == (0, "")
