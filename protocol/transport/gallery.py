@@ -19,6 +19,8 @@ from manyhands.protocol.transport.sockets import failed
 GALLERY: Final = "gallery"
 """The socket's name in its session's directory."""
 
+_FAREWELL_MS: Final = 200  # how long the last word may take to visitors; one that is stopped makes it that long
+
 
 class Gallery:
     """The end that speaks."""
@@ -35,7 +37,7 @@ class Gallery:
         self._socket = self._context.socket(zmq.PUB)
         self._socket.setsockopt(zmq.SNDHWM, LINK_QUEUE_FRAMES)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
-        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.LINGER, _FAREWELL_MS)
         try:
             self._socket.bind(f"ipc://{self._path}")
         except zmq.ZMQError as error:
