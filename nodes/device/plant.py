@@ -85,7 +85,7 @@ class PlantDriver(ABC):
 
     def apply(self, f: Sequence[float]) -> None:
         """Hold f (N) over the period that begins."""
-        self._f, self._next = list(f), None
+        self._f, self._next = list(map(float, f)), None  # a float of numpy is slow in the products
 
     def release(self) -> None:
         """Hold zero force."""

@@ -58,7 +58,7 @@ class TraceDriver:
 
     def apply(self, f: Sequence[float]) -> None:
         """Bear f (N) over the period that begins."""
-        self._f = list(f)
+        self._f = list(map(float, f))
 
     def release(self) -> None:
         """Bear no force."""
