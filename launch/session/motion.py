@@ -178,14 +178,15 @@ def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -
         why = getattr(error, "strerror", None) or str(error)
         raise refuse(f"{name}, {why[:1].lower() + why[1:]}", _FILES, ("file",)) from None
     x = _columns(table, device, own_name, dof, name)
-    there = np.flatnonzero(np.isfinite(x).any(axis=1))
+    there = np.flatnonzero(~np.isnan(x).all(axis=1))
     x = x[: there[-1] + 1 if there.size else 0]  # a device that ended before the others stays where it was
     if x.shape[0] * (1 + dof) > MAX_MOTION_NUMBERS:
         raise refuse(f"{name}, of {x.shape[0]} samples", f"at most {MAX_MOTION_NUMBERS // (1 + dof)}", ("file",))
     missing = np.flatnonzero(~np.isfinite(x).all(axis=1))
     if missing.size:
+        where = "sample" if table.ports is None else "tick"
         raise refuse(
-            f"{name}, without a position at sample {missing[0]}", "one at every tick, from tick 0 on", ("file",)
+            f"{name}, without a position at {where} {missing[0]}", f"one at every {where}, from 0 on", ("file",)
         )
     return _checked(table.times[: x.shape[0]].tolist(), x.T.tolist(), name)
 

@@ -84,7 +84,7 @@ def _from_csv(path: Path) -> Table:
         rows = csv.reader(file)
         try:
             first = next(rows, [])
-            heading = first if any(_number(cell) is None for cell in first) else None
+            heading = first if any(cell and _number(cell) is None for cell in first) else None
             if heading is not None and _TIME_COLUMN in heading:
                 columns = [heading.index(_TIME_COLUMN)]
                 columns += [i for i, cell in enumerate(heading) if cell.startswith(_FIRST) and cell.endswith(_LAST)]
