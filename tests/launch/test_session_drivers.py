@@ -12,6 +12,7 @@ import yaml
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.gallery import describe
 from manyhands.launch.preparation import Prepared
+from manyhands.launch.recordings import file
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
 from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
@@ -138,6 +139,21 @@ def test_a_recording_is_read_by_its_devices(tmp_path: Path, suffix: str) -> None
         load_session(tmp_path / "w.yaml", [TRACED.format(f"{{file: run{suffix}}}").replace("dx", "dw")])
 
 
+def test_a_streamed_recording_is_read_as_the_others_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Path] = []
+
+    def read(path: Path) -> Recording:
+        asked.append(path)
+        return RUN
+
+    monkeypatch.setattr(file, "read_recording", read)
+    motion = loaded(tmp_path, TRACED.format("{file: run.mcap, device: dz}")).devices["dx"].trace
+    assert asked == [tmp_path / "run.mcap"]
+    assert motion is not None
+    np.testing.assert_array_equal(motion.values, RUN.x[:, 1:2].T)
+    np.testing.assert_array_equal(motion.times, RUN.time)
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
 def test_a_table_of_another_program_is_read_by_its_columns(tmp_path: Path, suffix: str) -> None:
     if suffix == ".csv":
@@ -191,9 +207,12 @@ def test_an_archive_of_something_else_or_of_too_much_is_refused(tmp_path: Path) 
     assert "something else than numbers" in refused(tmp_path, TRACED.format("{file: b.npz}")).found
     np.savez(tmp_path / "c.npz", t=np.array([None]), x=[0.0])
     assert "Object arrays" in refused(tmp_path, TRACED.format("{file: c.npz}")).found.replace("object", "Object")
-    with zipfile.ZipFile(tmp_path / "d.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("x.npy", "w") as file:
+    with (
+        zipfile.ZipFile(tmp_path / "d.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("x.npy", "w") as member,
+    ):
         for _ in range(65):
-            file.write(bytes(1 << 20))
+            member.write(bytes(1 << 20))
     assert "when unpacked" in refused(tmp_path, TRACED.format("{file: d.npz}")).found
 
 
