@@ -1,8 +1,10 @@
-"""What every driver must do, and what the simulated one does besides."""
+"""What every driver must do, and what those around a simulated device do besides."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,13 @@ import pytest
 from manyhands.design.device import held_device, zero_order_hold
 from manyhands.design.operators import RationalMatrix
 from manyhands.design.statespace import StateSpace
+from manyhands.nodes.bundle import Limits, RecordedMotion, SimulatedHand
+from manyhands.nodes.device.browser import BrowserDriver
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.intent import intent_from
 from manyhands.nodes.device.simulated import SimulatedDriver
+from manyhands.nodes.device.trace import TraceDriver
+from manyhands.protocol.messages import Grasp, Release
 
 T = 1e-3
 
@@ -25,13 +31,57 @@ def simulated(force: str = "0", motion: str = "0", axes: int = 2, stiffness: flo
     return SimulatedDriver(plant, [intent_from(force)] * axes, [intent_from(motion)] * axes, T)
 
 
-DRIVERS: list[Callable[[], Driver]] = [simulated]
+def trace() -> TraceDriver:
+    times = tuple(0.004 * k for k in range(30))
+    return TraceDriver(
+        RecordedMotion(1.37 * np.eye(2), times, tuple(tuple(0.01 * t * a for t in times) for a in (1, -3))), T
+    )
+
+
+class Said:
+    """An inlet where the same is said over and over."""
+
+    malformed = 0
+
+    def __init__(self, *said: Grasp | Release | None) -> None:
+        self._said = cycle(said)
+        self.closed = 0
+
+    def latest(self) -> Grasp | Release | None:
+        return next(self._said)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def browser(*said: Grasp | Release | None, axes: int = 2) -> BrowserDriver:
+    hand = SimulatedHand(
+        (0.2,) * axes, (1.37,) * axes, StateSpace.static(np.zeros((axes, axes))), (5.0,) * axes, (200.0,) * axes,
+        (0.0,) * axes, (0.0,) * axes,
+    )  # fmt: skip
+    inlet: Any = Said(*said) if said else None
+    return BrowserDriver(hand, Limits((30.0,) * axes, (0.1,) * axes, (3.0,) * axes), T, inlet)
+
+
+def dragged() -> BrowserDriver:
+    """Held, let go and held elsewhere, all the time."""
+    return browser(Grasp(np.array([0.05, -0.02])), None, None, Release(), None, Grasp(np.array([0.3, 0.0])))
+
+
+Make = Callable[[], Driver]
+BARE: list[Make] = [simulated, browser]  # that nobody holds
+DRIVERS: list[Make] = [*BARE, trace, dragged]
 
 
 @pytest.fixture(params=DRIVERS, ids=lambda make: make.__name__)
-def driver(request: pytest.FixtureRequest) -> Driver:
-    made: Driver = request.param()
+def make(request: pytest.FixtureRequest) -> Make:
+    made: Make = request.param
     return made
+
+
+@pytest.fixture
+def driver(make: Make) -> Driver:
+    return make()
 
 
 def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) -> None:
@@ -44,16 +94,21 @@ def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) ->
         driver.idle()
 
 
-def test_samples_are_the_callers_to_keep(driver: Driver) -> None:
-    first = driver.sample(0)
-    kept = list(first)
-    first[0] += 1.0
-    driver.apply(np.zeros(driver.axes))
-    driver.idle()
-    np.testing.assert_array_equal(driver.sample(1), kept)
+def test_samples_are_the_callers_to_keep(make: Make) -> None:
+    meddled, other = make(), make()
+    for tick in range(3):
+        first, same = meddled.sample(tick), other.sample(tick)
+        np.testing.assert_array_equal(first, same)
+        assert isinstance(first, list)
+        first[0] += 1.0
+        for one in (meddled, other):
+            one.apply(np.zeros(one.axes))
+            one.idle()
 
 
-def test_the_force_is_held_and_moves_the_device_along(driver: Driver) -> None:
+@pytest.mark.parametrize("make", BARE, ids=lambda make: make.__name__)
+def test_the_force_is_held_and_moves_the_device_along(make: Make) -> None:
+    driver = make()
     driver.sample(0)
     driver.apply(np.full(driver.axes, 2.0))
     driver.idle()
@@ -64,10 +119,11 @@ def test_the_force_is_held_and_moves_the_device_along(driver: Driver) -> None:
     assert np.all(second - first > first)
 
 
-def test_released_it_is_driven_no_more(driver: Driver) -> None:
-    other = simulated()
-    for tick, force in enumerate((2.0, 2.0, 0.0, 0.0)):
+def test_released_it_is_driven_no_more(make: Make) -> None:
+    driver, other = make(), make()
+    for tick, force in enumerate((2.0, 2.0, 0.0, 0.0, 0.0)):
         np.testing.assert_array_equal(driver.sample(tick), other.sample(tick))
+        assert driver.intended_work() == other.intended_work()
         driver.apply(np.full(driver.axes, 2.0))
         if force == 0.0:
             driver.release()
@@ -76,14 +132,34 @@ def test_released_it_is_driven_no_more(driver: Driver) -> None:
         other.idle()
 
 
-def test_idle_is_a_favour_not_a_duty() -> None:
-    lazy, eager = simulated("sin(9*t)"), simulated("sin(9*t)")
+def waving() -> SimulatedDriver:
+    return simulated("sin(9*t)")
+
+
+@pytest.mark.parametrize("make", [waving, trace, dragged], ids=lambda make: make.__name__)
+def test_idle_is_a_favour_not_a_duty(make: Make) -> None:
+    lazy, eager = make(), make()
     for tick in range(50):
         np.testing.assert_array_equal(lazy.sample(tick), eager.sample(tick))
         assert lazy.intended_work() == eager.intended_work()
         for one in (lazy, eager):
             one.apply(np.array([0.1 * tick, -1.0]))
         eager.idle()
+        eager.idle()
+    assert any(lazy.sample(50))
+
+
+def test_what_is_told_is_named_and_finite_and_closing_can_be_done_again(driver: Driver) -> None:
+    driver.sample(0)
+    driver.idle()
+    assert all(type(name) is str and np.isfinite(value) for name, value in driver.figures().items())
+    driver.close()
+    driver.close()
+
+
+def test_before_the_first_tick_nothing_has_been_intended(driver: Driver) -> None:
+    driver.sample(0)
+    assert driver.intended_work() == 0.0
 
 
 def test_the_intention_s_work_is_the_integral_of_its_power() -> None:
