@@ -35,7 +35,7 @@ def _bar(text: str) -> Iterator[Callable[[float], None]]:
     """Show on a terminal how far something is; yields what is to be told the part that is done."""
     from rich.progress import Progress
 
-    with Progress(console=err, transient=True) as bar:
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(text, total=1.0)
         yield lambda part: bar.update(task, completed=part)
 

@@ -1,4 +1,4 @@
-"""What a recording says of itself, without keeping its numbers: whose it is, how long, what is in it and what is not."""
+"""What a recording says of itself, without keeping its numbers: whose it is, how long, and what is missing in it."""
 
 from __future__ import annotations
 

@@ -54,13 +54,24 @@ def frames(ticks: int, each: int, recorded: Recorded = RECORDED) -> Iterable[byt
             yield observation(node, tick, each, late=float(tick))
 
 
-def recording(ticks: int = 10, each: int = 5, chunks: int = 2, recorded: Recorded = RECORDED) -> bytes:
-    """A whole recording, in about so many chunks."""
+def pieces(ticks: int, each: int, chunks: int, recorded: Recorded = RECORDED) -> list[bytes]:
+    """A recording as its recorder writes it: its beginning, about so many chunks, its end."""
     core = RecorderCore(recorded, ATTACHED, STARTED)
     shown = [condition(), *frames(ticks, each, recorded)]
-    out = core.cut()
+    out = [core.cut()]
     for place, frame in enumerate(shown, 1):
         core.take(frame, STARTED)
         if place % -(-len(shown) // chunks) == 0:
-            out += core.cut()
-    return out + core.cut() + core.end()
+            out.append(core.cut())
+    return [*out, core.cut(), core.end()]
+
+
+def recording(ticks: int = 10, each: int = 5, chunks: int = 2, recorded: Recorded = RECORDED) -> bytes:
+    """A whole recording, in about so many chunks."""
+    return b"".join(pieces(ticks, each, chunks, recorded))
+
+
+def cut_recording(ticks: int, each: int) -> bytes:
+    """One that ends within the second of three chunks."""
+    beginning, first, second, *_ = pieces(ticks, each, 3)
+    return beginning + first + second[: len(second) // 2]
