@@ -67,11 +67,18 @@ def record(
         if directory is not None and session is not None:
             refuse(f"found both {directory} and --session {session}; expected one of them")
         running = find_session(session) if directory is None else session_in(directory)
-        with Interrupt() as interrupt, status(err, "recording") as shown:
-            name, pid = running.about.session, running.about.pid
-            say(err, f"recording {name} (process {pid}) to {output} until it is over; Ctrl-C ends the recording alone")
+        name, said = running.about.session, False
+        with Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
 
             def show(core: AttachedCore) -> None:
+                nonlocal said
+                if core.beginning and not said:
+                    first = min(core.beginning.values())
+                    say(
+                        err,
+                        f"recording {name} to {output}, from tick {first} to its end; Ctrl-C ends the recording alone",
+                    )
+                    said = True
                 lost = f", {sum(core.missing.values())} missing" if core.missing else ""
                 shown(f"recording {name}: tick {core.tick}{lost}")
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import stat
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from manyhands.launch.cli import app
 from manyhands.launch.conductor import Phase
 from manyhands.launch.gallery import Showing, describe
 from manyhands.launch.looking.sessions import NoSession, Running, session_in
@@ -37,6 +40,14 @@ from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 from .recordings_made import ATTACHED, RECORDED, STARTED, condition, frames, observation
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="module")
@@ -188,3 +199,23 @@ def test_a_process_that_ends_is_gone_though_its_directory_is_left(prepared: Prep
         it.wait()
         with pytest.raises(NoSession, match="it is over"):
             Supervisor(running)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "found no running session"),
+        (["."], "found no running session's directory"),
+        (["--session", "example-1"], "found no running session"),
+        ([".", "--session", "example-1"], "expected one of them"),
+        (["--duration", "0"], "--duration: found 0 s"),
+        (["-o", "run.csv"], "expected one of .mcap"),
+        (["-o", "nowhere/run.mcap"], "found no folder nowhere"),
+    ],
+)
+def test_the_command_refuses(arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["record", "-o", "run.mcap", *arguments])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert said in result.stderr
+    assert [*tmp_path.iterdir()] == []

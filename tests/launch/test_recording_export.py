@@ -5,6 +5,8 @@ from __future__ import annotations
 import builtins
 import csv
 import json
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,14 @@ NAMES = [
     *("c.tool[x]_m", "c.reaction[x]_N", "c.ledger[E]_J"),
     *("environment.tools[x]_m", "environment.masses[puck]_m", "environment.ledger[E]_J"),
 ]
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,14 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
 
 from .recordings_made import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
