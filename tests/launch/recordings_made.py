@@ -21,12 +21,13 @@ RECORDED = Recorded(
     ports={"dx": ("x",), "c": ("x",), "environment": ("x",)},
     masses=("puck",),
 )
-ALONE = replace(RECORDED, roles={"dx": Role.DEVICE}, ports={"dx": ("x",)}, masses=())
-"""A recording of one device: the smallest that has a record of every kind."""
+ALONE = replace(RECORDED, roles={"d": Role.DEVICE}, ports={"d": ("x",)}, masses=())
+"""A session of one device that promised nothing: the smallest recording that has a record of every kind."""
 
 ATTACHED = {"session.yaml": b"name: s\n", "certificate.json": b'{"id": "f"}'}
 STARTED = 1_800_000_000 * 10**9
 TRACES = {
+    "d": {"x": 1, "f_v": 1},
     "dx": {"x": 1, "f_v": 1, "ledger": 1, "tau_us": 1},
     "c": {"p": 1, "f_v": 1, "ledger": 1},
     "environment": {"x_e": 1, "q": 1, "ledger": 1},
