@@ -92,7 +92,8 @@ def band(curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[NDArray[np.in
     """The least and the greatest of many curves of one length, over the ticks of each column.
 
     Returns:
-        The first tick of each column, and for each the least and the greatest; NaN where none of them is known.
+        The first tick of each column, and for each the least and the greatest; NaN where none of them is known. The
+        last tick stands once more at the end, where the last column does.
     """
     ticks = len(curves[0].values)
     size = max(1, -(-ticks // columns))
@@ -101,7 +102,7 @@ def band(curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[NDArray[np.in
     for curve in curves:
         least = np.fmin(least, np.fmin.reduceat(curve.values, starts))
         greatest = np.fmax(greatest, np.fmax.reduceat(curve.values, starts))
-    return starts, least, greatest
+    return np.append(starts, ticks - 1), np.append(least, least[-1]), np.append(greatest, greatest[-1])
 
 
 def alone(values: Array) -> NDArray[np.bool_]:

@@ -105,6 +105,11 @@ class Picture:
     marks: tuple[Mark, ...] = ()
     cut: str | None = None
 
+    @property
+    def time(self) -> Array:
+        """The instants of the ticks shown, s."""
+        return np.arange(self.first, self.first + self.ticks, dtype=np.float64) * self.period
+
 
 def picture_of_run(run: Run, quantities: Sequence[str] | None = None) -> Picture:
     """What is shown of a recorded session.
@@ -123,7 +128,7 @@ def picture_of_run(run: Run, quantities: Sequence[str] | None = None) -> Picture
     wanted = _wanted(quantities, [*there, *(["tau"] if delays and realtime else [])], realtime)
     name = f"{recorded.session}, {recorded.clock} clock, certificate {recorded.certificate:.12}"
     return Picture(
-        title=f"{name}, {ticks} ticks, {ticks * recorded.period:g} s",
+        title=f"{name}, {ticks} ticks, {ticks * recorded.period:g} s{', cut' if run.cut else ''}",
         period=recorded.period,
         first=0,
         ticks=ticks,
@@ -218,8 +223,9 @@ def _panels(traces: Mapping[tuple[str, str], Trace], period: float, ticks: int) 
     """Every quantity that is recorded, in the order of the table; a node that did fewer ticks than others has a gap."""
     found: dict[str, list[Trace]] = {}
     nodes: dict[str, list[str]] = {}
+    recorded = {name for (_, name), trace in traces.items() if not np.all(np.isnan(trace.values))}
     for (node, name), trace in traces.items():
-        if len(trace.values) and trace.columns:
+        if name in recorded:
             found.setdefault(name, []).append(trace)
             nodes.setdefault(name, []).append(node)
     panels = []

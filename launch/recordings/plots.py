@@ -35,7 +35,7 @@ _WIDTH = 10.0  # inches
 _PANEL, _HISTOGRAM, _LINE, _HEAD = 2.1, 2.6, 0.16, 0.7  # heights, inches
 _LONGEST_LABEL, _LINE_LENGTH = 24, 150  # characters
 _BINS = 120
-_NEAR = 0.02  # of the width: marks nearer than this share a number's place
+_NEAR = 0.045  # of the width: marks nearer than this share a number's place
 
 
 def require_picture(path: Path) -> None:
@@ -62,15 +62,17 @@ def write_picture(picture: Picture, path: Path) -> None:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure whole or not at all, the same bytes for the same figure."""
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "manyhands"}), warnings.catch_warnings(), replacing(
-        path
-    ) as partial:
+    with (
+        rc_context({"svg.fonttype": "none", "svg.hashsalt": "manyhands"}),
+        warnings.catch_warnings(),
+        replacing(path) as partial,
+    ):
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)  # a box stands for it
         figure.savefig(partial, dpi=_DPI, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
 def figure_of(picture: Picture) -> Figure:
-    """The figure: ``axes`` in order the panels, then the histogram and the list of what happened, where there are any."""
+    """The figure; its axes are the panels in order, then, where there are any, the histogram and what happened."""
     told = _told(picture.marks)
     heights = [_PANEL] * len(picture.panels)
     heights += [_HISTOGRAM] if picture.delays is not None else []
@@ -78,7 +80,7 @@ def figure_of(picture: Picture) -> Figure:
     figure = Figure(figsize=(_WIDTH, sum(heights) + _HEAD), layout="constrained", facecolor="white")
     figure.suptitle(plain(picture.title, _LINE_LENGTH), x=0.01, ha="left", fontsize="medium", fontweight="bold")
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    time = (picture.first + np.arange(picture.ticks)) * picture.period
+    time = picture.time
     first: Axes | None = None
     for row, panel in enumerate(picture.panels):
         axes = figure.add_subplot(grid[row], sharex=first)
@@ -175,8 +177,10 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     for limit, name, style in ((delays.certified, "τ of the certificate", "--"), (delays.period, "period T", "-")):
         if limit:
             above = np.count_nonzero(every > limit) / len(every)
-            text = f"{name}, {limit:.4g} µs:\n{above:.3%} above"
+            text = f"{name}, {limit:.4g} µs:\n{above:.2%} above"
             axes.axvline(limit, color="black", linestyle=style, linewidth=1.2, label=text)
+    if delays.certified == 0.0:
+        axes.plot([], [], " ", label="τ of the certificate, 0 µs:\nall above")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(least, most)
@@ -188,9 +192,7 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), fontsize="x-small", frameon=False)
 
 
-def _draw_marks(
-    axes: Axes, picture: Picture, time: Array, numbers: bool
-) -> None:
+def _draw_marks(axes: Axes, picture: Picture, time: Array, numbers: bool) -> None:
     """A line where something happened, and above it its number in the list; neighbours share a place."""
     places: list[tuple[float, int, int]] = []
     near = _NEAR * (time[-1] - time[0])
