@@ -203,11 +203,11 @@ def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
 def test_a_device_that_tells_nothing_is_named() -> None:
     from watched_figures import Window
 
+    window = Window(["a", "b"], 0, 10)
+    window.take("a", 10, np.full(10, 300.0))
+    window.take("b", 10, np.full(10, np.nan))
     with pytest.raises(ValueError, match="b told of no tick"):
-        one = Window(["a", "b"], 0, 10)
-        one.take("a", 10, np.full(10, 300.0))
-        one.take("b", 10, np.full(10, np.nan))
-        one.run(1000.0, 8, 0.5, 100.0)
+        window.run(1000.0, 8, 0.5, 100.0)
 
 
 def test_who_looks_on_is_held_against_nobody_in_the_same_round() -> None:
