@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos faults pictures benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -48,6 +48,10 @@ flood: $(VENV)/.installed
 loop: $(VENV)/.installed
 	$(BIN)/python benchmarks/loop.py --install
 	$(BIN)/python benchmarks/loop.py --json docs/loop-benchmark.json --plot docs/images/loop-latency.png --markdown docs/loop-benchmark.md
+
+# what the loop feels of its recorder, top and page, alone, together and stopped: about ten minutes
+watched: $(VENV)/.installed
+	$(BIN)/python benchmarks/watched.py --json docs/loop-watched.json --markdown docs/loop-benchmark.md
 
 # hundreds of faults at random, in both clocks; exits 1 when one of the invariants does not hold
 chaos: $(VENV)/.installed

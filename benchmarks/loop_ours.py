@@ -50,7 +50,7 @@ def ours(folder: Path, seconds: float, period: float = 1e-3) -> tuple[Run, Watch
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     ) as launch:  # fmt: skip
         try:
-            said = _until(launch.stderr, ": running")
+            said = until(launch.stderr, ": running")
             seen = _watch(launch, min(SAMPLES_EVERY, seconds / 4))
         except BaseException:
             launch.terminate()
@@ -73,7 +73,7 @@ def ours(folder: Path, seconds: float, period: float = 1e-3) -> tuple[Run, Watch
     return run, seen
 
 
-def _until(stream: IO[str] | None, words: str) -> str:
+def until(stream: IO[str] | None, words: str) -> str:
     """Read up to the line with ``words``; returns what was read."""
     said = ""
     for line in stream or ():

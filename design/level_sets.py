@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eig
 
 from manyhands.design.cayley import Time, frequency_of, in_discrete_time
+from manyhands.design.errors import SolverFailure
 from manyhands.design.passivity import storage_inequality
 from manyhands.design.statespace import Matrix, StateSpace
 
@@ -201,10 +202,17 @@ def _crossings(system: StateSpace, F: Matrix) -> list[float]:
 
 
 def _ratios(left: Matrix, right: Matrix) -> list[complex]:
-    """Finite generalised eigenvalues of the pencil left - z right."""
+    """Finite generalised eigenvalues of the pencil left - z right.
+
+    Raises:
+        SolverFailure: the iteration that looks for them did not converge.
+    """
     if left.size == 0:
         return []
-    alpha, beta = eig(left, right, right=False, homogeneous_eigvals=True)
+    try:
+        alpha, beta = eig(left, right, right=False, homogeneous_eigvals=True)
+    except np.linalg.LinAlgError as error:
+        raise SolverFailure(f"level sets: {error}. State the system in better units") from error
     finite = np.abs(beta) > 1e-12 * (np.abs(alpha) + np.abs(beta))
     return [complex(z) for z in alpha[finite] / beta[finite]]
 

@@ -52,7 +52,7 @@ class Scaled:
 
 def scaled(system: StateSpace) -> Scaled:
     """A discrete ``system`` in ports and states of its own size."""
-    d = _state_units(system)
+    d = state_units(system)
     system = StateSpace(system.A * d / d[:, None], system.B / d[:, None], system.C * d, system.D)
     controllable, observable = _gramians(system)
     through = np.abs(np.diag(system.D))
@@ -88,7 +88,7 @@ def _changed(system: StateSpace, X: Matrix, S: Matrix) -> Scaled:
     )
 
 
-def _state_units(system: StateSpace) -> Matrix:
+def state_units(system: StateSpace) -> Matrix:
     """Powers of two d, n of them: in states psi / d the rows and columns of [A B; C 0] are of a size.
 
     Without them the equations of the Gramians of a system in extreme units are too ill-conditioned to be solved.

@@ -9,6 +9,9 @@ MOST_INCIDENTS: Final = 100
 """How many are kept, the latest: a session may run for days."""
 
 
+_FORGOTTEN = " earlier incidents"
+
+
 class Incidents:
     """The latest incidents, and how many there were.
 
@@ -31,4 +34,9 @@ class Incidents:
     def sentences(self) -> tuple[str, ...]:
         """The latest, oldest first; the first line says how many are no longer kept, if any are not."""
         forgotten = self.total - len(self._latest)
-        return (*([f"{forgotten} earlier incidents"] if forgotten else []), *self._latest)
+        return (*([f"{forgotten}{_FORGOTTEN}"] if forgotten else []), *self._latest)
+
+
+def is_summary(sentence: str) -> bool:
+    """Whether a sentence says how many incidents are no longer kept, and tells none."""
+    return sentence.endswith(_FORGOTTEN) and sentence.removesuffix(_FORGOTTEN).isdecimal()

@@ -1,50 +1,35 @@
-"""Pictures of runs, in the manner of the paper's Figs. 5-7: velocities of the devices over time."""
+"""Pictures of the demonstration, in the manner of the paper's Figs. 5-7: velocities of the devices over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
+from matplotlib.figure import Figure
 
-matplotlib.use("Agg")  # files only: no screen is needed, and none is looked for
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-
+from manyhands.launch.recordings.curves import Curve, Panel
+from manyhands.launch.recordings.plots import draw_panel, save
 from manyhands.launch.recordings.recording import Recording
 
-_SIZE = (8.0, 3.2)  # inches
-_DPI = 130
+_WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.4  # inches
 
 
 def plot_velocities(recording: Recording, title: str, path: Path) -> None:
     """One picture with the velocity of every port."""
-    figure, axes = plt.subplots(figsize=_SIZE, layout="constrained")
-    _velocities(axes, recording, title)
-    figure.savefig(path, dpi=_DPI)
-    plt.close(figure)
+    save(_figure([(title, recording)], _ONE), path)
 
 
 def plot_comparison(runs: Sequence[tuple[str, Recording]], path: Path) -> None:
     """The velocities of several runs, one above the other, over the same time."""
-    figure, rows = plt.subplots(
-        len(runs), 1, sharex=True, squeeze=False, figsize=(_SIZE[0], 2.4 * len(runs)), layout="constrained"
-    )
-    for axes, (title, recording) in zip(rows[:, 0], runs, strict=True):
-        _velocities(axes, recording, title)
-        axes.set_xlabel("")
-    rows[-1, 0].set_xlabel("time [s]")
-    figure.savefig(path, dpi=_DPI)
-    plt.close(figure)
+    save(_figure(runs, _OF_SEVERAL), path)
 
 
-def _velocities(axes: Axes, recording: Recording, title: str) -> None:
-    velocity = recording.velocity
-    for port, column in zip(recording.ports, velocity.T, strict=True):
-        axes.plot(recording.time, column, label=port, linewidth=0.8)
-    axes.set_title(title, loc="left", fontsize="medium")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("velocity [m/s]")
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.0)
-    axes.legend(loc="upper right", ncols=len(recording.ports), fontsize="small", frameon=False)
+def _figure(runs: Sequence[tuple[str, Recording]], height: float) -> Figure:
+    figure = Figure(figsize=(_WIDTH, height * len(runs)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (title, recording) in zip(rows, runs, strict=True):
+        columns = zip(recording.ports, recording.velocity.T, strict=True)
+        curves = tuple(Curve(port, column) for port, column in columns)
+        draw_panel(axes, recording.time, Panel("velocity", title, "velocity [m/s]", curves))
+        axes.set_xlabel("time [s]" if axes is rows[-1] else "")
+    return figure

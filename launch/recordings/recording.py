@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.files import replacing, require_target
+from manyhands.launch.recordings.curves import backward_difference
 
 Array = NDArray[np.float64]
 
@@ -64,8 +65,7 @@ class Recording:
     @property
     def velocity(self) -> Array:
         """(x(k) - x(k-1))/T, m/s, ticks x m."""
-        before = np.vstack([np.zeros((1, self.x.shape[1])), self.x[:-1]])
-        return (self.x - before) / self.period
+        return backward_difference(self.x, self.period)
 
     def save(self, path: Path) -> None:
         """Write the file whole or not at all, in the format of its suffix.

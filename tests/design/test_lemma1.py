@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design import lemma1
+from manyhands.design import lemma1, level_sets
 from manyhands.design.errors import SolverFailure
 from manyhands.design.lemma1 import analyse, verified_margin
 from manyhands.design.level_sets import least_hermitian_eigenvalue
@@ -173,3 +173,12 @@ def test_a_lying_solver_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lemma1, "_strictest", lambda units, face, Q: (np.diag([1e3, 1.0, 1e-3]), None))
     with pytest.raises(SolverFailure, match="too near the edge"):
         analyse(system, Phi=(value - 0.1) * np.eye(2))
+
+
+def test_eigenvalues_that_are_not_found_are_a_failure_of_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_matrices: object, **_options: object) -> None:
+        raise np.linalg.LinAlgError("ggev did not converge")
+
+    monkeypatch.setattr(level_sets, "eig", lost)
+    with pytest.raises(SolverFailure, match="did not converge"):
+        analyse(random_stable(1, 3, 2))

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -187,3 +188,50 @@ def test_what_a_recording_costs_without_a_loop(tmp_path: Path) -> None:
     assert found["messages_per_s"] == topics * 1000 + figures
     assert found["processor_share"] > 0
     assert f"{found['messages_per_s']:.0f} messages/s" in said
+
+
+def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
+    from watched_figures import Window  # type: ignore[import-not-found]
+
+    window = Window(["a", "b"], first=100, ticks=50)
+    window.take("a", 110, np.full(20, 300.0))  # half of it is before
+    window.take("a", 130, np.full(25, 300.0))  # some of it is known
+    window.take("c", 150, np.full(50, 9999.0))  # no device of the session's
+    assert not window.over
+    window.take("a", 160, np.concatenate([np.full(10, 1200.0), np.full(20, 300.0)]))  # the last ten are beyond
+    window.take("b", 140, np.full(40, 500.0))
+    assert not window.over
+    window.take("b", 155, np.full(5, 9999.0))  # 140 ... 149 were never done, and these are beyond
+    assert window.over
+    run = window.run(1000.0, 8, 0.5, 100.0)
+    assert run.ticks == 40
+    assert run.tau_us["b"] == dict.fromkeys(PERCENTILES, 500.0)
+    assert (run.tau_us["a"]["p50"], run.tau_us["a"]["max"]) == (300.0, 1200.0)
+    assert run.late == pytest.approx((10 + 10) / 100)
+
+
+def test_a_device_that_tells_nothing_is_named() -> None:
+    from watched_figures import Window
+
+    window = Window(["a", "b"], 0, 10)
+    window.take("a", 10, np.full(10, 300.0))
+    window.take("b", 10, np.full(10, np.nan))
+    with pytest.raises(ValueError, match="b told of no tick"):
+        window.run(1000.0, 8, 0.5, 100.0)
+
+
+def test_who_looks_on_is_held_against_nobody_in_the_same_round() -> None:
+    from watched_figures import VARIANTS, table
+
+    def of(tau: float) -> dict[str, Any]:
+        run = {"tau_us": dict.fromkeys(DEVICES, dict.fromkeys(PERCENTILES, tau)), "ticks": 10, "late": 0.01}
+        return {"run": {**run, "processes": 8, "cpu": 1.25, "resident": 100.0}, "onlookers": 0.5}
+
+    rounds = [(100.0, 150.0), (1000.0, 2500.0), (200.0, 400.0)]
+    runs = [{"alone": of(alone), "page": of(page)} for alone, page in rounds]
+    runs[0]["top"] = of(1.0)  # not in every round
+    said = table({"rounds": 3, "seconds": 1.0, "machine": {"cores": "2"}, "runs": runs})
+    alone, page = rows(said)[1:]
+    assert alone.startswith("| nobody | 200 | 200 | 200 | 1.00% | 1.00 (1.00-1.00) | 1.00 (1.00-1.00) | 1.25 | 0.50 |")
+    assert page.startswith(f"| {VARIANTS['page'].label} | 400 |")
+    assert page.count("2.00 (1.50-2.50)") == 2

@@ -1,0 +1,131 @@
+"""Quantities over time, made fit to be drawn: however many ticks there are, no extreme of theirs is left out.
+
+A picture has some thousand columns of pixels, a recording may have millions of ticks. Of the ticks that share a column
+the first, the least, the greatest and the last are kept, in their order, so that the line through them covers every
+pixel that the line through all of them would; and one that is NaN, where there is any, so that a gap stays one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+COLUMNS = 1000
+"""Columns of pixels that a line is drawn for; the pictures' own are about as many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One quantity of one port or node over the ticks.
+
+    Attributes:
+        label: whose it is.
+        values: one a tick; NaN where it is not known.
+    """
+
+    label: str
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves of one kind, which share their axes.
+
+    Attributes:
+        name: by which it is asked for, the topic's.
+        title: what is to be seen.
+        axis: the quantity, with its unit.
+        curves: of one length.
+        zero: whether the line at zero means something.
+    """
+
+    name: str
+    title: str
+    axis: str
+    curves: tuple[Curve, ...]
+    zero: bool = False
+
+    def window(self, first: int, beyond: int) -> Panel:
+        """The same of the ticks ``first`` ... ``beyond`` - 1."""
+        curves = tuple(Curve(curve.label, curve.values[first:beyond]) for curve in self.curves)
+        return Panel(self.name, self.title, self.axis, curves, self.zero)
+
+
+def backward_difference(x: Array, period: float) -> Array:
+    """(x(k) - x(k-1))/T along the first axis, x(-1) being zero; NaN beside every NaN of x."""
+    return np.diff(x, axis=0, prepend=np.zeros((1, *x.shape[1:]))) / period
+
+
+def thinned(values: Array, columns: int = COLUMNS) -> NDArray[np.intp]:
+    """Which of ``values`` are drawn, in their order: all of few; of many, those of the module for each column.
+
+    Args:
+        values: one a tick, NaN in gaps.
+        columns: how many there are.
+    """
+    size = -(-len(values) // columns)
+    if size <= 4:
+        return np.arange(len(values))
+    least, greatest, unknown = _by_column(values, size)
+    first = np.arange(len(least)) * size
+    last = np.minimum(first + size, len(values)) - 1
+    return np.unique(np.stack([first, least, greatest, unknown, last]))
+
+
+def _by_column(values: Array, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """In every column of ``size`` ticks, which one is least, greatest and, if any, unknown."""
+    columns = -(-len(values) // size)
+    padded = np.concatenate([values, np.full(columns * size - len(values), values[-1])]).reshape(columns, size)
+    gap = np.isnan(padded)
+    first = np.arange(columns) * size
+    found = (np.where(gap, np.inf, padded).argmin(axis=1), np.where(gap, -np.inf, padded).argmax(axis=1))
+    least, greatest, unknown = (np.minimum(first + at, len(values) - 1) for at in (*found, gap.argmax(axis=1)))
+    return least, greatest, unknown
+
+
+def band(curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[NDArray[np.intp], Array, Array]:
+    """The least and the greatest of many curves of one length, over the ticks of each column.
+
+    Returns:
+        The first tick of each column, and for each the least and the greatest; NaN where none of them is known. The
+        last tick stands once more at the end, where the last column does.
+    """
+    ticks = len(curves[0].values)
+    size = max(1, -(-ticks // columns))
+    starts = np.arange(0, ticks, size)
+    least, greatest = np.full(len(starts), np.nan), np.full(len(starts), np.nan)
+    for curve in curves:
+        least = np.fmin(least, np.fmin.reduceat(curve.values, starts))
+        greatest = np.fmax(greatest, np.fmax.reduceat(curve.values, starts))
+    return np.append(starts, ticks - 1), np.append(least, least[-1]), np.append(greatest, greatest[-1])
+
+
+def alone(values: Array) -> NDArray[np.bool_]:
+    """Which values have a gap (or the end) on both sides: no line leads to them."""
+    known = ~np.isnan(values)
+    before, after = np.append(False, known[:-1]), np.append(known[1:], False)
+    return np.asarray(known & ~before & ~after)
+
+
+def gaps(curves: Sequence[Curve], columns: int = COLUMNS) -> list[tuple[int, int]]:
+    """Spans of ticks [first, beyond) in which some curve is not known; those within a column of each other are one."""
+    if not curves:
+        return []
+    ticks = len(curves[0].values)
+    unknown = np.zeros(ticks + 2, dtype=np.int8)
+    for curve in curves:
+        unknown[1:-1] |= np.isnan(curve.values)
+    edges = np.diff(unknown)
+    spans: list[tuple[int, int]] = []
+    near = ticks // columns
+    for first, beyond in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        if spans and first - spans[-1][1] <= near:
+            spans[-1] = (spans[-1][0], int(beyond))
+        else:
+            spans.append((int(first), int(beyond)))
+    return spans
