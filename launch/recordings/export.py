@@ -102,12 +102,12 @@ def _save_csv(run: Run, traces: Traces, path: Path, progress: Progress) -> None:
         for begin in range(0, ticks, _ROWS):
             end = min(begin + _ROWS, ticks)
             block = np.hstack([time[begin:end, None], *(trace.values[begin:end] for trace in traces.values())])
-            writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), begin))
+            writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
             progress(end / ticks)
 
 
 def _columns(run: Run, traces: Traces) -> dict[str, NDArray[Any]]:
-    out: dict[str, NDArray[Any]] = {TICK: np.arange(run.ticks, dtype=np.int64), TIME: run.time}
+    out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
     for key, trace in traces.items():
         out |= dict(zip(column_names(key[0], trace), trace.values.T, strict=True))
     return out

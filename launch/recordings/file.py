@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.gathering import Gatherer, most_ticks
+from manyhands.launch.recordings.gathering import Gatherer, span_of
 from manyhands.launch.recordings.recording import Array, Recording
-from manyhands.launch.recordings.run import MOST_MISSING, cut_at, read_topics
+from manyhands.launch.recordings.run import MOST_MISSING, cut_at, read_topics, require_beginning
 from manyhands.protocol.messages import Role
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, topics_of
 
@@ -28,8 +28,9 @@ def read_recording(path: Path) -> Recording:
     sample, force = (next(t.name for t in topics_of(Role.DEVICE) if t.trace == signal) for signal in _SIGNALS)
     reading = read_topics(path, lambda node, topic: topic.name in (sample, force))
     recorded, gatherers = reading.recorded, reading.gatherers
-    most = most_ticks([*gatherers.values()], MOST_MISSING)
-    columns = [_columns(gatherers[device, sample], gatherers[device, force], most) for device in recorded.devices]
+    span = span_of([*gatherers.values()], MOST_MISSING)
+    require_beginning(path, span.start)
+    columns = [_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices]
     ticks = max(int(np.flatnonzero(told).max(initial=-1)) + 1 for _, _, told in columns)
     missing = {
         device: ticks - int(told[:ticks].sum()) for device, (_, _, told) in zip(recorded.devices, columns, strict=True)
@@ -46,9 +47,9 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _columns(sample: Gatherer, force: Gatherer, ticks: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Both signals of a device, x and f_v, and the ticks of which both were told; NaN in the others."""
-    (x, x_told), (f_v, f_told) = sample.rows(ticks), force.rows(ticks)
+    (x, x_told), (f_v, f_told) = sample.rows(span), force.rows(span)
     told = x_told & f_told
     x[~told] = f_v[~told] = np.nan
     return x, f_v, told

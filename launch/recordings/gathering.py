@@ -93,26 +93,35 @@ class Gatherer:
         right = values.shape == (len(plain), len(self.columns)) and (ticks >= 0).all() and (ticks < MOST_TICK).all()
         return (ticks, values) if right else None
 
-    def length(self, most: int) -> int:
+    @property
+    def first(self) -> int | None:
+        """The earliest tick that was told of; None if none was."""
+        return min((int(at.min()) for at, _ in self._pieces), default=None)
+
+    def end(self, most: int) -> int:
         """One more than the latest tick of those below ``most``."""
         return max((int(at[at < most].max(initial=-1)) + 1 for at, _ in self._pieces), default=0)
 
-    def rows(self, ticks: int) -> tuple[Array, NDArray[np.bool_]]:
-        """The rows of the first ``ticks`` ticks, NaN where there are none, and which ticks were told."""
-        values = np.full((ticks, len(self.columns)), np.nan)
-        told = np.zeros(ticks, dtype=np.bool_)
+    def rows(self, span: range) -> tuple[Array, NDArray[np.bool_]]:
+        """The rows of the ticks of ``span``, NaN where there are none, and which of them were told."""
+        values = np.full((len(span), len(self.columns)), np.nan)
+        told = np.zeros(len(span), dtype=np.bool_)
         for at, piece in self._pieces:
-            inside = at < ticks
-            values[at[inside]], told[at[inside]] = piece[inside], True
+            inside = (at >= span.start) & (at < span.stop)
+            row = at[inside] - span.start
+            values[row], told[row] = piece[inside], True
         return values, told
 
 
-def most_ticks(gatherers: Sequence[Gatherer], most_missing: int) -> int:
-    """How many ticks there are, by the latest told of; such that no more than ``most_missing`` numbers are missing.
+def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
+    """The ticks that there are, up to the latest told of; such that no more than ``most_missing`` numbers are missing.
 
-    A single message of a tick out of this world would otherwise cost memory for all those before it.
+    From tick 0 on, unless so many are missing before the first that was told of, in a recording of a session's later
+    hours: then from there. A single message of a tick out of this world would otherwise cost memory for all before it.
     """
     told = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
     width = sum(len(gatherer.columns) for gatherer in gatherers)
     room = (told + most_missing) // max(1, width)
-    return max((gatherer.length(room) for gatherer in gatherers), default=0)
+    earliest = min((gatherer.first for gatherer in gatherers if gatherer.first is not None), default=0)
+    first = earliest if earliest >= room else 0
+    return range(first, max((gatherer.end(first + room) for gatherer in gatherers), default=first))

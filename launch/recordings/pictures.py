@@ -130,7 +130,7 @@ def picture_of_run(run: Run, quantities: Sequence[str] | None = None) -> Picture
     return Picture(
         title=f"{name}, {ticks} ticks, {ticks * recorded.period:g} s{', cut' if run.cut else ''}",
         period=recorded.period,
-        first=0,
+        first=run.first,
         ticks=ticks,
         panels=tuple(there[name] for name in wanted if name in there),
         delays=Delays(delays.curves, _certified_tau(run.attachments), recorded.period * 1e6)
@@ -166,26 +166,27 @@ def between(picture: Picture, start: float | None, end: float | None) -> Picture
     Raises:
         NotDrawable: no tick is in it.
     """
-    last = (picture.ticks - 1) * picture.period
+    stop = picture.first + picture.ticks
+    last = (stop - 1) * picture.period
     for option, value in (("--from", start), ("--until", end)):
         if value is not None and not (math.isfinite(value) and value >= 0.0):
             raise NotDrawable(f"{option}: found {value:g} s; expected 0 or more")
     slack = 1e-9  # of a tick: 0.3 / 0.001 is not 300
-    first = 0 if start is None else math.ceil(start / picture.period - slack)
-    beyond = picture.ticks if end is None else min(picture.ticks, math.floor(end / picture.period + slack) + 1)
-    if first >= picture.ticks:
+    first = picture.first if start is None else max(picture.first, math.ceil(start / picture.period - slack))
+    beyond = stop if end is None else min(stop, math.floor(end / picture.period + slack) + 1)
+    if first >= stop:
         raise NotDrawable(f"--from: found {start:g} s; expected at most {last:g} s, where the recording ends")
     if first >= beyond:
         raise NotDrawable(f"--until: found {end:g} s; expected more than --from, {start or 0.0:g} s")
-    delays = picture.delays
+    delays, rows = picture.delays, (first - picture.first, beyond - picture.first)
     if delays is not None:
-        curves = tuple(Curve(curve.label, curve.values[first:beyond]) for curve in delays.curves)
+        curves = tuple(Curve(curve.label, curve.values[slice(*rows)]) for curve in delays.curves)
         delays = replace(delays, curves=curves)
     return replace(
         picture,
         first=first,
         ticks=beyond - first,
-        panels=tuple(panel.window(first, beyond) for panel in picture.panels),
+        panels=tuple(panel.window(*rows) for panel in picture.panels),
         delays=delays,
         marks=tuple(mark for mark in picture.marks if first <= mark.time / picture.period + slack < beyond),
     )

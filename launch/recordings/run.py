@@ -11,7 +11,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.gathering import Gatherer, fitting, most_ticks, objects
+from manyhands.launch.recordings.gathering import Gatherer, fitting, objects, span_of
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.stream import End, Messages, parts
 from manyhands.nodes.recorder.layout import METADATA, SUPERVISOR, Recorded, decode_condition, decode_figures
@@ -40,7 +40,8 @@ class Trace:
     Attributes:
         topic: which.
         columns: names of its columns.
-        values: ticks x columns; row k is tick k of the session, from 0; NaN where it was not recorded.
+        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`Run`); NaN where it was not
+            recorded.
     """
 
     topic: Topic
@@ -60,6 +61,7 @@ class Run:
         conditions: how the session was, each with the latest tick then.
         attachments: contents by name, of the session's file and the certificate's.
         cut: why the file is not whole, and up to which tick it is; None for one that is.
+        first: the tick of the first row: 0, unless the recording began so late that what came before has no room.
     """
 
     recorded: Recorded
@@ -68,16 +70,26 @@ class Run:
     conditions: Sequence[tuple[int, Condition]] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     cut: str | None = None
+    first: int = 0
 
     @property
     def ticks(self) -> int:
-        """The number of ticks of the longest trace."""
+        """The number of rows of the longest trace."""
         return max((len(trace.values) for trace in self.traces.values()), default=0)
 
     @property
     def time(self) -> Array:
         """The instants kT, s."""
-        return np.arange(self.ticks, dtype=np.float64) * self.recorded.period
+        return np.arange(self.first, self.first + self.ticks, dtype=np.float64) * self.recorded.period
+
+    def require_beginning(self, path: Path) -> Run:
+        """Itself, where row k is tick k.
+
+        Raises:
+            RecordingError: it began too late for that.
+        """
+        require_beginning(path, self.first)
+        return self
 
 
 def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Run:
@@ -91,20 +103,32 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Run
         RecordingError: not readable, no such recording, larger than is read, or cut before it says what it is.
     """
     reading = read_topics(path, lambda node, topic: True, progress)
-    everyone = [*reading.gatherers.values()]
-    ticks = most_ticks(everyone, MOST_MISSING)
+    span = span_of([*reading.gatherers.values()], MOST_MISSING)
     traces = {
-        key: Trace(gatherer.topic, gatherer.columns, gatherer.rows(ticks)[0])
+        key: Trace(gatherer.topic, gatherer.columns, gatherer.rows(span)[0])
         for key, gatherer in reading.gatherers.items()
         if gatherer.count or gatherer.topic.trace != LEDGER
     }
-    cut = None if reading.why is None else cut_at(reading.why, ticks)
-    return Run(reading.recorded, traces, reading.figures, reading.conditions, reading.attachments, cut)
+    cut = None if reading.why is None else cut_at(reading.why, span.stop)
+    return Run(reading.recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start)
 
 
 def cut_at(why: str, ticks: int) -> str:
     """Why a file is not whole, for people; ``ticks``: how far it goes all the same."""
     return f"{why}, and not as a recorder ends it; what it holds goes to tick {ticks}"
+
+
+def require_beginning(path: Path, first: int) -> None:
+    """Refuse a recording whose beginning there is no room for.
+
+    Raises:
+        RecordingError: its first row is that of another tick than 0.
+    """
+    if first:
+        raise RecordingError(
+            f"{path}: found a recording that begins at tick {first}; expected one of a session's first hours, from "
+            "whose beginning on this is computed; export and plot take it as it is"
+        )
 
 
 class Reading:

@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import read_run
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.layout import Recorded
 from manyhands.protocol.codec import encode
@@ -286,3 +287,19 @@ def written_by_another(
             for text in texts:
                 writer.add_message(channel, 1, text, 1)
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+def test_a_recording_of_a_sessions_later_hours_begins_where_it_began(tmp_path: Path) -> None:
+    """As many ticks before it as nobody has memory for: they are left out, and who computes from tick 0 on is told."""
+    begin = 40_000_000
+    core = RecorderCore(RECORDED)
+    data = core.cut()
+    for node, width in (("a", 1), ("b", 2)):
+        rows = np.full((5, width), 0.25)
+        core.take(encode(Observation(node, begin + 5, {}, {"x": rows, "f_v": -rows})), 1_000)
+    (tmp_path / "r.mcap").write_bytes(data + core.cut() + core.end())
+    run = read_run(tmp_path / "r.mcap")
+    assert (run.first, run.ticks, run.time[0]) == (begin, 5, begin * RECORDED.period)
+    assert run.traces["b", "sample"].values.tolist() == [[0.25, 0.25]] * 5
+    with pytest.raises(RecordingError, match=f"found a recording that begins at tick {begin}"):
+        read_recording(tmp_path / "r.mcap")
