@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import cut_at
 from manyhands.launch.recordings.stream import End, Message, Messages, parts
-from manyhands.nodes.recorder.layout import METADATA, Recorded
+from manyhands.nodes.recorder.layout import METADATA, SUPERVISOR, Recorded
 from manyhands.protocol.messages import Role
 from manyhands.protocol.topics import DISPLACEMENT, topic_name, topics_of
 
@@ -93,7 +93,7 @@ class Info:
         size: of the file, bytes.
         first: the first tick of any device; None where there is none.
         ticks: one more than the last.
-        channels: in the file's order.
+        channels: by node, in the session's order.
         attachments: bytes by name.
         missing: ticks that are missing between first and last, by device, those devices that miss some.
         gaps: which they are, likewise; the first :data:`MOST_GAPS`.
@@ -212,13 +212,16 @@ class _Looking:
                 ticks.skip(begin, begun.get(device, end))
             if device in begun and ticks.next < end:
                 ticks.skip(ticks.next, end)
+        order = {node: place for place, node in enumerate([*self._recorded.roles, SUPERVISOR])}
         lacking = {device: ticks for device, ticks in devices.items() if ticks.missing}
         return Info(
             recorded=self._recorded,
             size=self._path.stat().st_size,
             first=first,
             ticks=end,
-            channels=tuple(self._channels.values()),
+            channels=tuple(
+                sorted(self._channels.values(), key=lambda channel: order.get(channel.topic.split("/")[2], 0))
+            ),
             attachments=self._attachments,
             missing={device: ticks.missing for device, ticks in lacking.items()},
             gaps={device: tuple(sorted(ticks.gaps, key=lambda gap: gap.begin)) for device, ticks in lacking.items()},
