@@ -83,6 +83,11 @@ class Visit:
             self.close()
             raise failed(f"connect to {path}", error) from error
 
+    @property
+    def fd(self) -> int:
+        """Becomes readable when something may have come; says so once, so read until :meth:`recv` has no more."""
+        return int(self._socket.getsockopt(zmq.FD))
+
     def recv(self, timeout: Duration | None) -> bytes | None:
         """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever)."""
         if not self._socket.poll(milliseconds(timeout), zmq.POLLIN):
