@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from manyhands.nodes.observer.about import About
-from manyhands.nodes.observer.alarms import Alarms
+from manyhands.nodes.observer.alarms import Alarms, covered_tau
 from manyhands.nodes.observer.decimation import Decimated
 from manyhands.nodes.observer.scene import Scene
 from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Tracks
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Observation, Role
 
 ALARMS_SHOWN: Final = 100
 """So many alarms a page is told of, the gravest."""
@@ -105,9 +105,11 @@ class Feed:
         return json.dumps(told)
 
     def _nodes(self, cursor: Cursor) -> dict[str, Any]:
-        out: dict[str, Any] = {}
-        for name, node in self.scene.nodes.items():
+        scene, out = self.scene, dict[str, Any]()
+        for name, node in scene.nodes.items():
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
+            if node.role is Role.DEVICE and scene.about.certificate is not None:
+                out[name]["covered"] = covered_tau(scene, name)
             if node.heard is not None and cursor.heard.get(name) != node.heard:
                 cursor.heard[name] = node.heard
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}

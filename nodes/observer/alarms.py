@@ -135,11 +135,28 @@ def _ledger(node: NodeScene) -> Iterator[Cause]:
         )
 
 
+def covered_tau(scene: Scene, device: str) -> float:
+    """The delay (s) that the certificate covers for a device now: that of the rung its couplings are on."""
+    certificate = scene.about.certificate
+    if certificate is None:
+        return 0.0
+    taus = (certificate.tau, *certificate.ladder)
+    couplings = [
+        scene.nodes[end]
+        for link in scene.about.links
+        if device in link.ends
+        for end in link.ends
+        if end in scene.nodes and scene.nodes[end].role is Role.COUPLING
+    ]
+    rungs = (round(coupling.figures.get(names.RUNG, 0.0)) for coupling in couplings)
+    return min((taus[max(0, min(rung, len(taus) - 1))] for rung in rungs), default=certificate.tau)
+
+
 def _tau(node: NodeScene, scene: Scene) -> Iterator[Cause]:
     certificate = scene.about.certificate
     if node.role is not Role.DEVICE or certificate is None or scene.about.clock != "realtime":
         return
-    worst, covered = node.figures.get(names.TAU_WORST, 0.0), certificate.tau * 1e6
+    worst, covered = node.figures.get(names.TAU_WORST, 0.0), covered_tau(scene, node.name) * 1e6
     if worst > covered:
         yield Cause(
             f"{node.name} tau",

@@ -126,7 +126,7 @@ export class Plots {
       scales: { x: { time: false, range: seconds }, y: { range: (_chart, least, most) => this.range(least, most) } },
       axes: [
         { ...axis, label: "time, s", labelSize: 20, size: 36, values: (_c, splits) => splits.map((t) => (t < 0 ? "" : number_of(t))) },
-        { ...axis, size: 58, values: (_c, splits) => this.marks(splits) },
+        { ...axis, size: 66, values: (_c, splits) => this.marks(splits) },
       ],
       series: [{}, ...this.traces.map((trace) => ({
         label: trace.label,
@@ -148,7 +148,7 @@ export class Plots {
 
   marks(splits) {
     const [factor, letter] = prefixOf(Math.max(...splits.map(Math.abs)), this.unit);
-    return splits.map((v) => `${Number((v / factor).toPrecision(4))}${v === 0 ? "" : ` ${letter}`}`);
+    return splits.map((v) => `${Number((v / factor).toPrecision(4))}${v === 0 ? "" : ` ${letter}${unitOf(this.unit)}`}`);
   }
 
   /** What uPlot draws: times, and of each trace that is shown its values; null where there is none. */

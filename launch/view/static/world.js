@@ -6,7 +6,7 @@ import { layout } from "./layout.js";
 
 const LEAST = 2e-3; // m, the least that fills the drawing: numerical noise is not drawn as motion
 const LEAST_FORCE = 0.1; // N, likewise
-const LIFT = 20; // px that a device of one axis is drawn above its tool
+const LIFT = 26; // px that a device of one axis is drawn above its tool
 const ARROW = 60; // px of the longest force
 const LOOK = 500; // ms between two looks at the scale
 
@@ -64,12 +64,8 @@ export class World {
 
   handle(device) {
     const grip = this.session.about.grips.includes(device);
-    const circles = [
-      svg("circle", { r: 24, class: "touch", fill: "none" }),
-      svg("circle", { r: 17, class: "ring" }),
-      svg("circle", { r: 11, class: "body" }),
-      svg("circle", { r: 4, class: "dot", fill: "none" }),
-    ];
+    const circles = [svg("circle", { r: 11, class: "body" }), svg("circle", { r: 4, class: "dot" })];
+    if (grip) circles.unshift(svg("circle", { r: 24, class: "touch" }), svg("circle", { r: 17, class: "ring" }));
     const handle = svg("g", { class: grip ? "handle grip" : "handle", "data-device": device }, ...circles);
     if (grip) {
       place(handle, {
