@@ -17,10 +17,11 @@ from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.launch.port_bounds import PortBounds, limits_at, tool_bounds
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import IPC, Reach
-from manyhands.launch.session import Device, NetworkEnvironment, PythonEnvironment, Session, TraceData
+from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
 from manyhands.launch.topology import ENVIRONMENT, Topology, topology
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
+    BrowserHand,
     Bundle,
     Common,
     CouplingBundle,
@@ -30,7 +31,9 @@ from manyhands.nodes.bundle import (
     EnvironmentBundle,
     ObserverBundle,
     Peer,
+    RecordedMotion,
     SimulatedHand,
+    Source,
 )
 from manyhands.nodes.environment.model import ModelName
 from manyhands.nodes.feedthrough import feedthrough_digest
@@ -73,10 +76,10 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
     commons = {name: _common(prepared, run, graph, name) for name in graph.nodes}
     rungs = _rungs(prepared)
     bundles: dict[str, Bundle] = {}
-    for name, device in session.devices.items():
+    for name in session.devices:
         first, *longer = (_promise(rung, session.period, session.osp_level(name)) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
-        bundles[name] = DeviceBundle(commons[name], first.level, first.K, _hand(device), limits, tuple(longer))
+        bundles[name] = DeviceBundle(commons[name], first.level, first.K, _source(session, name), limits, tuple(longer))
     for index, name in enumerate(prepared.loop.partition.names):
         own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
@@ -221,18 +224,24 @@ def _telemetry_first(every: int, number: int, graph: Topology) -> int:
     return 1 + (every - 1 - every * number // len(graph.nodes)) % every
 
 
-def _hand(device: Device) -> SimulatedHand:
-    """The physics of a simulated device with its hand: masses add up, intentions become plain data."""
-    hand = device.hand
-    return SimulatedHand(
-        mass=tuple(float(a + b) for a, b in zip(device.mass, hand.mass, strict=True)),
-        damping=device.damping,
+def _source(session: Session, name: str) -> Source:
+    """What moves a device: its recorded motion, or its mechanism in a hand: masses add up, intentions are plain."""
+    device = session.devices[name]
+    if device.trace is not None:
+        return RecordedMotion(session.osp_level(name), device.trace.times, device.trace.values)
+    hand, mass, damping = device.hand, device.mass, device.damping
+    if hand is None or mass is None or damping is None:
+        raise AssertionError("every device that no trace moves has a mass, a damping and a hand")
+    physics = SimulatedHand(
+        mass=tuple(float(a + b) for a, b in zip(mass, hand.mass, strict=True)),
+        damping=damping,
         operator=hand.rational.realisation(),
         hand_damping=hand.damping,
         hand_stiffness=hand.stiffness,
         force=tuple(_plain(intent) for intent in hand.force),
         motion=tuple(_plain(intent) for intent in hand.motion),
     )
+    return BrowserHand(physics) if device.driver == "browser" else physics
 
 
 def _plain(intent: float | str | TraceData) -> object:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 from manyhands.design.certificate import Certificate
@@ -15,6 +16,7 @@ from manyhands.launch.outcome import Progress
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.session import Interval, NetworkEnvironment, Session
 from manyhands.launch.topology import topology
+from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_SENTENCES
@@ -38,8 +40,10 @@ def condition_of(progress: Progress) -> Condition:
     return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
 
 
-def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> About:
-    """The session's description, as it is about to be started."""
+def describe(
+    prepared: Prepared, clock: str, transport: str, ticks: int, remote: Collection[str] = frozenset()
+) -> About:
+    """The session's description, as it is about to be started; ``remote`` nodes run on other machines."""
     session, graph = prepared.session, topology(prepared.session)
     masses, springs = _world(session)
     return About(
@@ -57,7 +61,7 @@ def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> Abou
         links=tuple(LinkAbout((link.connector, link.binder), link.ports) for link in graph.links),
         masses=masses,
         springs=springs,
-        grips=(),
+        grips=_grips(session, clock, remote),
         reach={
             port: limit
             for name, device in session.devices.items()
@@ -66,6 +70,13 @@ def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> Abou
         certificate=None if prepared.certificate is None else _certificate(prepared, prepared.certificate),
         environment=session.environment.type,
     )
+
+
+def _grips(session: Session, clock: str, remote: Collection[str]) -> tuple[str, ...]:
+    """The devices that can be held: here, and at a pace that a person could keep."""
+    if clock == SIMULATED:
+        return ()
+    return tuple(n for n, device in session.devices.items() if device.driver == "browser" and n not in remote)
 
 
 def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbout:

@@ -23,8 +23,8 @@ from manyhands.launch.topology import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.guard import Guard, LimitExceeded
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.black_box import EnforcedCore
 from manyhands.nodes.environment.cores import environment_core
 from manyhands.nodes.environment.model import ModelFailure
@@ -81,7 +81,7 @@ class Simulation:
             match bundle:
                 case DeviceBundle():
                     device = DeviceCore(bundle.level, bundle.K, T)
-                    self._drivers.append(simulated_driver(bundle))
+                    self._drivers.append(driver_of(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device
                     self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
@@ -142,7 +142,7 @@ class Simulation:
                     self.environment.freeze(blocks[name])
                 couplings = self._heard(silent)
             for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
-                displacement = driver.sample(k)
+                displacement = list(map(float, driver.sample(k)))
                 breach = guard.breach(displacement)
                 if breach is not None:
                     raise LimitExceeded(f"{name}, {k * self._session.period:.6g} s after the start: {breach}")

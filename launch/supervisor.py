@@ -98,7 +98,7 @@ class Supervisor:
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
         self._clock_name, self._reach, self._record = clock, reach, record
         self._recorder, self._logs = recorder or Recorder(), logs
-        self._about = describe(prepared, clock, reach.transport, ticks)
+        self._about = describe(prepared, clock, reach.transport, ticks, reach.remote)
         self._showing: Showing | None = None
         self._show = show
         self._graph = topology(session)

@@ -15,9 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from manyhands.design.statespace import Matrix, StateSpace, matrix
+from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.nodes.bundle_parts import (
     MOST_RUNGS,
     Common,
@@ -25,9 +23,10 @@ from manyhands.nodes.bundle_parts import (
     DeviceRung,
     Limits,
     Peer,
-    SimulatedHand,
     require_rungs,
 )
+from manyhands.nodes.bundle_sources import BrowserHand, RecordedMotion, SimulatedHand, Source, plain_source, source_from
+from manyhands.nodes.bundle_values import array, floats, plain, system
 from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
 
@@ -37,6 +36,7 @@ __all__ = [
     "MAX_TELEMETRY_TICKS",
     "REALTIME",
     "SIMULATED",
+    "BrowserHand",
     "Bundle",
     "BundleError",
     "Common",
@@ -48,7 +48,9 @@ __all__ = [
     "Limits",
     "ObserverBundle",
     "Peer",
+    "RecordedMotion",
     "SimulatedHand",
+    "Source",
     "load",
     "role_of",
     "save",
@@ -76,7 +78,7 @@ class DeviceBundle:
         common: what every node needs; its tau is that of rung 0.
         level: of its G_hat, N*s/m.
         K: K_i, m/N.
-        hand: its simulated hand.
+        source: what moves it.
         limits: its own.
         longer: what it promises at rungs 1, 2, ... of the ladder, for longer delays.
     """
@@ -84,13 +86,17 @@ class DeviceBundle:
     common: Common
     level: Matrix
     K: Matrix
-    hand: SimulatedHand
+    source: Source
     limits: Limits
     longer: tuple[DeviceRung, ...] = ()
 
     def __post_init__(self) -> None:
         if self.level is None:
             raise ValueError("found no level; expected that of the device")
+        if self.source.axes != len(self.common.ports):
+            raise ValueError(
+                f"found a source of {self.source.axes} axes; expected {len(self.common.ports)}, one a port"
+            )
         require_rungs(self.rungs)
         taus = [rung.tau for rung in self.rungs]
         if any(not a < b for a, b in pairwise(taus)):
@@ -195,7 +201,13 @@ _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBund
 def save(bundle: Bundle, path: Path) -> None:
     """Write a bundle for its owner's eyes only (mode 0600)."""
     path.touch(mode=0o600, exist_ok=False)
-    path.write_text(json.dumps(_plain(bundle), allow_nan=False))
+    path.write_text(json.dumps(_written(bundle), allow_nan=False))
+
+
+def _written(bundle: Bundle) -> dict[str, Any]:
+    """A bundle as its file has it."""
+    fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
+    return {name: plain_source(value) if name == "source" else plain(value) for name, value in fields.items()}
 
 
 def role_of(path: Path) -> Role:
@@ -225,28 +237,8 @@ def load(path: Path, kind: type[_B]) -> _B:
         raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}") from error
 
 
-def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, np.ndarray):
-        return {"shape": value.shape, "entries": value.ravel().tolist()}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value
-
-
-def _array(data: Any) -> Matrix:
-    return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
-
-
 def _optional_array(data: Any) -> Matrix | None:
-    return None if data is None else _array(data)
-
-
-def _system(data: Any) -> StateSpace:
-    return StateSpace(*(_array(data[name]) for name in "ABCD"))
+    return None if data is None else array(data)
 
 
 def _common(data: Any) -> Common:
@@ -258,18 +250,8 @@ def _common(data: Any) -> Common:
     return common
 
 
-def _hand(data: Any) -> SimulatedHand:
-    vectors = {name: _floats(data[name]) for name in ("mass", "damping", "hand_damping", "hand_stiffness")}
-    intentions = {name: tuple(data[name]) for name in ("force", "motion")}
-    return SimulatedHand(operator=_system(data["operator"]), **vectors, **intentions)
-
-
 def _limits(data: Any) -> Limits:
-    return Limits(**{name: _floats(data[name]) for name in data})
-
-
-def _floats(data: Any) -> tuple[float, ...]:
-    return tuple(float(value) for value in data)
+    return Limits(**{name: floats(data[name]) for name in data})
 
 
 def _bounds(data: Any) -> tuple[float | None, ...]:
@@ -314,10 +296,10 @@ _FITS: dict[str, Callable[[Any], bool]] = {
 _READ: dict[str, Any] = {
     "common": _common,
     "level": _optional_array,
-    "hand": _hand,
-    "block": _system,
-    "K": _array,
-    "E": lambda data: None if data is None else _system(data),
+    "source": source_from,
+    "block": system,
+    "K": array,
+    "E": lambda data: None if data is None else system(data),
     "Phi_E": _optional_array,
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
@@ -326,7 +308,7 @@ _READ: dict[str, Any] = {
     "tool_magnitude": _bounds,
     "tool_step": _bounds,
     "feedthrough": dict,
-    "longer": lambda rungs: tuple(DeviceRung(_tau(r["tau"]), _array(r["level"]), _array(r["K"])) for r in rungs),
-    "softer": lambda rungs: tuple(CouplingRung(_system(r["block"]), _array(r["K"]), _array(r["level"])) for r in rungs),
-    "feedthrough_rungs": lambda all_: {name: tuple(_array(D) for D in rungs) for name, rungs in all_.items()},
+    "longer": lambda rungs: tuple(DeviceRung(_tau(r["tau"]), array(r["level"]), array(r["K"])) for r in rungs),
+    "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
+    "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }

@@ -1,11 +1,10 @@
-"""What a node's bundle is made of: who it is, the physics of its simulated hand, limits, and rungs of the ladder."""
+"""What a node's bundle is made of: who it is, its peers, limits, and rungs of the ladder."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.protocol.messages import Role
@@ -82,29 +81,6 @@ class Common:
                 f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
                 "as to every other"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedHand:
-    """The physics of a simulated device and its hand, one entry an axis.
-
-    Attributes:
-        mass: kg, device and hand together.
-        damping: the device's, N*s/m.
-        operator: H in continuous time.
-        hand_damping: N*s/m.
-        hand_stiffness: N/m.
-        force: intended force (N): a number, a formula in t, or {"times", "values"}.
-        motion: intended motion (m), likewise.
-    """
-
-    mass: tuple[float, ...]
-    damping: tuple[float, ...]
-    operator: StateSpace
-    hand_damping: tuple[float, ...]
-    hand_stiffness: tuple[float, ...]
-    force: tuple[Any, ...]
-    motion: tuple[Any, ...]
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from manyhands.nodes.bundle import (
     role_of,
 )
 from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.life import Life, Stopped
 from manyhands.nodes.observer.node import observe
@@ -34,7 +34,7 @@ from manyhands.protocol.messages import Role
 from manyhands.protocol.transport.zeromq import SCHEMES, is_address
 
 MAKERS: dict[Role, tuple[type[Any], Callable[[Any], Node]]] = {
-    Role.DEVICE: (DeviceBundle, lambda bundle: DeviceNode(bundle, simulated_driver(bundle))),
+    Role.DEVICE: (DeviceBundle, lambda bundle: DeviceNode(bundle, driver_of(bundle))),
     Role.COUPLING: (CouplingBundle, CouplingNode),
     Role.ENVIRONMENT: (EnvironmentBundle, EnvironmentNode),
 }
@@ -72,7 +72,11 @@ def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoi
     except (BundleError, KeyFileError, ValueError, OverflowError) as error:
         print(f"error: {error}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_BAD_INPUT
-    return run(common, node, life, ring, remote=True)
+    try:
+        return run(common, node, life, ring, remote=True)
+    finally:
+        if isinstance(node, DeviceNode):
+            node.close()
 
 
 def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | None) -> Common:

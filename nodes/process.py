@@ -82,7 +82,7 @@ def main_together(
         nodes = [(own.common, node, _ring_of(own.common)) for own, node in make(bundle)]
     except Stopped:
         return EXIT_OK
-    except (BundleError, KeyFileError, ValueError, OverflowError) as error:
+    except (BundleError, KeyFileError, TransportError, ValueError, OverflowError) as error:
         print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
         return EXIT_BAD_INPUT
     return run_together(nodes, life)

@@ -51,6 +51,11 @@ LATE_CAUSE = "late_"  # and which
 REALTIME = "realtime_"  # and which wish: 1 where the machine granted it
 LEDGER_MIN_TICK = "ledger_min_tick"  # of the party's own ticks, from 1 on; 0 where it never fell below its beginning
 LEDGER_MARGIN = "ledger_margin"  # by how much the least total stayed above the bound, J
+GRASPED = "grasped"  # 1 where a person's browser holds the device, else 0
+GRASPS = "grasps"  # positions that it was given, of which were
+GRASPS_CLIPPED = "grasps_clipped"  # beyond what it is drawn to, and
+GRASPS_REFUSED = "grasps_refused"  # besides, what was said there that was no position of this device
+GRASPS_LAPSED = "grasps_lapsed"  # times that a hand fell silent without letting go
 ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
 

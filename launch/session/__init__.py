@@ -18,9 +18,10 @@ from manyhands.launch.session.environment import (
 from manyhands.launch.session.error import SessionError
 from manyhands.launch.session.faults import Faults
 from manyhands.launch.session.given import BlockMatrices
-from manyhands.launch.session.hand import DEFAULT_HAND, Hand
+from manyhands.launch.session.hand import BROWSER_HAND, DEFAULT_HAND, Hand
 from manyhands.launch.session.interval import Interval, LevelInterval
 from manyhands.launch.session.model import Session, load_session
+from manyhands.launch.session.motion import Motion
 from manyhands.launch.session.observers import Observer
 from manyhands.launch.session.port_limits import PortLimits
 from manyhands.launch.session.rational import Rational
@@ -29,6 +30,7 @@ from manyhands.launch.session.trace import TraceData
 from manyhands.launch.session.weights import Weight, Weights
 
 __all__ = [
+    "BROWSER_HAND",
     "DEFAULT_HAND",
     "ENVIRONMENT",
     "GROUND",
@@ -44,6 +46,7 @@ __all__ = [
     "Interval",
     "LevelInterval",
     "Link",
+    "Motion",
     "NetworkEnvironment",
     "Observer",
     "Pole",

@@ -1,7 +1,11 @@
-"""A device of a session: its axes, its OSP level, its limits, and the simulated mechanism and hand behind it."""
+"""A device of a session: its axes, its OSP level, its limits, and what moves it.
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+That is its ``driver``: a simulated mechanism in a simulated hand, the same in the hand of a person at a browser, or a
+motion that was recorded, which needs neither.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -11,6 +15,7 @@ from pydantic import (
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     field_validator,
+    model_validator,
 )
 
 from manyhands.launch.session.fields import (
@@ -24,6 +29,7 @@ from manyhands.launch.session.fields import (
     Dof,
     Items,
     PerAxis,
+    Problem,
     Rows,
     SessionModel,
     defaulted,
@@ -33,13 +39,15 @@ from manyhands.launch.session.fields import (
     refuse,
     unsymmetric,
 )
-from manyhands.launch.session.hand import DEFAULT_HAND, Hand
+from manyhands.launch.session.hand import BROWSER_HAND, DEFAULT_HAND, Hand
 from manyhands.launch.session.interval import BETWEEN, LevelInterval, ends, is_interval, ordered
 from manyhands.launch.session.limits import MAX_DOF
+from manyhands.launch.session.motion import Motion, motion_of
 from manyhands.launch.session.port_limits import PortLimits
 
 _ROUNDING: Final = 1e-12  # of the largest entry: what the eigenvalues of a difference may lose
 _per_axis: Final = PerAxis(OSP_LEVEL)
+_SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
 
 
 def _osp(value: object, info: ValidationInfo) -> object:
@@ -85,6 +93,8 @@ def _damping(value: object, info: ValidationInfo) -> object:
 
     The default for an interval of levels is its middle, as for every quantity of which a run needs one value.
     """
+    if value is None and info.data.get("driver") == _TRACE:
+        return None
     if value is None:
         osp = info.data.get("osp", ())  # an osp that was refused leaves nothing to derive from
         if isinstance(osp, LevelInterval):
@@ -93,13 +103,21 @@ def _damping(value: object, info: ValidationInfo) -> object:
     return PerAxis(DAMPING)(value, info)
 
 
+def _mass(value: object, info: ValidationInfo) -> object:
+    return None if value is None else PerAxis(MASS)(value, info)
+
+
+def _trace(value: object, info: ValidationInfo) -> object:
+    return motion_of(value, info.data.get("dof", 1), info.context)
+
+
 _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 
 
 class Device(SessionModel):
     """A device and who holds it; every tuple has one entry for each axis.
 
-    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis.
+    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis; a device that a trace moves has none.
     """
 
     dof: Dof = Field(description="the number of degrees of freedom")
@@ -109,17 +127,20 @@ class Device(SessionModel):
     osp: Annotated[Rows | LevelInterval, BeforeValidator(_osp), PlainSerializer(_plain_level)] = Field(
         description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
     )
-    driver: Annotated[Literal["simulated"], BeforeValidator(Choice(("simulated",)))] = Field(
-        description="what moves it: simulated"
+    driver: Annotated[Literal["simulated", "trace", "browser"], BeforeValidator(Choice(_DRIVERS))] = Field(
+        description="what moves it: simulated, trace or browser"
     )
-    mass: Annotated[tuple[float, ...], BeforeValidator(PerAxis(MASS))] = Field(
-        description="the moving mass in kg, greater than 0: a number, or one for each axis"
+    trace: Annotated[Motion | None, BeforeValidator(_trace)] = Field(
+        default=None, description="with driver: trace, the recorded motion"
     )
-    damping: Annotated[tuple[float, ...], BeforeValidator(_damping)] = defaulted(
+    mass: Annotated[tuple[float, ...] | None, BeforeValidator(_mass)] = Field(
+        default=None, description="the moving mass in kg, greater than 0: a number, or one for each axis"
+    )
+    damping: Annotated[tuple[float, ...] | None, BeforeValidator(_damping)] = defaulted(
         None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
     limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
-    hand: Hand = defaulted(None, "the simulated hand that holds it")
+    hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
     @property
     def osp_low(self) -> Rows:
@@ -151,10 +172,10 @@ class Device(SessionModel):
 
     @field_validator("damping", mode="after")
     @classmethod
-    def _is_osp_as_declared(cls, damping: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _is_osp_as_declared(cls, damping: tuple[float, ...] | None, info: ValidationInfo) -> tuple[float, ...] | None:
         declared = info.data.get("osp", ())
         rows = declared.low if isinstance(declared, LevelInterval) else declared
-        if not rows or len(damping) != len(rows):  # what was refused leaves nothing to compare with
+        if damping is None or not rows or len(damping) != len(rows):  # what was refused leaves nothing to compare with
             return damping
         osp = np.array(rows)
         least = float(np.linalg.eigvalsh(np.diag(damping) - osp)[0])
@@ -173,5 +194,41 @@ class Device(SessionModel):
         """Tell limits and hand how many axes there are; without a valid ``dof`` nothing can be checked against it."""
         if "dof" not in info.data:
             return value
+        if info.field_name == "hand":
+            driver = info.data.get("driver")
+            if value is None and driver == _TRACE:
+                return None
+            if driver == _BROWSER and (value is None or isinstance(value, Mapping)):
+                value = {**BROWSER_HAND, **(value or {})}
         written = DEFAULT_HAND if value is None else value
         return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
+
+    @model_validator(mode="after")
+    def _is_moved_by_its_driver(self) -> Self:
+        if problems := tuple(self._problems()):
+            raise refusal(*problems)
+        return self
+
+    def _problems(self) -> Iterator[Problem]:
+        """What the driver lacks, and what it has no use for."""
+        here = f"with 'driver: {self.driver}'"
+        if self.driver == _TRACE:
+            if self.trace is None:
+                yield Problem((), f"no key 'trace' {here}", "trace, the recorded motion, such as {file: run.mcap}")
+            for key in ("mass", "damping", "hand"):
+                if getattr(self, key) is not None:
+                    expected = f"no {key}: a recorded motion moves the device whatever acts on it"
+                    yield Problem((key,), f"{key} {here}", expected)
+            return
+        if self.trace is not None:
+            yield Problem(("trace",), f"trace {here}", "'driver: trace', or no trace")
+        if self.mass is None:
+            yield Problem((), "no key 'mass'", f"mass, {type(self).model_fields['mass'].description}")
+        if self.driver == _BROWSER and self.hand is not None:
+            for key in ("force", "motion"):
+                if any(intent != 0.0 for intent in getattr(self.hand, key)):
+                    expected = f"no {key}: the person at the browser is who intends something"
+                    yield Problem(("hand", key), f"{key} {here}", expected)
+            if 0.0 in self.hand.stiffness:
+                expected = "a stiffness in N/m greater than 0: it is what holds the device to the pointer"
+                yield Problem(("hand", "stiffness"), f"0 {here}", expected)

@@ -47,6 +47,9 @@ DEFAULT_HAND: Final[Mapping[str, object]] = {
 """The hand of a device that names none: on every axis by itself the operator of Example 1,
 0.02 (s^2 + 60 s + 1000)/(s^2 + 10.3 s + 100) in N·s/m, and a push of 2 N between 0.1 s and 0.2 s."""
 
+BROWSER_HAND: Final[Mapping[str, object]] = {"stiffness": 200.0, "damping": 5.0}
+"""What of the hand of a device with ``driver: browser`` is not said: 200 N/m and 5 N·s/m, axis by axis."""
+
 _entry: Final = Entry("N·s/m")
 _SAMPLES: Final = Items("samples", MAX_TRACE_ROWS, Quantity("a number"))
 _PASSIVE: Final = "a passive operator: no eigenvalue of (H(jw) + H(jw)*)/2 below 0 at any frequency w"

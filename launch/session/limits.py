@@ -70,6 +70,8 @@ DEFAULT_WINDOW: Final = 60.0
 MAX_TRACE_BYTES: Final = 1 << 26
 MAX_TRACE_ROWS: Final = 1_000_000
 MAX_TRACE_LINE: Final = 200
+MAX_MOTION_NUMBERS: Final = 200_000
+"""Times and positions of all recorded motions of a session, which have to fit into its file when it is kept."""
 
 # intended motions and forces are tried at this many times when the file is read
 PROBE_COUNT: Final = 600

@@ -33,6 +33,7 @@ from manyhands.launch.session.fields import (
 from manyhands.launch.session.given import full_matrix
 from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_OBSERVERS, MAX_PROBLEMS
 from manyhands.launch.session.matrices import Array
+from manyhands.launch.session.motion import motion_problems, with_own_names
 from manyhands.launch.session.observers import Observer, observer_problems
 from manyhands.launch.session.problems import first_error, nulls_in, problems_in
 from manyhands.launch.session.source import apply_overrides, read_tree
@@ -50,9 +51,11 @@ class Session(SessionModel):
 
     name: SessionName = Field(alias="session", description="the session's name")
     period: Period = Field(description="the length T of a tick in s")
-    devices: Annotated[dict[str, Device], BeforeValidator(NamedParts(part_name("a device name"), MAX_DEVICES))] = Field(
-        description="the devices by name"
-    )
+    devices: Annotated[
+        dict[str, Device],
+        BeforeValidator(with_own_names),
+        BeforeValidator(NamedParts(part_name("a device name"), MAX_DEVICES)),
+    ] = Field(description="the devices by name")
     couplings: Annotated[
         dict[str, CouplingBlock], BeforeValidator(NamedParts(part_name("a coupling name"), MAX_COUPLINGS))
     ] = Field(description="the blocks of the virtual coupling V by name")
@@ -73,6 +76,8 @@ class Session(SessionModel):
         for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
             problems.append(problem._replace(at=("environment", *problem.at)))
         problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
+        motions = {name: (d.trace, d.limits) for name, d in self.devices.items() if d.trace is not None}
+        problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
         if not problems and self.colocate:
             problems += islice(self._not_to_be_colocated(), MAX_PROBLEMS)
         if not problems:

@@ -1,23 +1,36 @@
 """``python -m manyhands.nodes.device BUNDLE SUPERVISOR_PID [COUPLING_BUNDLE ...]``: couplings that it carries."""
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.colocated import colocated
+from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.process import main, main_together
 
 
-def make(bundle: DeviceBundle) -> DeviceNode:
-    """The node around a simulated device."""
-    return DeviceNode(bundle, simulated_driver(bundle))
+def run(carried: list[Path]) -> int:
+    """Run the device, with the couplings that it carries; however it ends, its driver is closed.
+
+    Args:
+        carried: the bundles of the couplings.
+    """
+    with ExitStack() as ending:
+
+        def driver(bundle: DeviceBundle) -> Driver:
+            made = driver_of(bundle)
+            ending.callback(made.close)
+            return made
+
+        if carried:
+            return main_together(DeviceBundle, lambda bundle: colocated(bundle, driver(bundle), carried))
+        return main(DeviceBundle, lambda bundle: DeviceNode(bundle, driver(bundle)))
 
 
 if __name__ == "__main__":
-    carried = [Path(path) for path in sys.argv[3:]]
+    couplings = [Path(path) for path in sys.argv[3:]]
     del sys.argv[3:]
-    sys.exit(
-        main_together(DeviceBundle, lambda device: colocated(device, carried)) if carried else main(DeviceBundle, make)
-    )
+    sys.exit(run(couplings))

@@ -5,7 +5,7 @@ All is filled in place: nothing of telemetry's size is allocated in a tick.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -38,9 +38,9 @@ class Account:
         jumps: times that the session had gone on without the device.
     """
 
-    def __init__(self, common: Common, tau: Duration) -> None:
-        """``tau``: what the certificate assumes."""
-        self._common = common
+    def __init__(self, common: Common, tau: Duration, told: Callable[[], Mapping[str, float]] = dict) -> None:
+        """``tau``: what the certificate assumes; ``told``: what the driver has to tell with the telemetry."""
+        self._common, self._told = common, told
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self._assumed_tau = tau
@@ -123,6 +123,7 @@ class Account:
             f"{names.TAU}_p99": self._tau.quantile(0.99),
             **names.ledger_figures(core.ledger),
             **names.stray_frames(joints),
+            **self._told(),
         }
         traces = {
             names.DISPLACEMENT: np.array(self._trace_x[:rows]),

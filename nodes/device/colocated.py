@@ -15,7 +15,6 @@ from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.exchange import Heard, Joint, Listener
 from manyhands.nodes.greeting import establish, hello_to, positions
 from manyhands.nodes.life import Life
@@ -152,12 +151,19 @@ class ColocatedNode(DeviceNode):
             carried.listen()
 
 
-def colocated(device: DeviceBundle, couplings: Sequence[Path]) -> list[tuple[DeviceBundle | CouplingBundle, Node]]:
+def colocated(
+    device: DeviceBundle, driver: Driver, couplings: Sequence[Path]
+) -> list[tuple[DeviceBundle | CouplingBundle, Node]]:
     """The nodes of a process: the device, and what it carries, in the order of ``couplings``, which is the session's.
+
+    Args:
+        device: its bundle.
+        driver: the device itself.
+        couplings: the bundles of those that it carries.
 
     Raises:
         BundleError: a coupling's bundle cannot be read.
     """
     carried = [CarriedBlock(load(path, CouplingBundle)) for path in couplings]
-    node = ColocatedNode(device, simulated_driver(device), carried)
+    node = ColocatedNode(device, driver, carried)
     return [(device, node), *((one.bundle, one) for one in carried)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 
@@ -32,4 +32,12 @@ class Driver(Protocol):
 
     def intended_work(self) -> float:
         """Work done by the hand's intention between the last two samples, J; 0 where that is unknown."""
+        ...
+
+    def figures(self) -> Mapping[str, float]:
+        """What is to be told of the device with its telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
+        ...
+
+    def close(self) -> None:
+        """Exert no force, and give back what is held of the machine. A second time does nothing."""
         ...

@@ -46,7 +46,7 @@ class DeviceNode:
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self._joints: list[Joint] = []
-        self._account = Account(common, from_seconds(common.tau))
+        self._account = Account(common, from_seconds(common.tau), driver.figures)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -150,6 +150,10 @@ class DeviceNode:
         """A coupling floods its link: there is no telling its forces from the rest in time."""
         if self._life is not None:
             self._life.fail(text)
+
+    def close(self) -> None:
+        """Give back what the device holds of the machine."""
+        self._driver.close()
 
     def _await_forces(
         self,

@@ -10,8 +10,8 @@ from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBund
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.life import Sight, Stopped
@@ -84,7 +84,7 @@ class LimitedDriver:
         self._driver, self._name, self._limits, self._violate = driver, name, limits, violate
         self.axes = driver.axes
         self.sample, self.release, self.idle = driver.sample, driver.release, driver.idle
-        self.intended_work = driver.intended_work
+        self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
 
     def apply(self, f: Sequence[float]) -> None:
         """Exert ``f``."""
@@ -154,7 +154,7 @@ class Process:
         match self._bundle:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
-                driver = LimitedDriver(simulated_driver(bundle), self.name, limits, self._violate)
+                driver = LimitedDriver(driver_of(bundle), self.name, limits, self._violate)
                 node = DeviceNode(bundle, driver)
                 node._realtime = clock
                 if not isinstance(node._clock, SimulatedClock):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch.session import (
+    BROWSER_HAND,
     BlockMatrices,
     CouplingBlock,
     Design,
@@ -13,6 +14,7 @@ from manyhands.launch.session import (
     Faults,
     Hand,
     Link,
+    Motion,
     NetworkEnvironment,
     Observer,
     Pole,
@@ -30,12 +32,14 @@ from manyhands.launch.session import (
 )
 from manyhands.launch.session.fields import SessionModel
 from manyhands.launch.session.problems import keys_of
+from manyhands.nodes.device import browser, grip
 
 PAGE = (Path(__file__).parents[2] / "docs" / "session-file.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL))
 MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Session": (Session,),
     "Device": (Device,),
+    "Trace": (Motion,),
     "Limits": (PortLimits,),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
@@ -87,6 +91,7 @@ design: {coupling: spring-damper}
 OVERRIDES = {
     "Session": "{key}={value}",
     "Device": "devices.{key}={value}",
+    "Trace": "devices.dx={{dof: 1, osp: 1.37, driver: trace, {key}: {value}}}",
     "Limits": "devices.dx.{key}={value}",
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
@@ -113,6 +118,16 @@ def test_every_example_may_stand_in_a_session(section: str, text: str, tmp_path:
     key, _, value = text.removeprefix("{").partition(": ")
     value = value.removesuffix("}") if text.startswith("{") else value
     load_session(tmp_path / "base.yaml", [OVERRIDES[section].format(key=key, value=value)])
+
+
+def test_the_hand_at_a_browser_is_the_one_in_force() -> None:
+    hand = SECTIONS["Hand"]
+    assert f"`stiffness` ({BROWSER_HAND['stiffness']:g} N/m unless" in hand
+    assert f"`damping` ({BROWSER_HAND['damping']:g} N·s/m)" in hand
+    assert f"{browser.SPEED:g} m/s, or half its limit of speed" in hand
+    assert f"{browser.ACCELERATION:g} m/s²" in hand
+    assert f"than {browser.REACH:g} of its limit" in hand
+    assert f"silent for {grip.PATIENCE:g} s" in hand
 
 
 def test_the_limits_are_the_ones_in_force() -> None:
@@ -147,4 +162,5 @@ def test_the_limits_are_the_ones_in_force() -> None:
         assert limit in told
     assert told.count(f"| whole 0 to {limits.MAX_DELAY}") == 3  # every kind of environment
     assert (limits.MAX_FILE_BYTES, limits.MAX_MAGNITUDE, limits.MIN_POSITIVE) == (8 << 20, 1e12, 1e-12)
+    assert f"at most {limits.MAX_MOTION_NUMBERS} numbers together" in told
     assert (limits.MAX_TRACE_ROWS, limits.MAX_COEFFICIENT) == (10**6, 1e24)

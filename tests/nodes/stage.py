@@ -22,8 +22,8 @@ from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBund
 from manyhands.nodes.control import NOT_AT_ALL, Word
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.log import Log
@@ -164,9 +164,9 @@ class Stage:
         leader: Node
         match self._bundles[name]:
             case DeviceBundle() as bundle if carried:
-                leader = ColocatedNode(bundle, simulated_driver(bundle), carried)
+                leader = ColocatedNode(bundle, driver_of(bundle), carried)
             case DeviceBundle() as bundle:
-                leader = DeviceNode(bundle, simulated_driver(bundle))
+                leader = DeviceNode(bundle, driver_of(bundle))
             case CouplingBundle() as bundle:
                 leader = CouplingNode(bundle)
             case EnvironmentBundle() as bundle:

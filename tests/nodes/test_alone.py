@@ -119,6 +119,12 @@ class Recorded:
     def intended_work(self) -> float:
         return 0.0
 
+    def figures(self) -> Mapping[str, float]:
+        return {}
+
+    def close(self) -> None:
+        """Nothing is open."""
+
 
 # --- a device
 

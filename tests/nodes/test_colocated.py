@@ -18,6 +18,7 @@ from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode, Within, colocated
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.greeting import hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
@@ -94,12 +95,12 @@ def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: P
     device = bundles["dx"]
     assert isinstance(device, DeviceBundle)
     bundle_files.save(bundles["cx"], tmp_path / "cx.bundle")
-    (own, leader), (carried, follower) = colocated(device, [tmp_path / "cx.bundle"])
+    (own, leader), (carried, follower) = colocated(device, driver_of(device), [tmp_path / "cx.bundle"])
     assert (own, carried.common.name) == (device, "cx")
     assert isinstance(leader, ColocatedNode)
     assert isinstance(follower, CarriedBlock)
     with pytest.raises(BundleError, match=r"cy\.bundle"):
-        colocated(device, [tmp_path / "cy.bundle"])
+        colocated(device, driver_of(device), [tmp_path / "cy.bundle"])
 
 
 def test_a_block_that_has_not_begun_has_nothing_to_tell(

@@ -19,8 +19,8 @@ from manyhands.launch.simulation import Simulation
 from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.protocol.messages import Start
 from manyhands.protocol.transport import Link
@@ -40,7 +40,7 @@ def nodes_of(prepared: Prepared) -> dict[str, Node]:
     for name, bundle in cut(prepared, Run("simulated", None, "")).items():
         match bundle:
             case DeviceBundle():
-                out[name] = DeviceNode(bundle, simulated_driver(bundle))
+                out[name] = DeviceNode(bundle, driver_of(bundle))
             case CouplingBundle():
                 out[name] = CouplingNode(bundle)
             case EnvironmentBundle():

@@ -24,8 +24,8 @@ from manyhands.nodes.bundle import Common, CouplingBundle, DeviceBundle, Environ
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.attendance import TRANSITIONS as SEATS
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.exchange import Joint
@@ -169,7 +169,7 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
         node: Node
         match bundle:
             case DeviceBundle():
-                node = DeviceNode(bundle, simulated_driver(bundle))
+                node = DeviceNode(bundle, driver_of(bundle))
             case CouplingBundle():
                 node = CarriedBlock(bundle)
                 node.block = Block(bundle, _unlinked(bundle.common))

@@ -8,6 +8,7 @@ One letter a call: ``s`` for a sample, ``a`` for a force, ``z`` for a force of z
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.process import main
 
 Vector = NDArray[np.float64]
@@ -50,8 +51,14 @@ class Logged:
     def intended_work(self) -> float:
         return self._driver.intended_work()
 
+    def figures(self) -> Mapping[str, float]:
+        return self._driver.figures()
+
+    def close(self) -> None:
+        self._driver.close()
+
 
 if __name__ == "__main__":
     path = sys.argv.pop()
     with open(path, "ab", buffering=0) as file:
-        sys.exit(main(DeviceBundle, lambda bundle: DeviceNode(bundle, Logged(simulated_driver(bundle), file))))
+        sys.exit(main(DeviceBundle, lambda bundle: DeviceNode(bundle, Logged(driver_of(bundle), file))))

@@ -22,8 +22,8 @@ from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBund
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.simulated import simulated_driver
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.life import Life
 from manyhands.nodes.process import key_ring, main
@@ -86,6 +86,12 @@ class Held:
 
     def intended_work(self) -> float:
         return self._driver.intended_work()
+
+    def figures(self) -> Mapping[str, float]:
+        return self._driver.figures()
+
+    def close(self) -> None:
+        self._driver.close()
 
 
 OUT_OF_TURN: Final = (
@@ -198,17 +204,17 @@ def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
 def held() -> int:
     """An honest device in a test's hand."""
     done, leaves = int(sys.argv.pop()), int(sys.argv.pop())
-    return main(DeviceBundle, lambda bundle: DeviceNode(bundle, Held(simulated_driver(bundle), leaves, done)))
+    return main(DeviceBundle, lambda bundle: DeviceNode(bundle, Held(driver_of(bundle), leaves, done)))
 
 
 ACTS: Final[Mapping[str, Callable[[], int]]] = {
     "held": held,
-    "babbling device": lambda: main(DeviceBundle, lambda b: BabblingDevice(b, simulated_driver(b))),
+    "babbling device": lambda: main(DeviceBundle, lambda b: BabblingDevice(b, driver_of(b))),
     "babbling coupling": lambda: main(CouplingBundle, BabblingCoupling),
     "babbling environment": lambda: main(EnvironmentBundle, BabblingEnvironment),
-    "flooding device": lambda: main(DeviceBundle, lambda b: FloodingDevice(b, simulated_driver(b))),
+    "flooding device": lambda: main(DeviceBundle, lambda b: FloodingDevice(b, driver_of(b))),
     "forceful coupling": lambda: main(CouplingBundle, ForcefulCoupling),
-    "halfway device": lambda: main(DeviceBundle, lambda b: HalfwayDevice(b, simulated_driver(b))),
+    "halfway device": lambda: main(DeviceBundle, lambda b: HalfwayDevice(b, driver_of(b))),
     "hurried coupling": lambda: main(CouplingBundle, HurriedCoupling),
     "under another's name": lambda: impostor(lambda hello: replace(hello, name="dz")),
     "with another's link": lambda: impostor(

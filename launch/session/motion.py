@@ -1,0 +1,236 @@
+"""The motion that a device with ``driver: trace`` makes again: numbers by axis, read from what was recorded.
+
+A recording of this program knows its devices and their axes; a table of somebody else's has a column of times and one
+for each axis. Either way numbers are what a session keeps, so that a device's process opens no file of the session's
+author and a session that was written down needs no other file.
+"""
+
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PlainSerializer
+from pydantic_core import PydanticCustomError
+
+from manyhands.launch.session.error import listed, one_of, show
+from manyhands.launch.session.fields import Problem, Quantity, SessionModel, problems_of, refusal, refuse
+from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_ROWS
+from manyhands.launch.session.port_limits import PortLimits
+from manyhands.launch.session.table import Table, table_of
+from manyhands.nodes.device.intent import IntentError, Trace
+
+OWN_NAME: Final = "(name of the device)"
+"""Key under which a session tells a device's trace whose it is; no session file can sensibly use it."""
+
+_FORM: Final = "{file: FILE, device: NAME} or {times: [...], values: [...]}"
+_FILES: Final = "a recording (.mcap, .npz, .csv) or a table of t and a column for each axis (.npz, .csv)"
+_POSITION: Final = Quantity("a position", "m")
+_TIME: Final = Quantity("a time", "s")
+
+Array = NDArray[np.float64]
+
+
+def _plain_values(values: tuple[tuple[float, ...], ...]) -> object:
+    """The positions as a session file has them: of one axis without a list around them."""
+    return values[0] if len(values) == 1 else values
+
+
+class Motion(SessionModel):
+    """A recorded motion as numbers: ``times`` (s) and, for each axis, the ``values`` at them (m)."""
+
+    times: tuple[float, ...] = Field(description="times of the samples in s, increasing from 0")
+    values: Annotated[tuple[tuple[float, ...], ...], PlainSerializer(_plain_values)] = Field(
+        description="the positions in m at those times, of one axis or as a list for each"
+    )
+
+    def at_ticks(self, period: float) -> Array:
+        """The motion as a session of this period (s) makes it: ticks x axes, up to the tick at which it has ended."""
+        ticks = np.arange(self._last_tick(period) + 1) * period
+        return np.stack([np.interp(ticks, self.times, axis) for axis in self.values], axis=1)
+
+    def _last_tick(self, period: float) -> int:
+        return int(np.ceil(self.times[-1] / period))
+
+    def problem(self, period: float, limits: PortLimits) -> Problem | None:
+        """Why a device with these limits cannot make it, where it cannot."""
+        if self.times[-1] / period > MAX_TRACE_ROWS:
+            return Problem((), f"a motion of {self.times[-1]:g} s", f"at most {MAX_TRACE_ROWS} ticks of the period")
+        x = self.at_ticks(period)
+        steps = np.diff(x, axis=0, prepend=np.zeros((1, x.shape[1])))  # it begins where all is at rest, in 0
+        for what, unit, found, most in (
+            ("displacement", "m", x, np.array(limits.displacement)),
+            ("speed", "m/s", steps / period, np.array(limits.speed)),
+        ):
+            beyond = np.argwhere(~(np.abs(found) <= most))
+            if beyond.size:
+                tick, axis = beyond[0]
+                value, limit = found[tick, axis], most[axis]
+                where = f" of axis {axis}" if len(self.values) > 1 else ""
+                return Problem(
+                    (),
+                    f"a {what}{where} of {value:.6g} {unit} at tick {tick}",
+                    f"at most {limit:g} {unit}, the device's limit; scale the motion, or raise the limit",
+                )
+        return None
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers it takes in a session file."""
+        return len(self.times) * (1 + len(self.values))
+
+
+def motion_problems(motions: Mapping[str, tuple[Motion, PortLimits]], period: float) -> Iterator[Problem]:
+    """What is wrong with the motions of a session's devices, by name; a session that is kept holds them all."""
+    total = sum(motion.numbers for motion, _ in motions.values())
+    for name, (motion, limits) in motions.items():
+        if total > MAX_MOTION_NUMBERS:
+            found = f"recorded motions of {total} numbers in all"
+            yield Problem(("devices", name, "trace"), found, f"at most {MAX_MOTION_NUMBERS}; cut them shorter")
+            return
+        if problem := motion.problem(period, limits):
+            yield problem._replace(at=("devices", name, "trace"))
+
+
+def with_own_names(devices: object) -> object:
+    """The devices, those with a trace told by what name they are called."""
+    if not isinstance(devices, Mapping):
+        return devices
+    told = {}
+    for name, device in devices.items():
+        told[name] = device
+        trace = device.get("trace") if isinstance(device, Mapping) else None
+        if isinstance(trace, Mapping) and "file" in trace:
+            told[name] = {**device, "trace": {**trace, OWN_NAME: name}}
+    return told
+
+
+def motion(value: object, dof: int, folder: Path) -> Motion:
+    """The motion that a session file says.
+
+    Args:
+        value: a file and perhaps a device, or numbers.
+        dof: axes of the device that is to make it.
+        folder: where the session file stands.
+
+    Raises:
+        PydanticCustomError: it is none.
+    """
+    match value:
+        case Motion():
+            return value
+        case Mapping() if "file" in value and value.keys() <= {"file", "device", OWN_NAME}:
+            return _read(value["file"], value.get("device"), str(value.get(OWN_NAME, "")), dof, folder)
+        case Mapping() if value.keys() == {"times", "values"}:
+            return _from_lists(value["times"], value["values"], dof)
+        case Mapping():
+            raise refuse(f"a mapping with {listed(str(key) for key in value if key != OWN_NAME)}", _FORM)
+        case _:
+            raise refuse(show(value), f"a recorded motion: {_FORM}")
+
+
+def _from_lists(times: object, values: object, dof: int) -> Motion:
+    if not isinstance(times, list | tuple):
+        raise refuse(show(times), "a list of times in s", ("times",))
+    flat = isinstance(values, list | tuple) and not any(isinstance(axis, list | tuple) for axis in values)
+    by_axis = [values] if flat else values
+    if not isinstance(by_axis, list | tuple) or len(by_axis) != dof:
+        expected = "a list of positions in m" if dof == 1 else f"{dof} lists of positions in m, one for each axis"
+        raise refuse(show(values), expected, ("values",))
+    for axis in by_axis:
+        if not isinstance(axis, list | tuple) or len(axis) != len(times):
+            raise refuse(show(axis), f"a list of {len(times)} positions in m, one at each time", ("values",))
+    positions = [_numbers(_POSITION, axis, "values") for axis in by_axis]
+    return _checked(_numbers(_TIME, times, "times"), positions, "the trace")
+
+
+def _numbers(of: Quantity, entries: Sequence[object], key: str) -> tuple[float, ...]:
+    """The numbers of a list; the first that is none is told, with its position in the list."""
+    numbers = []
+    for index, entry in enumerate(entries):
+        try:
+            numbers.append(of(entry))
+        except PydanticCustomError as error:
+            raise refusal(*(problem._replace(at=(key, index)) for problem in problems_of(error))) from None
+    return tuple(numbers)
+
+
+def _checked(times: Sequence[float], values: Sequence[Sequence[float]], name: str) -> Motion:
+    try:
+        for axis in values:
+            Trace(times, axis)
+    except IntentError as error:
+        raise refuse(f"{name}: {error}", "samples with t in s increasing from 0, and finite positions in m") from None
+    return Motion(times=tuple(times), values=tuple(map(tuple, values)))
+
+
+def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -> Motion:
+    if not isinstance(file, str) or Path(file).suffix not in (".mcap", ".npz", ".csv"):
+        raise refuse(show(file), f"{_FILES}, relative to the session file", ("file",))
+    if device is not None and (not isinstance(device, str) or not device):
+        raise refuse(show(device), "the name of a device of the recording", ("device",))
+    name = f"the trace {show(file)}"
+    try:
+        table = _table(folder / file)
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise refuse(f"{name}, {why[:1].lower() + why[1:]}", _FILES, ("file",)) from None
+    x = _columns(table, device, own_name, dof, name)
+    there = np.flatnonzero(np.isfinite(x).any(axis=1))
+    x = x[: there[-1] + 1 if there.size else 0]  # a device that ended before the others stays where it was
+    if x.shape[0] * (1 + dof) > MAX_MOTION_NUMBERS:
+        raise refuse(f"{name}, of {x.shape[0]} samples", f"at most {MAX_MOTION_NUMBERS // (1 + dof)}", ("file",))
+    missing = np.flatnonzero(~np.isfinite(x).all(axis=1))
+    if missing.size:
+        raise refuse(
+            f"{name}, without a position at sample {missing[0]}", "one at every tick, from tick 0 on", ("file",)
+        )
+    return _checked(table.times[: x.shape[0]].tolist(), x.T.tolist(), name)
+
+
+def _columns(table: Table, device: object, own_name: str, dof: int, name: str) -> Array:
+    """The columns of a device's axes, or those of a table without devices."""
+    if table.ports is None:
+        if device is not None:
+            raise refuse(f"{name}, a table that names no devices", "no device, or a recording", ("device",))
+        if table.x.shape[1] != dof:
+            raise refuse(f"{name}, of {table.x.shape[1]} columns besides t", f"{dof}, one for each axis", ("file",))
+        return table.x
+    wanted = own_name if device is None else str(device)
+    owners = [port.partition(".")[0] for port in table.ports]
+    columns = [index for index, owner in enumerate(owners) if owner == wanted]
+    if not columns:
+        named = "" if device is not None else ", the device's own name"
+        expected = f"device: {one_of(dict.fromkeys(owners), wanted)}"
+        raise refuse(f"{name}, without a device {wanted!r}{named}", expected, ("device",))
+    if len(columns) != dof:
+        raise refuse(f"{name}, whose {wanted!r} has {len(columns)} axes", f"{dof}, as many as this device", ("device",))
+    return table.x[:, columns]
+
+
+def _table(path: Path) -> Table:
+    """What a file holds.
+
+    Raises:
+        OSError, ValueError, BadZipFile: it cannot be read, or is none of these.
+    """
+    if path.suffix == ".mcap":
+        # only those who replay need what reads recordings
+        from manyhands.launch.recordings.file import read_recording
+        from manyhands.launch.recordings.recording import RecordingError
+
+        try:
+            recording = read_recording(path)
+        except RecordingError as error:
+            raise ValueError(f"which is no recording ({error})") from error
+        return Table(recording.time, recording.x, recording.ports)
+    if path.stat().st_size > MAX_TRACE_BYTES:
+        raise ValueError(f"larger than {MAX_TRACE_BYTES} bytes")
+    return table_of(path)
+
+
+def motion_of(value: object, dof: int, context: Mapping[str, Any] | None) -> Motion | None:
+    """As :func:`motion`, for what may be absent; ``context`` is what validators are told of the session file."""
+    return None if value is None else motion(value, dof, (context or {}).get("folder", Path()))
