@@ -28,7 +28,7 @@ PICTURE_EVERY: Final = 0.05
 OVER_EVERY: Final = 1.0
 """The same when the session is over and nothing changes any more, s."""
 
-TAKES_AT_MOST: Final = 10.0
+TAKES_AT_MOST: Final = 30.0
 """How long a page may take to take a picture, or to say its token, before it is given up, s."""
 
 MOST_PAGES: Final = 16
@@ -37,8 +37,9 @@ MOST_PAGES: Final = 16
 WRONG_TOKEN_COSTS: Final = 1.0
 """How long the answer to a wrong token takes, s."""
 
-TOO_MANY, NOT_ADMITTED, TOO_OFTEN = 1013, 4401, 1008
-"""Why a page's socket is closed: try again later; no token, or a wrong one; more messages than a page sends."""
+TOO_MANY, NOT_ADMITTED, TOO_OFTEN, GIVEN_UP = 1013, 4401, 1008, 4408
+"""Why a page's socket is closed: try again later; no token, or a wrong one; more messages than a page sends; it did
+not take what it was told, or said what is no text."""
 
 
 class Guard:
@@ -85,8 +86,10 @@ class Pages:
         try:
             if await self._admitted(socket):
                 await self._serve(socket, self._last)
-        except (WebSocketDisconnect, TimeoutError, KeyError):  # KeyError: starlette, of a binary message
-            await _closed(socket)
+        except TimeoutError:
+            await _closed(socket, "the page took too long")
+        except (WebSocketDisconnect, KeyError):  # KeyError: starlette's word for a message that is no text
+            await _closed(socket, "found no text")
         finally:
             self._count -= 1
 
@@ -143,10 +146,10 @@ class Pages:
                 await asyncio.wait_for(socket.send_text(json.dumps({"type": "refused", "why": why})), TAKES_AT_MOST)
 
 
-async def _closed(socket: WebSocket) -> None:
+async def _closed(socket: WebSocket, why: str) -> None:
     """Close what may be closed already."""
     try:
-        await socket.close(TOO_MANY)
+        await socket.close(GIVEN_UP, why)
     except (RuntimeError, WebSocketDisconnect):  # it is: starlette's word for a socket that was closed before
         return
 

@@ -11,7 +11,8 @@ import { Plots } from "./plots.js";
 import { Session } from "./session.js";
 import { World, worldLegend } from "./world.js";
 
-const PLOT_EVERY = 50; // ms
+const DRAW_EVERY = 30; // ms: a screen may be faster, a hand's motion is not
+const PLOT_EVERY = 66; // ms
 const WORDS_EVERY = 250; // ms: figures that change faster cannot be read
 const CALM_EVERY = 500; // ms, for who asks for less motion
 
@@ -73,7 +74,7 @@ let [before, plotted, told] = [performance.now(), 0, 0];
 
 function frame(now) {
   requestAnimationFrame(frame);
-  if (!views || (calm.matches && now - before < CALM_EVERY)) return;
+  if (!views || now - before < (calm.matches ? CALM_EVERY : DRAW_EVERY)) return;
   session.advance((now - before) / 1000);
   before = now;
   views.world.rescale(now);

@@ -89,15 +89,15 @@ export class World {
     const width = Math.max(280, Math.floor(this.parent.clientWidth));
     const spread = this.columns > 1 ? (width - 60) / this.columns : width / 2;
     this.swing = Math.min(90, 0.36 * spread);
-    const rowHeight = this.planar ? 2 * this.swing + 56 : 92;
+    const rowHeight = this.planar ? 2 * this.swing + 56 : 104;
     this.spots = new Map();
     const left = this.swing + 34;
     const last = width - 24;
     const far = this.columns > 1 ? (last - left) / (this.columns - 1) : 0;
     for (const [id, body] of this.bodies) {
-      this.spots.set(id, { x: left + body.column * far, y: rowHeight * (body.row + 0.55) });
+      this.spots.set(id, { x: left + body.column * far, y: rowHeight * (body.row + 0.58) + 10 });
     }
-    this.height = rowHeight * this.rows + 34;
+    this.height = rowHeight * this.rows + 46;
     this.width = width;
     this.drawing.setAttribute("viewBox", `0 0 ${width} ${this.height}`);
     this.rowHeight = rowHeight;
@@ -167,7 +167,7 @@ export class World {
   }
 
   draw_ground({ path }, { x }) {
-    const [top, bottom] = [14, this.rowHeight * this.rows];
+    const [top, bottom] = [14, this.rowHeight * this.rows + 10];
     let d = `M${x} ${top}V${bottom}`;
     for (let y = top + 10; y <= bottom; y += 10) d += `M${x} ${y - 10}l9 10`;
     path.setAttribute("d", d);
