@@ -88,15 +88,18 @@ class Pages:
                 await self._serve(socket, self._last)
         except TimeoutError:
             await _closed(socket, "the page took too long")
-        except (WebSocketDisconnect, KeyError):  # KeyError: starlette's word for a message that is no text
-            await _closed(socket, "found no text")
+        except NoText:
+            await _closed(socket, "found bytes; expected text")
+        except WebSocketDisconnect:
+            return
         finally:
             self._count -= 1
 
     async def _admitted(self, socket: WebSocket) -> bool:
         if self._token is None:
             return True
-        given = token_of(await asyncio.wait_for(socket.receive_text(), TAKES_AT_MOST))
+        async with asyncio.timeout(TAKES_AT_MOST):
+            given = token_of(await _text(socket))
         if self._token.fits(given):
             return True
         await asyncio.sleep(WRONG_TOKEN_COSTS)
@@ -114,22 +117,25 @@ class Pages:
             self._watch.holding.let_go(page)
             for task in (telling, hearing):
                 task.cancel()
-            await asyncio.gather(telling, hearing, return_exceptions=True)
+            await asyncio.wait((telling, hearing))
+            for task in (telling, hearing):
+                if not task.cancelled():
+                    task.exception()  # which the first of them to end has told already
 
     async def _tell(self, socket: WebSocket, page: int) -> None:
         """Tell a page what is so, one picture after another; the next is made when it has taken the last."""
         feed, cursor = self._watch.feed, Cursor()
-        await asyncio.wait_for(socket.send_text(feed.session()), TAKES_AT_MOST)
+        await _told(socket, feed.session())
         while True:
             picture = feed.picture(cursor, self._watch.holding.of(page))
-            await asyncio.wait_for(socket.send_text(picture), TAKES_AT_MOST)
+            await _told(socket, picture)
             await asyncio.sleep(OVER_EVERY if feed.over else PICTURE_EVERY)
 
     async def _hear(self, socket: WebSocket, page: int) -> None:
         """Do what a page asks, and say what is wrong with what it asks."""
         watch, allowance = self._watch, Allowance(self._watch.clock.now())
         while True:
-            text = await socket.receive_text()
+            text = await _text(socket)
             now = watch.clock.now()
             if not allowance.spend(now):
                 await socket.close(TOO_OFTEN, "more messages than a page sends")
@@ -143,7 +149,37 @@ class Pages:
                 case Wrong(sentence):
                     why = sentence
             if why is not None:
-                await asyncio.wait_for(socket.send_text(json.dumps({"type": "refused", "why": why})), TAKES_AT_MOST)
+                await _told(socket, json.dumps({"type": "refused", "why": why}))
+
+
+class NoText(Exception):
+    """A page sent bytes."""
+
+
+async def _text(socket: WebSocket) -> str:
+    """The next message of a page.
+
+    Raises:
+        WebSocketDisconnect: it went.
+        NoText: it is none of text.
+    """
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1000))
+    text = message.get("text")
+    if not isinstance(text, str):
+        raise NoText
+    return text
+
+
+async def _told(socket: WebSocket, text: str) -> None:
+    """Tell a page, and be cancelled while it takes it: ``wait_for`` may lose that (Python 3.11), and go on for ever.
+
+    Raises:
+        TimeoutError: it does not take it.
+    """
+    async with asyncio.timeout(TAKES_AT_MOST):
+        await socket.send_text(text)
 
 
 async def _closed(socket: WebSocket, why: str) -> None:

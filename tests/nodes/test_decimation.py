@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +19,7 @@ def buckets_of(size: int, tick: int, values: list[float], cuts: list[int]) -> di
     decimator = Decimator(size, 1)
     bounds = [0, *sorted({cut % (len(values) + 1) for cut in cuts}), len(values)]
     found: dict[int, list[tuple[float, float]]] = {}
-    for begin, end in zip(bounds, bounds[1:], strict=False):
+    for begin, end in pairwise(bounds):
         for piece in decimator.take(tick + begin, np.array(values[begin:end])[:, None]):
             for index, pair in enumerate(piece.values[:, :, 0].tolist()):
                 found.setdefault(piece.first + index, []).append(tuple(pair))

@@ -8,7 +8,8 @@ import pytest
 from manyhands.nodes.observer.decimation import Decimated, Floats
 from manyhands.nodes.observer.tracks import Track, TrackKey, Tracks
 from manyhands.protocol.messages import Observation
-from tests.launch.looked_at import ABOUT, UNCERTIFIED
+
+from .looked_at import ABOUT, UNCERTIFIED
 
 
 def piece(first: int, *values: float) -> Decimated:

@@ -104,17 +104,18 @@ export class World {
     if (this.pixels) this.draw();
   }
 
-  /** Scales that what moved lately fits into; grown at once, shrunk when it is a third; kept while a hand holds. */
+  /** Scales that what moved lately fits into; grown at once, shrunk when it is a third; a held device's is kept. */
   rescale(now) {
-    if (now - this.looked < LOOK || this.grips.held.size) return;
+    if (now - this.looked < LOOK) return;
     this.looked = now;
     const { tracks, about } = this.session;
     const recent = Math.ceil(3 / (about.period * about.bucket));
     const greatest = (topics) =>
       Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, recent))));
     const fit = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
+    // there is room for a hand's motion, where one can come
     const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;
-    this.most = fit(this.most, Math.max(LEAST, gripped, greatest(["sample", "tools", "masses"])));
+    if (this.grips.held.size === 0) this.most = fit(this.most, Math.max(LEAST, gripped, greatest(["sample", "tools", "masses"])));
     this.mostForce = fit(this.mostForce, Math.max(LEAST_FORCE, greatest(["force"])));
   }
 
