@@ -1,6 +1,8 @@
-/** The list of alarms: those that stand, with what to do; below, folded, those that are over or were withstood. */
+/** The list of alarms: those that stand, with what to do; below, folded, those that are over or were withstood a while ago. */
 
 import { byId, html, say } from "./elements.js";
+
+const FRESH = 60; // s that what was withstood stands among the others, so that it is seen
 
 const shown = new Map(); // by key: the element, and what it was made from
 
@@ -28,9 +30,11 @@ export function showAlarms(alarms) {
     element.remove();
     shown.delete(key);
   }
-  let count = 0;
+  const now = Date.now() / 1000;
+  const lists = [standing, past];
+  const filled = [0, 0];
   for (const alarm of alarms) {
-    const over = alarm.cleared !== null || alarm.level === "note";
+    const over = alarm.cleared !== null || (alarm.level === "note" && now - alarm.since > FRESH);
     const from = JSON.stringify(alarm);
     const before = shown.get(alarm.key);
     if (before?.from !== from) {
@@ -38,10 +42,12 @@ export function showAlarms(alarms) {
       shown.set(alarm.key, { element: item(alarm), from });
     }
     const { element } = shown.get(alarm.key);
-    const list = over ? past : standing;
-    if (element.parentNode !== list) list.append(element);
-    count += over ? 1 : 0;
+    const which = over ? 1 : 0;
+    const there = lists[which].children[filled[which]] ?? null;
+    if (there !== element) lists[which].insertBefore(element, there);
+    filled[which] += 1;
   }
+  const count = filled[1];
   byId("alarms-none").hidden = count < alarms.length;
   byId("alarms-past").hidden = count === 0;
   say(byId("alarms-past-count"), String(count));

@@ -20,7 +20,7 @@ export class Certificate {
     this.worst = html("td", { id: "tau-worst" }, "–");
     const rows = [
       row("delay covered, τ", us(certificate.tau)),
-      html("tr", {}, html("th", { scope: "row" }, "delay measured (worst, p99)"), this.worst),
+      html("tr", {}, html("th", { scope: "row" }, "delay measured (worst now, p99)"), this.worst),
       ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
       row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
       row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),

@@ -86,6 +86,7 @@ function frame(now) {
   if (now - told >= WORDS_EVERY) {
     told = now;
     showHeader(session);
+    showAlarms(session.alarms);
     views.graph.show(session);
     views.certificate.show(session);
     views.plots.showValues();

@@ -218,7 +218,7 @@ export class World {
   }
 
   arrow(path, head, from, forces) {
-    const [fx, fy] = [forces[0], -(forces[1] ?? 0)].map((f) => (ARROW * f) / (this.mostForce || 1));
+    const [fx, fy] = [forces[0], -(forces[1] ?? 0)].map((f) => ARROW * Math.max(-1.2, Math.min(1.2, f / (this.mostForce || 1))));
     const length = Math.hypot(fx, fy);
     if (length < 2) {
       path.setAttribute("d", "");
