@@ -49,7 +49,11 @@ def view(
             )
 
         def ready(address: str) -> None:
-            say(err, f"page: {address}")
+            if token_file is None:
+                say(err, f"page: {address}")
+            else:  # whose token it is has it already
+                say(err, f"page: {address.partition('#')[0]}")
+                say(err, f"open it with #token= and the token in {token_file} at its end")
             if open_:
                 import webbrowser
 

@@ -103,7 +103,7 @@ class Pages:
         if self._token.fits(given):
             return True
         await asyncio.sleep(WRONG_TOKEN_COSTS)
-        await socket.close(NOT_ADMITTED, "a token is needed, as in the address that was printed")
+        await socket.close(NOT_ADMITTED, "a token is needed: open the address with #token=... at its end")
         return False
 
     async def _serve(self, socket: WebSocket, page: int) -> None:

@@ -13,15 +13,17 @@ from typing import Any
 
 import pytest
 from starlette.websockets import WebSocketDisconnect
+from typer.testing import CliRunner
 
+from manyhands.launch.cli import app
 from manyhands.launch.looking.sessions import Running
 from manyhands.launch.view import application as served
 from manyhands.launch.view.application import application
 from manyhands.launch.view.assets import STATIC, load_assets
 from manyhands.launch.view.demands import DEMANDS_AT_ONCE
 from manyhands.launch.view.feed import Cursor, Feed
-from manyhands.launch.view.security import HEADERS, Doorstep, Token
-from manyhands.launch.view.server import address_of
+from manyhands.launch.view.security import HEADERS, Doorstep, Token, ViewError
+from manyhands.launch.view.server import address_of, listen
 from manyhands.launch.view.watch import Watch
 from manyhands.nodes.observer.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock
@@ -312,3 +314,67 @@ def test_the_address_that_is_printed() -> None:
     assert address_of(Doorstep("::1", 80), None) == "http://[::1]:80/"
     assert address_of(DOORSTEP, Token("0123456789abcdef")) == "http://127.0.0.1:8000/#token=0123456789abcdef"
     assert "0.0.0.0" not in address_of(Doorstep("0.0.0.0", 80), None)
+
+
+def test_a_port_that_is_taken_is_said_so() -> None:
+    with listen("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ViewError, match=rf"--port {port}: cannot listen there: .*expected an address"):
+            listen("127.0.0.1", port)
+
+
+@pytest.mark.parametrize("host", ["192.0.2.7", "a" * 300])
+def test_a_host_that_is_not_this_machine_is_said_so(host: str) -> None:
+    with pytest.raises(ViewError, match="cannot listen there"):
+        listen(host, 0)
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
+    """What the command would serve."""
+    served_: list[tuple[str, Token | None]] = []
+
+    def serve(_running: Running, host: str, _port: int, token: Token | None, ready: Callable[[str], None]) -> None:
+        served_.append((host, token))
+        ready(address_of(Doorstep(host, 80), token))
+
+    monkeypatch.setattr("manyhands.launch.view.server.serve", serve)
+    monkeypatch.setattr(
+        "manyhands.launch.looking.sessions.running_sessions", lambda: [Running(Path("/nowhere"), ABOUT)]
+    )
+    return served_
+
+
+def test_on_loopback_the_address_is_enough(told: list[tuple[str, Token | None]]) -> None:
+    done = CliRunner().invoke(app, ["view"])
+    assert (done.exit_code, told) == (0, [("127.0.0.1", None)])
+
+
+def test_elsewhere_a_token_is_drawn_and_printed_once(told: list[tuple[str, Token | None]]) -> None:
+    done = CliRunner().invoke(app, ["view", "--host", "192.0.2.7"])
+    [(_, token)] = told
+    assert token is not None
+    assert done.output.count(token.told()) == 1
+    assert f"page: http://192.0.2.7:80/#token={token.told()}" in done.output
+    assert "without encryption" in done.output
+
+
+def test_a_token_of_a_file_counts_on_loopback_too(told: list[tuple[str, Token | None]], tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.touch(0o600)
+    path.write_text("0123456789abcdef")
+    done = CliRunner().invoke(app, ["view", "--token-file", str(path)])
+    assert done.exit_code == 0
+    assert "0123456789abcdef" not in done.output  # whose it is has it
+    assert "page: http://127.0.0.1:80/\n" in done.output
+    [(_, token)] = told
+    assert token is not None
+    assert token.fits("0123456789abcdef")
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--session", "other"], ["--token-file", "/nowhere/token"], ["--port", "-1"], ["--port", "65536"]]
+)
+def test_bad_input_is_refused(told: list[tuple[str, Token | None]], arguments: list[str]) -> None:
+    done = CliRunner().invoke(app, ["view", *arguments])
+    assert (done.exit_code, told) == (2, [])

@@ -18,6 +18,7 @@ export class Connection {
     this.changed = changed;
     this.attempts = 0;
     this.token = takeToken();
+    addEventListener("hashchange", () => location.reload()); // a token was added to the address
     this.open();
   }
 
@@ -33,6 +34,7 @@ export class Connection {
     };
     socket.onclose = (event) => {
       if (event.code === 4401) {
+        sessionStorage.removeItem("token");
         this.changed("refused", event.reason);
         return;
       }

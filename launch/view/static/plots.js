@@ -126,7 +126,7 @@ export class Plots {
       scales: { x: { time: false, range: seconds }, y: { range: (_chart, least, most) => this.range(least, most) } },
       axes: [
         { ...axis, label: "time, s", labelSize: 20, size: 36, values: (_c, splits) => splits.map((t) => (t < 0 ? "" : number_of(t))) },
-        { ...axis, size: (_c, marks) => 18 + 7 * Math.max(4, ...(marks ?? []).map((mark) => mark.length)), values: (_c, splits) => this.marks(splits) },
+        { ...axis, size: (_c, marks) => 24 + 7 * Math.max(4, ...(marks ?? []).map((mark) => mark.length)), values: (_c, splits) => this.marks(splits) },
       ],
       series: [{}, ...this.traces.map((trace) => ({
         label: trace.label,
