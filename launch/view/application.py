@@ -140,6 +140,8 @@ class Pages:
             if not allowance.spend(now):
                 await socket.close(TOO_OFTEN, "more messages than a page sends")
                 return
+            if token_of(text) is not None:
+                continue  # a page says the one that it has, not knowing whether it is asked for
             why: str | None = None
             match demand_of(text, watch.feed.scene.about):
                 case Hold() as demand:

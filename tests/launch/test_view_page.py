@@ -193,6 +193,18 @@ def test_a_page_holds_a_device_until_it_goes(client: TestClient, tmp_path: Path)
         inlet.close()
 
 
+def test_a_token_that_nobody_asked_for_is_no_mistake(client: TestClient) -> None:
+    with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
+        page.send_text('{"token": ""}')
+        page.send_text("?")
+        answer = heard(page, lambda message: message["type"] == "refused")
+        assert "found no message of a page" in answer["why"]
+        page.send_text('{"token": ""}')
+        page.send_text('{"release": "left"}')
+        answer = heard(page, lambda message: message["type"] == "refused")
+        assert "expected a device that can be held" in answer["why"]
+
+
 def test_a_page_that_says_too_much_is_closed(client: TestClient) -> None:
     with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
         for _ in range(3 * DEMANDS_AT_ONCE):

@@ -26,7 +26,7 @@ export class Connection {
     const socket = new WebSocket(`ws://${location.host}/socket`);
     this.socket = socket;
     socket.onopen = () => {
-      if (this.token) socket.send(JSON.stringify({ token: this.token }));
+      socket.send(JSON.stringify({ token: this.token ?? "" })); // whether one is asked for the server knows
     };
     socket.onmessage = (event) => {
       this.attempts = 0;
