@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos faults pictures benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop soak users chaos faults pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -69,6 +69,11 @@ pictures: $(VENV)/.installed
 	$(BIN)/manyhands budget example1.yaml --plot docs/images/budget.png
 	$(BIN)/manyhands design example2-linear.yaml --plot out/design
 	cp out/design/singular-values.png docs/images/design-singular-values.png
+
+# the page of a running session in Chromium, which must be there: its tests, their pictures in out/page/, and docs/images/page.png
+page: $(VENV)/.installed
+	MANYHANDS_REQUIRE_BROWSER=1 $(BIN)/pytest -q tests/system/test_page.py
+	$(BIN)/python -m tests.system.page_picture
 
 # design time against ports, beside a plain transcription of the paper; an hour at the default limit
 LIMIT ?= 600

@@ -53,6 +53,15 @@ def test_a_gap_is_a_gap() -> None:
     assert np.isnan(values[1:3]).all()
 
 
+def test_a_gap_is_one_where_something_was_before() -> None:
+    track = Track(1, capacity=4)
+    track.add(piece(0, *map(float, range(6))))
+    track.add(piece(8, 8.0))
+    first, values = drawn(track)
+    assert (first, values[0], values[3]) == (5, 5.0, 8.0)
+    assert np.isnan(values[1:3]).all()
+
+
 @pytest.mark.parametrize("far", [10, 2**62])
 def test_a_gap_longer_than_the_ring_begins_it_anew(far: int) -> None:
     track = Track(1, capacity=4)

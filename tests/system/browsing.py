@@ -58,11 +58,14 @@ def until(page: Page, where: str, name: str, **what: Any) -> None:
 
 
 @contextmanager
-def viewed() -> Iterator[tuple[str, int]]:
-    """A session that can be dragged, and its page; yields the page's address and the supervisor's process id."""
+def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
+    """A session that can be dragged, and its page, served with these options.
+
+    Yields the page's address and the supervisor's process id.
+    """
     with started("launch", SESSION, *SLOWED) as launched:
         read_until(launched, "running")
-        with started("view", "--session", str(launched.pid)) as view:
+        with started("view", "--session", str(launched.pid), *options) as view:
             address = re.sub(r"^page: ", "", read_until(view, "page: ").strip())
             yield address, launched.pid
             view.send_signal(signal.SIGINT)

@@ -85,3 +85,19 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
         for page in (wide, narrow):
             until(page, "body", "data-state", equals="over")
         assert wrong == []
+
+
+def test_a_page_with_a_token(tmp_path: Path) -> None:
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    token = tmp_path / "token"
+    token.touch(0o600)
+    token.write_text("0123456789abcdef")
+    wrong: list[str] = []
+    with viewed("--token-file", token) as (address, _), browsing(CHROMIUM) as browser:
+        stranger = browser.new_page()
+        stranger.goto(address, timeout=60_000)
+        until(stranger, "body", "data-state", equals="refused")
+        until(stranger, "#connection", "text", has="a token is needed")
+        page = open_page(browser, f"{address}#token=0123456789abcdef", 1280, "light", wrong)
+        assert page.url == address, "the token is to be seen"
+        assert wrong == []
