@@ -25,6 +25,7 @@ from manyhands.launch.reach import ReachError
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.session import PythonEnvironment, Session, SessionError
 from manyhands.launch.topology import LinkTooWide
+from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.device.guard import LimitExceeded
 from manyhands.nodes.environment.model import ModelError, ModelFailure
@@ -193,6 +194,7 @@ _BAD_INPUT = (
     SessionError,
     TargetError,
     TransportError,  # an address to listen at that is not there, or not free
+    ViewError,
 )
 
 

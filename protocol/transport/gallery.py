@@ -87,6 +87,11 @@ class Visit:
             _leave(self._context, self._socket)
             raise failed(f"connect to {path}", error) from error
 
+    @property
+    def fd(self) -> int:
+        """Becomes readable when something may have come; says so once, so read until :meth:`recv` has no more."""
+        return int(self._socket.getsockopt(zmq.FD))
+
     def recv(self, timeout: Duration | None) -> bytes | None:
         """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever).
 

@@ -1,0 +1,55 @@
+/** The list of alarms: those that stand, with what to do; below, folded, those that are over or were withstood a while ago. */
+
+import { byId, html, say } from "./elements.js";
+
+const FRESH = 60; // s that what was withstood stands among the others, so that it is seen
+
+const shown = new Map(); // by key: the element, and what it was made from
+
+const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString();
+
+function item(alarm) {
+  const when = alarm.cleared === null ? `since ${clock(alarm.since)}` : `${clock(alarm.since)} – ${clock(alarm.cleared)}`;
+  return html(
+    "li",
+    { class: alarm.level, "data-level": alarm.level },
+    html("strong", {}, alarm.level),
+    html("span", { class: "text" }, alarm.text),
+    html("span", { class: "advice" }, alarm.advice),
+    html("span", { class: "when" }, when),
+  );
+}
+
+/** Bring the lists to `alarms`; what has not changed keeps its element, so that it is not read out again. */
+export function showAlarms(alarms) {
+  const standing = byId("alarms-list");
+  const past = byId("alarms-past-list");
+  const keys = new Set(alarms.map((alarm) => alarm.key));
+  for (const [key, { element }] of shown) {
+    if (keys.has(key)) continue;
+    element.remove();
+    shown.delete(key);
+  }
+  const now = Date.now() / 1000;
+  const lists = [standing, past];
+  const filled = [0, 0];
+  for (const alarm of alarms) {
+    const over = alarm.cleared !== null || (alarm.level === "note" && now - alarm.since > FRESH);
+    const from = JSON.stringify(alarm);
+    const before = shown.get(alarm.key);
+    if (before?.from !== from) {
+      before?.element.remove();
+      shown.set(alarm.key, { element: item(alarm), from });
+    }
+    const { element } = shown.get(alarm.key);
+    const which = over ? 1 : 0;
+    const there = lists[which].children[filled[which]] ?? null;
+    if (there !== element) lists[which].insertBefore(element, there);
+    filled[which] += 1;
+  }
+  const count = filled[1];
+  byId("alarms-none").hidden = count < alarms.length;
+  byId("alarms-past").hidden = count === 0;
+  say(byId("alarms-past-count"), String(count));
+  byId("alarms").dataset.standing = alarms.length - count;
+}

@@ -1,0 +1,59 @@
+/** What the certificate says, beside what is measured. */
+
+import { byId, html, say } from "./elements.js";
+import { number, quantity } from "./format.js";
+
+const us = (seconds) => `${number(1e6 * seconds)} µs`;
+
+function row(head, text, attributes = {}) {
+  return html("tr", {}, html("th", { scope: "row" }, head), html("td", attributes, text));
+}
+
+export class Certificate {
+  constructor(about) {
+    this.about = about;
+    const { certificate } = about;
+    byId("certificate-none").hidden = certificate !== null;
+    byId("certificate-table").hidden = certificate === null;
+    byId("parties-table").hidden = certificate === null;
+    if (certificate === null) return;
+    this.worst = html("td", { id: "tau-worst" }, "–");
+    const rows = [
+      row("delay covered, τ", us(certificate.tau)),
+      html("tr", {}, html("th", { scope: "row" }, "delay measured (worst now, p99)"), this.worst),
+      ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
+      row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
+      row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),
+      row("enforced", certificate.enforced.join(", ") || "nobody: all is proved"),
+    ];
+    byId("certificate-table").tBodies[0].replaceChildren(...rows);
+    this.parties = Object.keys(about.nodes).map((name) => this.party(name, certificate));
+    byId("parties-table").tBodies[0].replaceChildren(...this.parties.map((party) => party.row));
+  }
+
+  party(name, certificate) {
+    const level = certificate.delta_D[name];
+    const [total, least] = [html("td"), html("td")];
+    const shown = level === undefined ? "as designed" : `Δ ${number(level)} N·s/m`;
+    return { name, total, least, row: html("tr", {}, html("th", { scope: "row" }, name), html("td", {}, shown), total, least) };
+  }
+
+  show(session) {
+    if (this.about.certificate === null) return;
+    let [worst, most, late] = [0, 0, false];
+    for (const { figures, covered } of session.nodes.values()) {
+      worst = Math.max(worst, figures.tau_worst_us ?? 0);
+      most = Math.max(most, figures.tau_us_p99 ?? 0);
+      late ||= covered !== undefined && (figures.tau_worst_us ?? 0) > 1e6 * covered;
+    }
+    const real = this.about.clock === "realtime";
+    say(this.worst, real ? `${number(worst)} µs, ${number(most)} µs` : "none: the clock is simulated");
+    this.worst.className = real && late ? "broken" : "";
+    for (const { name, total, least } of this.parties) {
+      const { figures } = session.nodes.get(name);
+      say(total, quantity(figures.ledger, "J"));
+      say(least, quantity(figures.ledger_margin, "J"));
+      least.className = figures.ledger_margin < -1e-9 ? "broken" : "";
+    }
+  }
+}

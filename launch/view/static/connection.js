@@ -1,0 +1,51 @@
+/** The page's socket: opened again by itself when it is lost, and a token where one is needed. */
+
+const LATER = [0.5, 1, 2, 5]; // s until the next attempt
+
+function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname); // not to be seen, nor kept with a bookmark
+  }
+  return sessionStorage.getItem("token");
+}
+
+export class Connection {
+  /** `told` gets every message; `changed` the state (live, lost, refused) and why. */
+  constructor(told, changed) {
+    this.told = told;
+    this.changed = changed;
+    this.attempts = 0;
+    this.token = takeToken();
+    addEventListener("hashchange", () => location.reload()); // a token was added to the address
+    this.open();
+  }
+
+  open() {
+    const socket = new WebSocket(`ws://${location.host}/socket`);
+    this.socket = socket;
+    socket.onopen = () => {
+      socket.send(JSON.stringify({ token: this.token ?? "" })); // whether one is asked for the server knows
+    };
+    socket.onmessage = (event) => {
+      this.attempts = 0;
+      this.told(JSON.parse(event.data));
+    };
+    socket.onclose = (event) => {
+      if (event.code === 4401) {
+        sessionStorage.removeItem("token");
+        this.changed("refused", event.reason);
+        return;
+      }
+      const wait = LATER[Math.min(this.attempts, LATER.length - 1)];
+      this.attempts += 1;
+      this.changed("lost", `connection lost; trying again${event.reason ? ` (${event.reason})` : ""}`);
+      setTimeout(() => this.open(), 1000 * wait);
+    };
+  }
+
+  send(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+}

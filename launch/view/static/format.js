@@ -1,0 +1,33 @@
+/** Numbers as people read them: three digits, a prefix where one helps. */
+
+const PREFIXES = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
+
+/** The prefix in which values up to `most` are short: its factor and its letter. Delays are in µs already. */
+export function prefixOf(most, unit) {
+  if (unit === "us" || !(most > 0)) return [1, ""];
+  return PREFIXES.find(([factor]) => most >= factor * 0.9995) ?? PREFIXES.at(-1);
+}
+
+export const unitOf = (unit) => (unit === "us" ? "µs" : unit);
+
+/** A value with its unit; a dash where there is none. */
+export function quantity(value, unit) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const [factor, letter] = prefixOf(Math.abs(value), unit);
+  return `${number(value / factor)} ${letter}${unitOf(unit)}`;
+}
+
+/** Three digits; of large numbers all. */
+export function number(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-3) return value.toExponential(2);
+  return size >= 100 ? value.toFixed(0) : value.toPrecision(3);
+}
+
+/** The least of 1, 2, 5, 10, … (times a power of ten) that is not below `most`. */
+export function rounded(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= most * 0.999999);
+}

@@ -1,0 +1,95 @@
+/** The page: told by its socket, drawn once a frame. */
+
+import { showAlarms } from "./alarms.js";
+import { Certificate } from "./certificate.js";
+import { Connection } from "./connection.js";
+import { byId } from "./elements.js";
+import { Graph } from "./graph.js";
+import { Grips } from "./grips.js";
+import { showFacts, showHeader, showState } from "./header.js";
+import { Plots } from "./plots.js";
+import { Session } from "./session.js";
+import { World, worldLegend } from "./world.js";
+
+const DRAW_EVERY = 30; // ms: a screen may be faster, a hand's motion is not
+const PLOT_EVERY = 66; // ms
+const WORDS_EVERY = 250; // ms: figures that change faster cannot be read
+const CALM_EVERY = 500; // ms, for who asks for less motion
+
+const calm = matchMedia("(prefers-reduced-motion: reduce)");
+let session = null;
+let views = null;
+let pictures = 0;
+
+function begin(told) {
+  const same = session && session.about.pid === told.pid && session.about.started === told.started;
+  if (same) {
+    session.about = told; // the socket was lost for a while: what was drawn goes on
+    return;
+  }
+  session = new Session(told);
+  const grips = new Grips(session, (message) => connection.send(message));
+  showFacts(told);
+  worldLegend(told);
+  views = null; // built with the first picture: until then there is nothing to draw
+  session.grips = grips;
+}
+
+function take(picture) {
+  session.take(picture);
+  pictures += 1;
+  document.body.dataset.pictures = pictures;
+  showState(picture.over ? "over" : "live", picture.over ? "" : picture.phase === "running" ? "" : picture.phase);
+  if (picture.alarms) showAlarms(session.alarms);
+  if (views) return;
+  session.advance(0);
+  views = {
+    graph: new Graph(byId("graph-drawing"), session.about),
+    world: new World(byId("world-drawing"), session, session.grips),
+    plots: new Plots(session),
+    certificate: new Certificate(session.about),
+  };
+}
+
+const connection = new Connection(
+  (message) => {
+    if (message.type === "session") begin(message);
+    else if (message.type === "picture") take(message);
+    else if (message.type === "refused") session.grips.refused(message.why);
+  },
+  (state, why) => {
+    session?.grips.releaseAll();
+    showState(state, why);
+  },
+);
+
+byId("pause").addEventListener("click", (event) => {
+  if (!session) return;
+  session.paused = !session.paused;
+  event.currentTarget.setAttribute("aria-pressed", String(session.paused));
+  event.currentTarget.textContent = session.paused ? "Go on" : "Pause";
+});
+
+let [before, plotted, told] = [performance.now(), 0, 0];
+
+function frame(now) {
+  requestAnimationFrame(frame);
+  if (!views || now - before < (calm.matches ? CALM_EVERY : DRAW_EVERY)) return;
+  session.advance((now - before) / 1000);
+  before = now;
+  views.world.rescale(now);
+  views.world.draw();
+  if (now - plotted >= PLOT_EVERY) {
+    plotted = now;
+    views.plots.draw();
+  }
+  if (now - told >= WORDS_EVERY) {
+    told = now;
+    showHeader(session);
+    showAlarms(session.alarms);
+    views.graph.show(session);
+    views.certificate.show(session);
+    views.plots.showValues();
+  }
+}
+requestAnimationFrame(frame);

@@ -1,0 +1,266 @@
+/** The virtual world, moving: tools, masses and springs, and the devices that lead the tools through their couplings. */
+
+import { byId, place, say, svg } from "./elements.js";
+import { quantity, rounded } from "./format.js";
+import { layout } from "./layout.js";
+
+const LEAST = 2e-3; // m, the least that fills the drawing: numerical noise is not drawn as motion
+const LEAST_FORCE = 0.1; // N, likewise
+const LIFT = 26; // px that a device of one axis is drawn above its tool
+const ARROW = 60; // px of the longest force
+const LOOK = 500; // ms between two looks at the scale
+
+export class World {
+  constructor(parent, session, grips) {
+    Object.assign(this, { parent, session, grips });
+    const { bodies, pairs, columns, rows } = layout(session.about);
+    Object.assign(this, { bodies, pairs, columns, rows });
+    this.most = this.mostForce = 0;
+    this.looked = -Infinity;
+    this.planar = [...bodies.values()].some((body) => body.planar);
+    this.drawing = svg("svg", { role: "group", "aria-label": "The virtual world" });
+    this.parts = this.build();
+    parent.replaceChildren(this.drawing);
+    this.arrange();
+    new ResizeObserver(() => this.arrange()).observe(parent);
+  }
+
+  build() {
+    const springs = this.pairs.map((ends) => ({ ends, path: svg("path", { class: "spring" }) }));
+    const lanes = [...this.bodies.values()].filter((b) => b.kind === "tool").map((body) => ({ body, line: svg("line", { class: "lane" }) }));
+    this.drawing.append(...lanes.map(({ line }) => line), ...springs.map(({ path }) => path));
+    const bodies = [...this.bodies].map(([id, body]) => this[body.kind](id, body));
+    this.bar = svg("path", { class: "hatch", fill: "none" });
+    this.barText = svg("text", { class: "dim" });
+    this.drawing.append(this.bar, this.barText);
+    return { springs, lanes, bodies };
+  }
+
+  ground(id, body) {
+    const path = svg("path", { class: "hatch", fill: "none" });
+    this.drawing.append(path);
+    return { id, body, path };
+  }
+
+  mass(id, body) {
+    const box = svg("rect", { class: "mass", width: 34, height: 26, rx: 3, "data-mass": body.name });
+    const label = svg("text", { "text-anchor": "middle" }, body.name);
+    this.drawing.append(box, label);
+    return { id, body, box, label };
+  }
+
+  tool(id, body) {
+    const lag = svg("line", { class: "lag" });
+    const tool = svg("rect", { class: "tool", width: 14, height: 14, rx: 2, "data-tool": body.name });
+    const target = svg("path", { class: "target" });
+    const force = svg("path", { class: "force" });
+    const head = svg("path", { class: "force-head" });
+    const label = svg("text", {}, body.name);
+    const value = svg("text", { class: "dim", "data-force-of": body.name });
+    const handle = this.handle(body.name);
+    this.drawing.append(lag, tool, target, force, head, label, value, handle);
+    return { id, body, lag, tool, target, force, head, label, value, handle };
+  }
+
+  handle(device) {
+    const grip = this.session.about.grips.includes(device);
+    const circles = [svg("circle", { r: 11, class: "body" }), svg("circle", { r: 4, class: "dot" })];
+    if (grip) circles.unshift(svg("circle", { r: 24, class: "touch" }), svg("circle", { r: 17, class: "ring" }));
+    const handle = svg("g", { class: grip ? "handle grip" : "handle", "data-device": device }, ...circles);
+    if (grip) {
+      place(handle, {
+        tabindex: "0",
+        role: "slider",
+        "aria-label": `device ${device}: drag it, or move it with the arrow keys; Escape lets go`,
+      });
+      const scale = () => ({ pixels: this.pixels, most: this.most });
+      this.grips.attach(handle, device, scale, (event) => this.point(event));
+    }
+    return handle;
+  }
+
+  /** Where an event is, in the drawing's own units. */
+  point(event) {
+    return new DOMPoint(event.clientX, event.clientY).matrixTransform(this.drawing.getScreenCTM().inverse());
+  }
+
+  /** Places of columns and rows, for the width there is. */
+  arrange() {
+    const width = Math.max(280, Math.floor(this.parent.clientWidth));
+    const spread = this.columns > 1 ? (width - 60) / this.columns : width / 2;
+    this.swing = Math.min(90, 0.36 * spread);
+    const rowHeight = this.planar ? 2 * this.swing + 56 : 104;
+    this.spots = new Map();
+    const left = this.swing + 34;
+    const last = width - 24;
+    const far = this.columns > 1 ? (last - left) / (this.columns - 1) : 0;
+    for (const [id, body] of this.bodies) {
+      this.spots.set(id, { x: left + body.column * far, y: rowHeight * (body.row + 0.58) + 10 });
+    }
+    this.height = rowHeight * this.rows + 46;
+    this.width = width;
+    this.drawing.setAttribute("viewBox", `0 0 ${width} ${this.height}`);
+    this.rowHeight = rowHeight;
+    if (this.pixels) this.draw();
+  }
+
+  /** Scales that what moved lately fits into; grown at once, shrunk when it is a third; a held device's is kept. */
+  rescale(now) {
+    if (now - this.looked < LOOK) return;
+    this.looked = now;
+    const { tracks, about } = this.session;
+    const recent = Math.ceil(3 / (about.period * about.bucket));
+    const greatest = (topics) =>
+      Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, recent))));
+    const fit = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
+    // there is room for a hand's motion, where one can come
+    const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;
+    if (this.grips.held.size === 0) this.most = fit(this.most, Math.max(LEAST, gripped, greatest(["sample", "tools", "masses"])));
+    this.mostForce = fit(this.mostForce, Math.max(LEAST_FORCE, greatest(["force"])));
+  }
+
+  get pixels() {
+    return this.most ? this.swing / this.most : 0;
+  }
+
+  /** Where a body is now, px. */
+  at(id) {
+    const body = this.bodies.get(id);
+    const spot = this.spots.get(id);
+    const moved = [0, 0];
+    if (body.kind === "tool") {
+      body.ports.slice(0, 2).forEach((port, axis) => (moved[axis] = this.tool_of(port)));
+    } else if (body.kind === "mass") {
+      for (const { axis, index } of body.axes) if (axis < 2) moved[axis] = this.known(this.session.now("environment/masses", index));
+    }
+    return this.offset(spot, moved);
+  }
+
+  offset(spot, [x, y]) {
+    return { x: spot.x + this.pixels * x, y: spot.y - this.pixels * y };
+  }
+
+  known(value) {
+    return Number.isNaN(value) ? 0 : value;
+  }
+
+  tool_of(port) {
+    const track = this.session.tracks.get("environment/tools");
+    return this.known(this.session.now("environment/tools", track.columns.indexOf(port)));
+  }
+
+  draw() {
+    const places = new Map([...this.bodies.keys()].map((id) => [id, this.at(id)]));
+    for (const { body, line } of this.parts.lanes) {
+      const { x, y } = this.spots.get(`tool ${body.name}`);
+      place(line, { x1: x - this.swing - 12, x2: x + this.swing + 12, y1: y, y2: y });
+    }
+    for (const { ends, path } of this.parts.springs) path.setAttribute("d", this.spring(ends, places));
+    for (const part of this.parts.bodies) this[`draw_${part.body.kind}`](part, places.get(part.id));
+    this.drawScale();
+  }
+
+  spring(ends, places) {
+    const [a, b] = ends.map((id) => ({ ...places.get(id), ground: id === "ground" }));
+    if (a.ground) a.y = b.y;
+    if (b.ground) b.y = a.y;
+    return zigzag(a, b);
+  }
+
+  draw_ground({ path }, { x }) {
+    const [top, bottom] = [14, this.rowHeight * this.rows + 10];
+    let d = `M${x} ${top}V${bottom}`;
+    for (let y = top + 10; y <= bottom; y += 10) d += `M${x} ${y - 10}l9 10`;
+    path.setAttribute("d", d);
+  }
+
+  draw_mass({ box, label, body }, at) {
+    place(box, { x: at.x - 17, y: at.y - 13 });
+    place(label, { x: at.x, y: at.y + 30 });
+    box.setAttribute("data-at", body.axes.map(({ index }) => this.session.now("environment/masses", index)).join(" "));
+  }
+
+  draw_tool({ body, lag, tool, target, force, head, label, value, handle }, at) {
+    const spot = this.spots.get(`tool ${body.name}`);
+    const lift = body.planar ? 0 : LIFT;
+    const x = this.grips.position(body.name);
+    const here = this.offset({ x: spot.x, y: spot.y - lift }, [x[0], body.planar ? (x[1] ?? 0) : 0]);
+    const forces = body.ports.map((_, axis) => this.known(this.session.now(`${body.name}/force`, axis)));
+    place(tool, { x: at.x - 7, y: at.y - 7, "data-at": body.ports.map((port) => this.tool_of(port)).join(" ") });
+    place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
+    place(label, { x: Math.max(4, spot.x - this.swing - 26), y: spot.y - (body.planar ? this.swing : LIFT) - 18 });
+    this.arrow(force, head, here, forces);
+    say(value, `f ${forces.map((f) => quantity(f, "N")).join(", ")}`);
+    place(value, { x: spot.x - this.swing - 26, y: spot.y + (body.planar ? this.swing : 0) + 24, "data-force": forces.join(" ") });
+    handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
+    if (handle.classList.contains("grip")) this.draw_grip(handle, target, body, spot, lift, x);
+  }
+
+  draw_grip(handle, target, body, spot, lift, x) {
+    const wanted = this.grips.held.get(body.name);
+    const other = this.session.picture.held[body.name] === "elsewhere";
+    handle.classList.toggle("held", wanted !== undefined);
+    handle.classList.toggle("elsewhere", other);
+    place(handle, {
+      "data-at": x.join(" "),
+      "data-held": this.session.picture.held[body.name] ?? "",
+      "aria-valuemin": String(-this.most),
+      "aria-valuemax": String(this.most),
+      "aria-valuenow": String(x[0]),
+      "aria-valuetext": other ? "held by another page" : this.grips.text(body.name),
+    });
+    if (wanted === undefined) {
+      target.setAttribute("d", "");
+      return;
+    }
+    const to = this.offset({ x: spot.x, y: spot.y - lift }, [wanted[0], body.planar ? (wanted[1] ?? 0) : 0]);
+    target.setAttribute("d", `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18`);
+  }
+
+  arrow(path, head, from, forces) {
+    const [fx, fy] = [forces[0], -(forces[1] ?? 0)].map((f) => ARROW * Math.max(-1.2, Math.min(1.2, f / (this.mostForce || 1))));
+    const length = Math.hypot(fx, fy);
+    if (length < 2) {
+      path.setAttribute("d", "");
+      head.setAttribute("d", "");
+      return;
+    }
+    const [ux, uy] = [fx / length, fy / length];
+    const start = { x: from.x + 13 * ux, y: from.y + 13 * uy };
+    const end = { x: start.x + fx, y: start.y + fy };
+    path.setAttribute("d", `M${start.x} ${start.y}L${end.x} ${end.y}`);
+    head.setAttribute("d", `M${end.x + 8 * ux} ${end.y + 8 * uy}L${end.x - 5 * uy} ${end.y + 5 * ux}L${end.x + 5 * uy} ${end.y - 5 * ux}Z`);
+  }
+
+  drawScale() {
+    const y = this.height - 10;
+    this.bar.setAttribute("d", `M10 ${y - 4}v8M10 ${y}h${this.swing}v-4v8`);
+    place(this.barText, { x: this.swing + 18, y: y + 4 });
+    say(this.barText, `${quantity(this.most, "m")}; longest arrow ${quantity(this.mostForce, "N")}`);
+  }
+}
+
+/** A spring between two places, px: it keeps the number of its turns. */
+function zigzag(a, b) {
+  const [dx, dy] = [b.x - a.x, b.y - a.y];
+  const length = Math.hypot(dx, dy) || 1;
+  const [nx, ny] = [(-6 * dy) / length, (6 * dx) / length];
+  const turns = 14;
+  let d = `M${a.x.toFixed(1)} ${a.y.toFixed(1)}`;
+  for (let i = 1; i < turns; i += 1) {
+    const part = 0.12 + (0.76 * i) / turns;
+    const side = i % 2 ? 1 : -1;
+    d += `L${(a.x + part * dx + side * nx).toFixed(1)} ${(a.y + part * dy + side * ny).toFixed(1)}`;
+  }
+  return `${d}L${b.x.toFixed(1)} ${b.y.toFixed(1)}`;
+}
+
+/** What the signs mean, for this session. */
+export function worldLegend(about) {
+  const held = about.grips.length ? " Drag a filled ring, or focus it and press the arrow keys." : "";
+  const springs = about.springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${about.environment}`;
+  say(
+    byId("world-legend"),
+    `Ring: device (x). Square: its tool in the world (x_e). Dashed: what its coupling lets them differ. Arrow: the force it exerts on the hand (f). The world: ${springs}.${held}`,
+  );
+}

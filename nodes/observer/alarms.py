@@ -1,0 +1,230 @@
+"""What of a running session a person should know at once, since when, and what to do about it. Pure.
+
+An alarm is raised when its cause is first seen, and cleared when the cause has been away for a while, so that what
+comes and goes with every telemetry is one alarm and not ten a second. What the session tells in sentences (notices,
+incidents, faults) has happened and is not cleared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.scene import Health, NodeScene, Scene
+from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.messages import Role
+
+HOLD: Final = from_seconds(2.0)
+"""How long a cause must be away before its alarm is cleared."""
+
+UNHEARD: Final = from_seconds(3.0)
+"""How long nothing at all may come from a session that is not over."""
+
+MOST_ALARMS: Final = 1000
+"""How many are kept; of more, the cleared ones go first, then the oldest. Sentences alone may be 384."""
+
+LEDGER_BOUND: Final = 0.0
+"""-V(psi_0) of every party, J: what its ledger may not fall below, for all start at rest."""
+
+LEDGER_ROUNDING: Final = 1e-9
+"""What the sums of a long session may be wrong by, J."""
+
+
+class Level(StrEnum):
+    """How grave an alarm is; the graver the later."""
+
+    NOTE = "note"  # it happened, and the session withstood it
+    WARNING = "warning"  # the certificate's word, or a user, is not what it was
+    FAULT = "fault"  # a promise is broken, or a part of the session is gone
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Something that a person should know.
+
+    Attributes:
+        key: what it is about; one alarm stands for each at a time.
+        level: how grave it is.
+        text: what is so.
+        advice: what to do.
+        since: when it was first seen.
+        cleared: when its cause was last seen, if it is gone; None while it stands.
+    """
+
+    key: str
+    level: Level
+    text: str
+    advice: str
+    since: Instant
+    cleared: Instant | None = None
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What is so now, and would raise an alarm; ``lasting`` if it cannot be undone."""
+
+    key: str
+    level: Level
+    text: str
+    advice: str
+    lasting: bool = False
+
+
+_AWAY: Final = "See the log of the node; a session with faults: {restarts: N} brings it back by itself."
+_NODE_ADVICE: Final = {
+    Health.AWAY: _AWAY,
+    Health.SILENT: "Its process runs and says nothing: see whether it hangs or the machine is overloaded.",
+    Health.LATE: "The machine is too slow for the period: run manyhands doctor, close what else runs.",
+}
+_NODE_TEXT: Final = {
+    Health.SILENT: "nothing has been heard of it for a while",
+    Health.LATE: "more of its ticks are late than a machine has now and then",
+}
+_NODE_LEVEL: Final = {Health.AWAY: Level.FAULT, Health.SILENT: Level.FAULT, Health.LATE: Level.WARNING}
+
+
+def causes(scene: Scene, now: Instant) -> Iterator[Cause]:
+    """Everything that is so in this scene, the gravest not necessarily first."""
+    yield from _told(scene)
+    for node in scene.nodes.values():
+        yield from _of_node(node)
+        yield from _ledger(node)
+        yield from _tau(node, scene)
+    if scene.frozen:
+        yield Cause(
+            "frozen",
+            Level.WARNING,
+            f"{scene.frozen} of the session's couplings {'is' if scene.frozen == 1 else 'are'} frozen",
+            "Their users take no part until they are heard in time again; the others go on, still certified.",
+        )
+    yield from _unheard(scene, now)
+
+
+def _told(scene: Scene) -> Iterator[Cause]:
+    said = scene.condition
+    if said is None:
+        return
+    for text in said.faults:
+        yield Cause(f"fault: {text}", Level.FAULT, text, "The session ends of it; see its report and logs.", True)
+    for text in said.notices:
+        advice = "An assumption of the certificate was broken: what it proves is about a session without this."
+        yield Cause(f"notice: {text}", Level.WARNING, text, advice, True)
+    for text in said.incidents:
+        yield Cause(f"incident: {text}", Level.NOTE, text, "Nothing: the session withstood it.", True)
+
+
+def _of_node(node: NodeScene) -> Iterator[Cause]:
+    level = _NODE_LEVEL.get(node.health)
+    if level is None or node.state == "leaving":
+        return
+    text = _NODE_TEXT.get(node.health, node.state)
+    yield Cause(f"{node.name} {node.health}", level, f"{node.name}: {text}", _NODE_ADVICE[node.health])
+
+
+def _ledger(node: NodeScene) -> Iterator[Cause]:
+    margin = node.figures.get(names.LEDGER_MARGIN, 0.0)
+    if margin < LEDGER_BOUND - LEDGER_ROUNDING:
+        yield Cause(
+            f"{node.name} ledger",
+            Level.FAULT,
+            f"{node.name}: its ledger fell to {margin:.3g} J, below its bound of {LEDGER_BOUND:g} J",
+            "It broke its promise of passivity: let go of it, and see whether it is as passive as declared (osp).",
+        )
+
+
+def covered_tau(scene: Scene, device: str) -> float:
+    """The delay (s) that the certificate covers for a device now: that of the rung its couplings are on."""
+    certificate = scene.about.certificate
+    if certificate is None:
+        return 0.0
+    taus = (certificate.tau, *certificate.ladder)
+    couplings = [
+        scene.nodes[end]
+        for link in scene.about.links
+        if device in link.ends
+        for end in link.ends
+        if end in scene.nodes and scene.nodes[end].role is Role.COUPLING
+    ]
+    rungs = (round(coupling.figures.get(names.RUNG, 0.0)) for coupling in couplings)
+    return min((taus[max(0, min(rung, len(taus) - 1))] for rung in rungs), default=certificate.tau)
+
+
+def _tau(node: NodeScene, scene: Scene) -> Iterator[Cause]:
+    certificate = scene.about.certificate
+    if node.role is not Role.DEVICE or certificate is None or scene.about.clock != "realtime":
+        return
+    worst, covered = node.figures.get(names.TAU_WORST, 0.0), covered_tau(scene, node.name) * 1e6
+    if worst > covered:
+        yield Cause(
+            f"{node.name} tau",
+            Level.WARNING,
+            f"{node.name}: its force came later than the {covered:.4g} us that the certificate covers",
+            "Run manyhands doctor; design for a longer tau, or with a ladder and faults: breach: soften.",
+        )
+
+
+def _unheard(scene: Scene, now: Instant) -> Iterator[Cause]:
+    heard = [node.heard for node in scene.nodes.values() if node.heard is not None]
+    over = scene.condition is not None and scene.condition.phase in ("ending", "over")
+    if heard and not over and now - max(heard) > UNHEARD:
+        yield Cause(
+            "unheard",
+            Level.FAULT,
+            "nothing has been heard of the whole session for a while",
+            "What is drawn is old: see whether its supervisor is stopped or the machine is overloaded.",
+        )
+
+
+_GRAVITY: Final = {level: place for place, level in enumerate(Level)}
+
+
+class Alarms:
+    """The alarms of a session.
+
+    Attributes:
+        version: another one whenever :meth:`listed` is.
+    """
+
+    def __init__(self) -> None:
+        """None yet."""
+        self._alarms: dict[str, Alarm] = {}
+        self._seen: dict[str, Instant] = {}
+        self._lasting: set[str] = set()
+        self.version = 0
+
+    def look(self, scene: Scene, now: Instant) -> None:
+        """Raise and clear what there is to be raised and cleared."""
+        for cause in causes(scene, now):
+            self._seen[cause.key] = now
+            standing = self._alarms.get(cause.key)
+            if standing is None or standing.cleared is not None:
+                self._alarms.pop(cause.key, None)  # raised again: a new one, at the end
+                self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, now))
+                if cause.lasting:
+                    self._lasting.add(cause.key)
+            elif standing.text != cause.text:
+                self._put(replace(standing, text=cause.text))
+        for key, alarm in list(self._alarms.items()):
+            if alarm.cleared is None and key not in self._lasting and now - self._seen[key] > HOLD:
+                self._put(replace(alarm, cleared=self._seen[key]))
+        self._forget()
+
+    def listed(self) -> list[Alarm]:
+        """Those that stand, the gravest first, and then those that are cleared; of each kind the latest first."""
+
+        def order(alarm: Alarm) -> tuple[bool, int, int]:
+            return alarm.cleared is not None, -_GRAVITY[alarm.level], -alarm.since
+
+        return sorted(self._alarms.values(), key=order)
+
+    def _put(self, alarm: Alarm) -> None:
+        self._alarms[alarm.key] = alarm
+        self.version += 1
+
+    def _forget(self) -> None:
+        for alarm in [] if len(self._alarms) <= MOST_ALARMS else self.listed()[MOST_ALARMS:]:
+            del self._alarms[alarm.key], self._seen[alarm.key]
+            self._lasting.discard(alarm.key)

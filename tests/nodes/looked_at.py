@@ -1,0 +1,65 @@
+"""A session to look on at that needs no processes: its description, and frames as its gallery would show them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.observer.decimation import Floats
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Condition, Observation, Role
+
+ABOUT = About(
+    session="pair",
+    id="c" * 64,
+    pid=os.getpid(),
+    clock="realtime",
+    transport="ipc",
+    period=0.001,
+    ticks=0,
+    started=1.7e9,
+    nodes={
+        "left": NodeAbout(Role.DEVICE, ("left",)),
+        "right": NodeAbout(Role.DEVICE, ("right.x", "right.y")),
+        "vl": NodeAbout(Role.COUPLING, ("left",)),
+        "vr": NodeAbout(Role.COUPLING, ("right.x", "right.y")),
+        "environment": NodeAbout(Role.ENVIRONMENT, ("left", "right.x", "right.y")),
+    },
+    links=(
+        LinkAbout(("left", "vl"), ("left",)),
+        LinkAbout(("right", "vr"), ("right.x", "right.y")),
+        LinkAbout(("vl", "environment"), ("left",)),
+        LinkAbout(("vr", "environment"), ("right.x", "right.y")),
+    ),
+    masses={"ball": 0.5},
+    springs=(SpringAbout(("left", "ball"), 100.0, 0.1), SpringAbout(("right.x", "ball"), 100.0, 0.1)),
+    grips=("right",),
+    reach={"left": 0.1, "right.x": 0.1, "right.y": 0.05},
+    certificate=CertificateAbout(0.0003, {"(10)": 0.5}, None, {"left": 1.0, "right": 1.0}, (0.0005,), ()),
+    environment="network",
+)
+"""Two users and a ball; the right device can be held."""
+
+UNCERTIFIED = replace(ABOUT, certificate=None)
+
+
+def observed(node: str, tick: int, traces: Mapping[str, Floats], **figures: float) -> bytes:
+    """A frame of what a node told."""
+    return encode(Observation(node, tick, figures, traces))
+
+
+def moving(tick: int, rows: int = 100) -> bytes:
+    """A frame of the left device, whose displacement is a thousandth of the tick's number, m."""
+    x = np.arange(tick - rows, tick, dtype=np.float64)[:, None] / 1e3
+    return observed("left", tick, {"x": x, "f_v": -x, "ledger": x, "tau_us": x}, tau_worst_us=100.0)
+
+
+def conditioned(phase: str = "running", **told: tuple[str, ...]) -> bytes:
+    """A frame of how the session is, all nodes running but those that ``lost`` names."""
+    lost = told.pop("lost", ())
+    states = {name: "lost" if name in lost else "running" for name in ABOUT.nodes}
+    return encode(Condition(phase, 1.0, states, **told))

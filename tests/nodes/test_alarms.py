@@ -1,0 +1,143 @@
+"""Alarms: what raises each, since when, that it is cleared, and that what comes and goes is one alarm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manyhands.nodes.observer.about import About
+from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, Alarms, Level, covered_tau
+from manyhands.nodes.observer.scene import Scene
+from manyhands.protocol.clock import Instant, from_seconds
+
+from .looked_at import ABOUT, UNCERTIFIED, conditioned, observed
+
+NO_TRACE: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = {}
+START = Instant(10**9)
+
+
+def at(seconds: float) -> Instant:
+    return Instant(START + from_seconds(seconds))
+
+
+def looked(*frames: bytes, about: About = ABOUT) -> tuple[Scene, Alarms]:
+    scene, alarms = Scene(about), Alarms()
+    for frame in frames:
+        assert scene.take(frame, START) is not None
+    alarms.look(scene, START)
+    return scene, alarms
+
+
+def only(alarms: Alarms) -> Alarm:
+    [alarm] = alarms.listed()
+    return alarm
+
+
+def test_a_session_that_is_well_has_none() -> None:
+    _, alarms = looked(conditioned(), observed("left", 100, NO_TRACE, ledger_margin=0.0, tau_worst_us=299.0))
+    assert alarms.listed() == []
+    assert alarms.version == 0
+
+
+@pytest.mark.parametrize(
+    ("frame", "level", "words"),
+    [
+        (conditioned(notices=("left: a delay",)), Level.WARNING, "left: a delay"),
+        (conditioned(incidents=("vl came back",)), Level.NOTE, "vl came back"),
+        (conditioned(faults=("vl was killed",)), Level.FAULT, "vl was killed"),
+        (conditioned(silent=("vr",)), Level.FAULT, "vr: nothing has been heard"),
+        (conditioned(lost=("left",)), Level.FAULT, "left: lost"),
+        (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), Level.FAULT, "vl: its ledger fell to -0.25 J"),
+        (observed("left", 100, NO_TRACE, tau_worst_us=301.0), Level.WARNING, "later than the 300 us"),
+        (observed("environment", 100, NO_TRACE, frozen=2.0), Level.WARNING, "2 of the session's couplings are frozen"),
+    ],
+)
+def test_what_raises_an_alarm(frame: bytes, level: Level, words: str) -> None:
+    alarm = only(looked(frame)[1])
+    assert (alarm.level, alarm.since, alarm.cleared) == (level, START, None)
+    assert words in alarm.text
+    assert alarm.advice
+
+
+def test_late_ticks_raise_one() -> None:
+    scene, alarms = looked(conditioned(), observed("left", 100, NO_TRACE, late=0.0))
+    scene.take(observed("left", 1100, NO_TRACE, late=200.0), at(1.0))
+    alarms.look(scene, at(1.0))
+    assert "more of its ticks are late" in only(alarms).text
+
+
+def test_a_simulated_clock_and_no_certificate_know_no_delay() -> None:
+    slow = observed("left", 100, NO_TRACE, tau_worst_us=1e6)
+    assert looked(slow, about=replace(ABOUT, clock="simulated"))[1].listed() == []
+    assert looked(slow, about=UNCERTIFIED)[1].listed() == []
+
+
+def test_a_softer_coupling_covers_a_longer_delay() -> None:
+    softened = observed("vl", 100, NO_TRACE, rung=1.0)
+    scene, alarms = looked(softened, observed("left", 100, NO_TRACE, tau_worst_us=400.0))
+    assert alarms.listed() == []
+    assert (covered_tau(scene, "left"), covered_tau(scene, "right")) == (0.0005, 0.0003)
+
+
+def test_an_alarm_is_cleared_when_its_cause_has_been_away_for_a_while() -> None:
+    scene, alarms = looked(conditioned(silent=("vr",)))
+    scene.take(conditioned(), at(0.1))
+    alarms.look(scene, Instant(START + HOLD))
+    assert only(alarms).cleared is None
+    alarms.look(scene, Instant(START + HOLD + 1))
+    assert only(alarms).cleared == START
+
+
+def test_what_comes_and_goes_is_one_alarm() -> None:
+    scene, alarms = looked(conditioned(silent=("vr",)))
+    version = alarms.version
+    for step in range(1, 20):
+        scene.take(conditioned(silent=("vr",) if step % 2 else ()), at(step * 0.5))
+        alarms.look(scene, at(step * 0.5))
+    assert (only(alarms).since, only(alarms).cleared) == (START, None)
+    assert alarms.version == version
+
+
+def test_what_is_raised_again_is_a_new_one() -> None:
+    scene, alarms = looked(conditioned(silent=("vr",)))
+    scene.take(conditioned(), at(1.0))
+    alarms.look(scene, at(10.0))
+    scene.take(conditioned(silent=("vr",)), at(11.0))
+    alarms.look(scene, at(11.0))
+    assert (only(alarms).since, only(alarms).cleared) == (at(11.0), None)
+
+
+def test_what_has_happened_is_not_cleared() -> None:
+    scene, alarms = looked(conditioned(faults=("vl was killed",)))
+    scene.take(conditioned(), at(1.0))
+    alarms.look(scene, at(100.0))
+    assert only(alarms).cleared is None
+
+
+def test_a_session_of_which_nothing_is_heard_raises_one_until_it_is_over() -> None:
+    scene, alarms = looked(conditioned(), observed("left", 100, NO_TRACE))
+    alarms.look(scene, Instant(START + UNHEARD + 1))
+    assert only(alarms).key == "unheard"
+    over, quiet = looked(conditioned("over"), observed("left", 100, NO_TRACE))
+    quiet.look(over, Instant(START + UNHEARD + 1))
+    assert quiet.listed() == []
+
+
+def test_the_gravest_come_first_and_the_cleared_last() -> None:
+    told = conditioned(silent=("vr",), notices=("n",), faults=("f",), incidents=("i",))
+    scene, alarms = looked(told)
+    scene.take(conditioned(notices=("n",), faults=("f",), incidents=("i",)), at(1.0))
+    alarms.look(scene, at(10.0))
+    assert [alarm.text for alarm in alarms.listed()][:3] == ["f", "n", "i"]
+    assert alarms.listed()[3].cleared is not None
+
+
+def test_no_more_are_kept_than_so_many() -> None:
+    scene, alarms = looked(conditioned())
+    for step in range(30):
+        scene.take(conditioned(incidents=tuple(f"{step} {i}" for i in range(100))), at(step))
+        alarms.look(scene, at(step))
+    assert len(alarms.listed()) == MOST_ALARMS
+    assert alarms.listed()[0].text.startswith("29 ")

@@ -1,0 +1,103 @@
+"""The page in a browser: what moves is drawn, what happens is told, and a drag is felt by the other user."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+
+from .browsing import browsing, centre, open_page, picture, until, viewed
+
+CHROMIUM = shutil.which("chromium")
+REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
+PICTURES = Path(os.environ.get("MANYHANDS_PAGE_OUT", Path(__file__).parents[2] / "out" / "page"))
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine")
+
+LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
+BALL = '[data-mass="ball"]'
+MOVED = 0.001  # m: nobody else moves anything in this session
+FELT = 0.01  # N
+OVERFLOW = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
+
+
+def node_of(supervisor: int, node: str) -> int:
+    """The process id of a session's node."""
+    children = Path(f"/proc/{supervisor}/task/{supervisor}/children").read_text().split()
+    [found] = [int(pid) for pid in children if f"/{node}.bundle" in Path(f"/proc/{pid}/cmdline").read_text()]
+    return found
+
+
+def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
+    with viewed() as (address, supervisor), browsing(CHROMIUM) as browser:
+        wide = open_page(browser, address, 1280, "light", wrong)
+        picture(wide, PICTURES, "running-1280-light")
+
+        x, y = centre(wide, LEFT)
+        wide.mouse.move(x, y)
+        wide.mouse.down()
+        wide.mouse.move(x + 60, y, steps=6)
+        until(wide, LEFT, "data-held", equals="here")
+        until(wide, BALL, "data-at", above=MOVED)
+        until(wide, RIGHT_FORCE, "data-force", above=FELT)
+        picture(wide, PICTURES, "dragged-1280-light")
+
+        narrow = open_page(browser, address, 390, "dark", wrong)
+        until(narrow, LEFT, "data-held", equals="elsewhere")
+        picture(narrow, PICTURES, "dragged-390-dark")
+        wide.bring_to_front()
+        wide.mouse.up()
+        until(wide, LEFT, "data-held", equals="")
+        until(narrow, LEFT, "data-held", equals="")
+
+        wide.locator(LEFT).focus()
+        for _ in range(6):
+            wide.keyboard.press("Shift+ArrowLeft")
+        until(wide, LEFT, "data-held", equals="here")
+        until(wide, BALL, "data-at", below=-MOVED)
+        until(wide, RIGHT_FORCE, "data-force", below=-FELT)
+        picture(wide, PICTURES, "keys-1280-light")
+        wide.keyboard.press("Escape")
+        until(wide, LEFT, "data-held", equals="")
+
+        wide.locator("#tab-x").focus()
+        wide.keyboard.press("ArrowRight")
+        until(wide, "#tab-v", "aria-selected", equals="true")
+        until(wide, "#plot", "data-points", above=100)
+        for page, scheme in ((wide, "dark"), (narrow, "light")):
+            page.emulate_media(color_scheme=scheme)
+        picture(wide, PICTURES, "velocity-1280-dark")
+        picture(narrow, PICTURES, "running-390-light")
+
+        os.kill(node_of(supervisor, "right_tool"), signal.SIGKILL)
+        for page, name in ((wide, "alarm-1280-dark"), (narrow, "alarm-390-light")):
+            until(page, "#alarms-list", "text", has="right_tool was killed by SIGKILL")
+            picture(page, PICTURES, name)
+            assert page.evaluate(OVERFLOW) <= 0, "the page is wider than its window"
+
+        os.kill(supervisor, signal.SIGINT)
+        for page in (wide, narrow):
+            until(page, "body", "data-state", equals="over")
+        assert wrong == []
+
+
+def test_a_page_with_a_token(tmp_path: Path) -> None:
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    token = tmp_path / "token"
+    token.touch(0o600)
+    token.write_text("0123456789abcdef")
+    wrong: list[str] = []
+    with viewed("--token-file", token) as (address, _), browsing(CHROMIUM) as browser:
+        stranger = browser.new_page()
+        stranger.goto(address, timeout=60_000)
+        until(stranger, "body", "data-state", equals="refused")
+        until(stranger, "#connection", "text", has="a token is needed")
+        page = open_page(browser, f"{address}#token=0123456789abcdef", 1280, "light", wrong)
+        assert page.url == address, "the token is to be seen"
+        assert wrong == []
