@@ -193,10 +193,10 @@ class BreachPolicy:
         return out
 
     def _assumption(self, device: str, figures: Mapping[str, float]) -> str:
-        tau = figures.get(f"{names.TAU}_p50", math.nan)
+        median = figures.get(f"{names.TAU}_p50", math.nan)
         return (
-            f"{device}: the force is applied {tau:.0f} us (median) after the sample; the certificate assumes "
-            f"{self._tau * 1e6:g} us"
+            f"{device}: a force was applied {_longest_delay(figures) * 1e6:.0f} us after its sample (median "
+            f"{median:.0f} us); the certificate assumes {self._tau * 1e6:g} us"
         )
 
 

@@ -50,7 +50,7 @@ class Measured:
         counts[names.TAU_BREACHES] += breaches
         counts[names.PERIOD_BREACHES] += late_periods
         self._ticks[device] = self._ticks.get(device, 0) + TICKS
-        figures = {**counts, names.TAU_WORST: worst, f"{names.TAU}_p50": 150.0}
+        figures = {**counts, names.TAU_WORST: worst, f"{names.TAU}_p50": 50.0}
         decisions = self.policy.judge(device, self._ticks[device], figures)
         self.rungs.update({d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)})
         new = [d for d in decisions if not isinstance(d, Notice) or d.key not in self.notices]
@@ -71,7 +71,7 @@ def test_the_first_breach_is_told_at_once_and_once() -> None:
     m = Measured(Policy.SOFTEN, Rungs())
     (notice,) = m.tell("dx", 1)
     assert notice == Notice(
-        "dx", "dx: the force is applied 150 us (median) after the sample; the certificate assumes 100 us"
+        "dx", "dx: a force was applied 200 us after its sample (median 50 us); the certificate assumes 100 us"
     )
     assert m.tell("dx", 1) == []
     assert m.rungs == {}
