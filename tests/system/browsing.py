@@ -26,6 +26,9 @@ QUIET: Final = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-background-timer-throttling",  # of two pages one is behind the other, and holds a device all the same
+    "--disable-backgrounding-occluded-windows",
+    "--disable-renderer-backgrounding",
 )
 
 UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
