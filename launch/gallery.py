@@ -38,6 +38,14 @@ def condition_of(progress: Progress) -> Condition:
     return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
 
 
+def condition_frame(progress: Progress) -> bytes | None:
+    """What is told of how the session is; None where its sentences are longer than a frame may be."""
+    try:
+        return encode(condition_of(progress))
+    except ValueError:  # as above: the next one may be shorter
+        return None
+
+
 def describe(prepared: Prepared, clock: str, transport: str, ticks: int) -> About:
     """The session's description, as it is about to be started."""
     session, graph = prepared.session, topology(prepared.session)
@@ -105,13 +113,9 @@ class Showing:
         about.save(directory)
 
     def tell(self, frame: bytes | None) -> None:
-        """Show a node's observation."""
+        """Show a node's observation, or how the session is; nothing where that is too long to be shown."""
         if frame is not None:
             self._gallery.show(frame)
-
-    def tell_condition(self, condition: Condition) -> None:
-        """Show how the session is."""
-        self._gallery.show(encode(condition))
 
     def close(self) -> None:
         """Close it. A second time does nothing."""

@@ -12,16 +12,19 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from manyhands.launch.bundles import mass_names
 from manyhands.launch.conductor import signal_name
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.processes import ONE_THREAD
 from manyhands.launch.recorder import Recorder
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.run_directory import kept_files
 from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.recorder.layout import Recorded
@@ -49,7 +52,7 @@ class RecorderProcess(Recorder):
 
     Attributes:
         path: the recording.
-        lost: observations that the recorder had no room for, or that are too long to be passed on.
+        lost: what the recorder had no room for, or observations that are too long to be passed on.
         incident: why the recording stopped before its session, if it did.
     """
 
@@ -66,9 +69,11 @@ class RecorderProcess(Recorder):
         self.path = path
         self.lost = 0
         self.incident: str | None = None
+        session = prepared.session
         self._recorded = Recorded(
-            prepared.session.name, prepared.id, prepared.session.period, clock_name, graph.nodes, graph.ports
+            session.name, prepared.id, session.period, clock_name, graph.nodes, graph.ports, mass_names(session)
         )
+        self._attachments = kept_files(prepared)
         self._lossless = clock_name == SIMULATED
         self._clock = clock or RealtimeClock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -88,7 +93,8 @@ class RecorderProcess(Recorder):
             OSError: it cannot be started.
         """
         plan = directory / "recorder.plan"
-        Plan(self.path.absolute(), directory.absolute(), self._recorded).save(plan)
+        started = time.time_ns()
+        Plan(self.path.absolute(), directory.absolute(), self._recorded, self._attachments, started).save(plan)
         pipe, its_end = os.pipe2(os.O_CLOEXEC)
         self._fds = (pipe,)
         os.set_blocking(pipe, False)

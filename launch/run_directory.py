@@ -17,18 +17,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from manyhands.design.certificate import save
+from manyhands.design.certificate import to_json
 from manyhands.launch.files import TargetError, replacing
 from manyhands.launch.report import save_json
 from manyhands.nodes.log import LOG_FOLDER
+from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
 
 if TYPE_CHECKING:
     from manyhands.launch.preparation import Prepared
 
 _PREFIX = "manyhands-"
 
-SESSION: Final = "session.yaml"
-CERTIFICATE: Final = "certificate.json"
 REPORT: Final = "report.json"
 
 
@@ -92,6 +91,19 @@ def require_new(path: Path) -> None:
         raise TargetError(f"{path}: found a folder that is not empty; expected a new one for each run")
 
 
+def kept_files(prepared: Prepared) -> dict[str, bytes]:
+    """What is kept of a session beside its run, contents by name: itself with every override, and its certificate.
+
+    Both are read back as what they were: :func:`manyhands.launch.session.load_session`,
+    :func:`manyhands.design.certificate.load`.
+    """
+    text = yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True)
+    out = {SESSION_FILE: text.encode()}
+    if prepared.certificate is not None:
+        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
+    return out
+
+
 class SessionDirectory:
     """Everything of one run that its user keeps, in one place; never a key.
 
@@ -125,10 +137,9 @@ class SessionDirectory:
         Raises:
             OSError: they cannot be written.
         """
-        with replacing(self.path / SESSION) as partial:
-            partial.write_text(yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True))
-        if prepared.certificate is not None:
-            save(prepared.certificate, self.path / CERTIFICATE)
+        for name, data in kept_files(prepared).items():
+            with replacing(self.path / name) as partial:
+                partial.write_bytes(data)
 
     def keep_report(self, report: Mapping[str, Any]) -> None:
         """Write the report.

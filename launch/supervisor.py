@@ -30,7 +30,7 @@ from manyhands.launch.conductor import (
     Terminate,
 )
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
-from manyhands.launch.gallery import Showing, condition_of, describe, observation_frame
+from manyhands.launch.gallery import Showing, condition_frame, describe, observation_frame
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.outcome import Outcome, Progress
 from manyhands.launch.placement import placement
@@ -227,11 +227,14 @@ class Supervisor:
         self._tell(self._progress(processes))
 
     def _tell(self, progress: Progress) -> None:
-        """Show how the session is, here and to whoever looks on."""
+        """Show how the session is, here and to whoever looks on, and have it written down."""
         if self._show is not None:
             self._show(progress)
+        told = condition_frame(progress)
+        if told is not None:  # one that is too long is no loss: the next says all that it said
+            self._recorder.tell(told)
         if self._showing is not None:
-            self._showing.tell_condition(condition_of(progress))
+            self._showing.tell(told)
 
     def _tell_of_recorder(self, incident: str | None) -> None:
         if incident is not None:

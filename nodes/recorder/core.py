@@ -7,154 +7,181 @@ belongs to one observation is always in one chunk.
 
 from __future__ import annotations
 
-import io
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
-from mcap.writer import CompressionType, Writer
-
 from manyhands.nodes.recorder.layout import (
+    CONDITION_SCHEMA,
     FIGURES_SCHEMA,
+    MAX_TIME_NS,
+    MEDIA_TYPES,
+    MESSAGE_ENCODING,
     METADATA,
-    ROWS_SCHEMA,
-    TELEMETRY,
-    TRACE_CHANNELS,
-    Array,
+    SCHEMA_ENCODING,
+    SEQUENCES,
+    SUPERVISOR,
     Recorded,
+    encode_condition,
     encode_figures,
-    encode_rows,
+    schema_of,
 )
-from manyhands.protocol.channels import CHANNELS, channel_name
+from manyhands.nodes.recorder.rows import Ticks, lengths_of, row_texts
+from manyhands.nodes.recorder.tape import Tape
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Observation, Role, Stop
+from manyhands.protocol.messages import Condition, Observation, Role, Stop, Values
+from manyhands.protocol.topics import CONDITION, TELEMETRY, Columns, Topic, topic_name
 
 CHUNK_BYTES: Final = 1024 * 1024
 """After so many bytes a chunk is closed, however young it is."""
-
-_NEVER: Final = 2**62  # of the writer's own rule when to close a chunk: it could fall between x and f_v of a device
-_SEQUENCE: Final = 2**32  # an MCAP sequence number has 32 bits
-
-
-class _Tape(io.BytesIO):
-    """What was written and not yet taken away; positions are those in the file."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._taken = 0
-
-    def tell(self) -> int:
-        return self._taken + super().tell()
-
-    def take(self) -> bytes:
-        out = self.getvalue()
-        self._taken += len(out)
-        self.seek(0)
-        self.truncate()
-        return out
 
 
 class RecorderCore:
     """Turns observations into a file.
 
+    Times in the file are the session's own: tick k was at the start plus kT. The start is counted back from the arrival
+    of the first observation, so that it is the time of day too, as long as ticks keep to the clock on the wall.
+
     Attributes:
         over: becomes true when the session has said that nothing more will come.
         tick: the latest tick of any device that was taken.
         missing: ticks that were never told, by device; its observations were lost on the way.
-        refused: frames that were no observation, or of nobody's, or did not fit its node's ports and ticks.
+        refused: frames that were no observation, or of nobody's, or did not fit its node's columns and ticks.
     """
 
-    def __init__(self, recorded: Recorded) -> None:
-        """Begin the file of what ``recorded`` says."""
+    def __init__(self, recorded: Recorded, attachments: Mapping[str, bytes] | None = None, started: int = 0) -> None:
+        """Begin the file of what ``recorded`` says.
+
+        Args:
+            recorded: the session.
+            attachments: contents by name, of those of :data:`~manyhands.nodes.recorder.layout.MEDIA_TYPES`.
+            started: when the recording was, ns since 1970.
+        """
         self._recorded = recorded
-        self._tape = _Tape()
-        self._writer = Writer(self._tape, chunk_size=_NEVER, compression=CompressionType.NONE)
-        self._writer.start(profile="", library="manyhands")
-        self._writer.add_metadata(METADATA, recorded.as_metadata())
-        self._channels = self._register()
-        self._next = dict.fromkeys(recorded.devices, 0)
-        self._waiting = 0
+        self._tape = Tape(f"manyhands {recorded.version}")
+        self._tape.metadata(METADATA, recorded.as_metadata())
+        for name, data in (attachments or {}).items():
+            self._tape.attach(name, MEDIA_TYPES.get(name, "application/octet-stream"), data, started)
+        self._topics = {node: {topic.trace: topic for topic in recorded.topics(node)} for node in recorded.roles}
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+        self._next = dict.fromkeys(recorded.roles, 0)
+        self._start: int | None = None
+        self._condition: Condition | None = None
         self.over = False
         self.tick = 0
         self.missing = dict.fromkeys(recorded.devices, 0)
         self.refused = 0
-
-    def _register(self) -> dict[tuple[str, str], int]:
-        """Say what the channels are; returns their numbers by node and trace, and by node and ``telemetry``."""
-        rows, figures = (
-            self._writer.register_schema(name, encoding, text.encode())
-            for name, encoding, text in (ROWS_SCHEMA, FIGURES_SCHEMA)
-        )
-        out: dict[tuple[str, str], int] = {}
-        for node, role in self._recorded.roles.items():
-            told = {"node": node, "role": role.value}
-            for trace, name in TRACE_CHANNELS.get(role, {}).items():
-                channel = CHANNELS[name]
-                about = {
-                    "symbol": channel.symbol,
-                    "unit": channel.unit,
-                    "ports": json.dumps(self._recorded.ports[node]),
-                }
-                full = channel_name(self._recorded.session, node, name)
-                out[node, trace] = self._writer.register_channel(full, "cdr", rows, {**told, **about})
-            full = channel_name(self._recorded.session, node, TELEMETRY)
-            out[node, TELEMETRY] = self._writer.register_channel(full, "json", figures, told)
-        return out
 
     def take(self, frame: bytes, time: int) -> None:
         """Take in a frame that arrived at ``time``, ns since 1970. What makes no sense is counted."""
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Stop):
             self.over = True
+        elif isinstance(message, Condition):
+            self._note(message, time)
         elif isinstance(message, Observation) and self._fits(message):
-            self._write(message, time)
+            if self._start is None:
+                self._start = max(0, time - self._since_start(message.tick))
+            self._write(message)
         else:
             self.refused += 1
 
+    def _since_start(self, tick: int) -> int:
+        """How long after tick 0 it is, ns."""
+        return round(tick * self._recorded.tick_ns)
+
     def _fits(self, told: Observation) -> bool:
-        role = self._recorded.roles.get(told.node)
-        if role is None:
+        topics, rows = self._topics.get(told.node), {trace.shape[0] for trace in told.traces.values()}
+        if topics is None or not told.traces.keys() <= topics.keys():
             return False
-        width, rows = len(self._recorded.ports[told.node]), {trace.shape[0] for trace in told.traces.values()}
-        fitting = all(trace.shape[1] == width for trace in told.traces.values())
-        known = told.traces.keys() <= TRACE_CHANNELS.get(role, {}).keys()
-        if not (fitting and known and len(rows) <= 1 and max(rows, default=0) <= told.tick):
-            return False
-        return role is not Role.DEVICE or told.tick - max(rows, default=0) >= self._next[told.node]
+        first = told.tick - max(rows, default=0)
+        return (
+            len(rows) <= 1
+            and first >= (self._next[told.node] if rows else 0)
+            and (self._start or 0) + self._since_start(told.tick) <= MAX_TIME_NS
+            and all(self._width(told.node, topics[name]) == trace.shape[1] for name, trace in told.traces.items())
+        )
 
-    def _write(self, told: Observation, time: int) -> None:
-        sequence = told.tick % _SEQUENCE
-        for trace, values in told.traces.items():
-            if values.size:
-                data = encode_rows(told.tick - values.shape[0], values)
-                self._add(self._channels[told.node, trace], time, data, sequence)
+    def _width(self, node: str, topic: Topic) -> int:
+        return len(self._recorded.columns(node, topic))
+
+    def _write(self, told: Observation) -> None:
+        start, rows = self._start or 0, max((trace.shape[0] for trace in told.traces.values()), default=0)
+        if rows:
+            ticks = Ticks.of(told.tick - rows, rows, start, self._recorded.tick_ns)
+            for topic in self._topics[told.node].values():
+                if topic.trace in told.traces:
+                    self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
+            self._count(told.node, told.tick, rows)
         if told.figures:
-            data = encode_figures(told.tick, told.figures)
-            self._add(self._channels[told.node, TELEMETRY], time, data, sequence)
-        if told.node in self._next and told.traces:
-            self._count(told.node, told.tick, next(iter(told.traces.values())))
+            about = {"node": told.node, "role": self._recorded.roles[told.node].value}
+            channel = self._channel(told.node, TELEMETRY, FIGURES_SCHEMA, about)
+            self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
 
-    def _add(self, channel: int, time: int, data: bytes, sequence: int) -> None:
-        self._writer.add_message(channel, time, data, time, sequence)
-        self._waiting += len(data)
+    def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
+        one = topic.columns is Columns.ONE
+        about = {
+            "node": node,
+            "role": self._recorded.roles[node].value,
+            "symbol": topic.symbol,
+            "unit": topic.unit,
+            "columns": json.dumps(self._recorded.columns(node, topic), ensure_ascii=False),
+        }
+        channel = self._channel(node, topic.name, schema_of(topic), about)
+        rows, count = row_texts(values, one), len(values)
+        key, end = f'"{topic.trace}": {"" if one else "["}'.encode(), b"}" if one else b"]}"
+        lengths = ticks.lengths + lengths_of(rows) + len(key) + len(end)
+        columns = (ticks.beginnings, (key,) * count, rows, (end,) * count)
+        self._tape.messages(channel, ticks.times, ticks.sequences, lengths, columns)
 
-    def _count(self, device: str, tick: int, values: Array) -> None:
-        self.missing[device] += tick - values.shape[0] - self._next[device]
-        self._next[device] = tick
-        self.tick = max(self.tick, tick)
+    def _channel(self, node: str, name: str, schema: tuple[str, str], about: dict[str, str]) -> int:
+        """The channel of a node's topic; the file is told of it before its first message."""
+        number = self._channels.get((node, name))
+        if number is None:
+            title, text = schema
+            if title not in self._schemas:
+                self._schemas[title] = self._tape.schema(title, SCHEMA_ENCODING, text)
+            full = topic_name(self._recorded.session, node, name)
+            number = self._tape.channel(full, MESSAGE_ENCODING, self._schemas[title], about)
+            self._channels[node, name] = number
+        return number
+
+    def _add(self, channel: int, tick: int, start: int, data: bytes) -> None:
+        self._tape.message(channel, start + self._since_start(tick), tick % SEQUENCES, data)
+
+    def _note(self, condition: Condition, time: int) -> None:
+        """Write down how the session is, unless nothing has changed but the time."""
+        before, self._condition = self._condition, condition
+        if before is not None and replace(condition, elapsed=before.elapsed) == before:
+            return
+        about = {"node": SUPERVISOR, "role": Role.SUPERVISOR.value}
+        channel = self._channel(SUPERVISOR, CONDITION, CONDITION_SCHEMA, about)
+        data = encode_condition(self.tick, condition)
+        if self._start is None:  # the time of tick 0 is not known yet
+            self._tape.message(channel, time, self.tick % SEQUENCES, data)
+        else:
+            self._add(channel, self.tick, self._start, data)
+
+    def _count(self, node: str, tick: int, rows: int) -> None:
+        gap, self._next[node] = tick - rows - self._next[node], tick
+        if node in self.missing:
+            self.missing[node] += gap
+            self.tick = max(self.tick, tick)
 
     @property
     def full(self) -> bool:
         """Whether the chunk should be closed now, however young it is."""
-        return self._waiting >= CHUNK_BYTES
+        return self._tape.waiting >= CHUNK_BYTES
 
     def cut(self) -> bytes:
         """Close the chunk; returns what the file lacks so far, nothing if that is nothing."""
-        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments alone
-        self._waiting = 0
+        self._tape.close_chunk()
         return self._tape.take()
 
     def end(self) -> bytes:
         """Close the file; returns its rest, with the index that viewers look for at the end."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._tape.finish()
         return self._tape.take()

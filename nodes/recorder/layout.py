@@ -1,93 +1,146 @@
-"""What a recording holds: an MCAP file's channels, the layout of their messages, and the session it says it is of.
+"""What a recording holds: the channels of an MCAP file, their messages' form, and the session it says it is of.
 
-Rows of numbers are CDR, the layout of ROS 2 messages, with their definition in the file, so that any reader of such
-files can read these: ``first_tick``, ``rows``, ``ports`` and ``rows * ports`` doubles, row by row. Figures are JSON.
-docs/files.md tells it to people; writer and reader both start from here.
+One message a tick and topic, in JSON, which every viewer of such files can draw: the tick, its time since tick 0, and
+the topic's row. docs/files.md tells it to people; writer and reader both start from here.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from manyhands.nodes import telemetry as names
-from manyhands.protocol.messages import Role
-
-Array = NDArray[np.float64]
+from manyhands import __version__
+from manyhands.protocol.messages import Condition, Role
+from manyhands.protocol.topics import CONDITION, TELEMETRY, Columns, Topic, topics_of
 
 FORMAT: Final = "manyhands-recording"
-VERSION: Final = "1"
+VERSION: Final = "2"
 METADATA: Final = "session"
 """The name of the metadata record that says what was recorded."""
 
-SAMPLE: Final = "sample"
-FORCE: Final = "force"
-TELEMETRY: Final = "telemetry"
+SESSION_FILE: Final = "session.yaml"
+CERTIFICATE_FILE: Final = "certificate.json"
+MEDIA_TYPES: Final[Mapping[str, str]] = {SESSION_FILE: "application/yaml", CERTIFICATE_FILE: "application/json"}
+"""The attachments: the session as it was run, and the certificate it ran under where it had one."""
 
-TRACE_CHANNELS: Final[Mapping[Role, Mapping[str, str]]] = {
-    Role.DEVICE: {names.DISPLACEMENT: SAMPLE, names.FORCE: FORCE},
-    Role.COUPLING: {names.FREE_POSITION: "tool", names.FORCE: "reaction"},
-}
-"""By role: a trace of its telemetry to the channel whose signal it holds."""
+SUPERVISOR: Final = "supervisor"
+"""The node under whose name the session's condition is recorded."""
 
-ROWS_SCHEMA: Final = (
-    "manyhands/msg/Rows",
-    "ros2msg",
-    "uint64 first_tick\nuint32 rows\nuint32 ports\nfloat64[] values\n",
+MESSAGE_ENCODING: Final = "json"
+SCHEMA_ENCODING: Final = "jsonschema"
+
+TICK: Final = "tick"
+TIME: Final = "time"
+FIGURES: Final = "figures"
+
+SEQUENCES: Final = 2**32
+"""An MCAP sequence number has 32 bits: it is the tick modulo so many."""
+
+MAX_TIME_NS: Final = 2**63 - 1
+"""The latest time of a message, ns since 1970."""
+
+_NUMBER: Final = {"type": "number", "nullable": True}  # one type alone: viewers refuse a list of them
+_TEXT: Final = {"type": "string"}
+_TEXTS: Final = {"type": "array", "items": _TEXT}
+
+
+def schema_of(topic: Topic) -> tuple[str, str]:
+    """Name and text of the JSON schema of a topic's messages."""
+    one = topic.columns is Columns.ONE
+    value = _NUMBER if one else {"type": "array", "items": _NUMBER}
+    about = f"{topic.symbol}, {topic.unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
+    return _schema(topic.name, {TIME: _TIME, topic.trace: {**value, "description": about}})
+
+
+def _schema(name: str, properties: Mapping[str, Any]) -> tuple[str, str]:
+    every = {TICK: {"type": "integer", "description": "k, from 0"}, **properties}
+    return f"manyhands.{name}", json.dumps({"type": "object", "properties": every, "required": [*every]})
+
+
+_TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
+
+FIGURES_SCHEMA: Final = _schema(
+    TELEMETRY, {FIGURES: {"type": "object", "properties": {}, "additionalProperties": _NUMBER}}
 )
-FIGURES_SCHEMA: Final = (
-    "manyhands/Figures",
-    "jsonschema",
-    json.dumps(
-        {
-            "type": "object",
-            "properties": {
-                "tick": {"type": "integer"},
-                "figures": {"type": "object", "additionalProperties": {"type": ["number", "null"]}},
-            },
-            "required": ["tick", "figures"],
-        }
-    ),
+CONDITION_SCHEMA: Final = _schema(
+    CONDITION,
+    {
+        "phase": _TEXT,
+        "elapsed": {"type": "number", "description": "since the first tick, s, by the clock on the wall"},
+        "states": {"type": "object", "properties": {}, "additionalProperties": _TEXT},
+        **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
+    },
 )
-"""Name, encoding and text of the schemas; a message of the first is encoded as ``cdr``, of the second as ``json``."""
-
-_CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
-_HEAD: Final = struct.Struct("<4sQIII4x")  # the doubles are aligned to eight, counted from behind the first four bytes
-
-
-def encode_rows(first_tick: int, values: Array) -> bytes:
-    """The message of ``values``, ticks x ports, whose first row is that of ``first_tick``."""
-    rows, ports = values.shape
-    head = _HEAD.pack(_CDR_LITTLE_ENDIAN, first_tick, rows, ports, rows * ports)
-    return head + values.astype("<f8").tobytes()
-
-
-def decode_rows(data: bytes) -> tuple[int, Array]:
-    """The first tick and the rows of a message.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if len(data) < _HEAD.size:
-        raise ValueError(f"found {len(data)} bytes; expected at least {_HEAD.size}")
-    order, first_tick, rows, ports, count = _HEAD.unpack_from(data)
-    if order != _CDR_LITTLE_ENDIAN or count != rows * ports or len(data) != _HEAD.size + 8 * count:
-        raise ValueError(f"found {len(data)} bytes for {rows} x {ports} values; expected little-endian CDR of as many")
-    values = np.frombuffer(data, dtype="<f8", offset=_HEAD.size).astype(np.float64)
-    return first_tick, values.reshape(rows, ports)
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
     """The message of figures up to ``tick``; JSON has no words for what is infinite or not a number: it is null."""
     finite = {name: value if math.isfinite(value) else None for name, value in figures.items()}
-    return json.dumps({"tick": tick, "figures": finite}, allow_nan=False).encode()
+    return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
+
+
+def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
+    """Tick and figures of a message that was read as JSON; null is not a number.
+
+    Raises:
+        ValueError: it is none of figures.
+    """
+    match plain:
+        case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
+            return tick, {str(name): math.nan if value is None else _number(value) for name, value in found.items()}
+        case _:
+            raise ValueError("found another object; expected tick and figures")
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"found {type(value).__name__}; expected a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
+
+
+def encode_condition(tick: int, condition: Condition) -> bytes:
+    """The message of how the session was when ``tick`` was the latest known."""
+    return json.dumps(
+        {
+            TICK: tick,
+            "phase": condition.phase,
+            "elapsed": condition.elapsed,
+            "states": dict(condition.states),
+            "silent": condition.silent,
+            "notices": condition.notices,
+            "incidents": condition.incidents,
+            "faults": condition.faults,
+        },
+        ensure_ascii=False,
+    ).encode()
+
+
+def decode_condition(plain: Any) -> tuple[int, Condition]:
+    """Tick and condition of a message that was read as JSON.
+
+    Raises:
+        ValueError: it is none of a condition.
+    """
+    match plain:
+        case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
+            0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
+        ):
+            told = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
+            return tick, Condition(phase, _number(elapsed), states, *told)
+        case _:
+            raise ValueError("found another object; expected tick and condition")
+
+
+def _texts(found: object) -> tuple[str, ...]:
+    if not isinstance(found, list) or not all(type(text) is str for text in found):
+        raise ValueError("found no list of texts; expected one")
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -101,6 +154,8 @@ class Recorded:
         clock: "realtime" or "simulated".
         roles: every node's role.
         ports: the ports of each node, in the order of its traces' columns.
+        masses: the environment's masses, likewise; none where nobody knows of any.
+        version: of this program, that recorded it.
     """
 
     session: str
@@ -109,23 +164,42 @@ class Recorded:
     clock: str
     roles: Mapping[str, Role]
     ports: Mapping[str, tuple[str, ...]]
+    masses: tuple[str, ...] = ()
+    version: str = __version__
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
         """The ports of each device, in the session's order."""
         return {name: self.ports[name] for name, role in self.roles.items() if role is Role.DEVICE}
 
+    def topics(self, node: str) -> tuple[Topic, ...]:
+        """The topics of a node, in the table's order; none of a stranger."""
+        role = self.roles.get(node)
+        return () if role is None else topics_of(role, self.masses)
+
+    def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
+        """Names of the columns of a node's topic."""
+        return topic.columns_of(self.ports[node], self.masses)
+
+    @property
+    def tick_ns(self) -> float:
+        """T, ns: a whole number wherever it is one but for the rounding of its decimals."""
+        exact = self.period * 1e9
+        return float(round(exact)) if math.isclose(exact, round(exact), rel_tol=1e-12) else exact
+
     def as_metadata(self) -> dict[str, str]:
         """As the file has it: texts by name, structure as JSON."""
         return {
             "format": FORMAT,
             "version": VERSION,
+            "manyhands": self.version,
             "session": self.session,
             "certificate": self.certificate,
             "period": repr(self.period),
             "clock": self.clock,
             "roles": json.dumps(dict(self.roles)),
             "ports": json.dumps(dict(self.ports)),
+            "masses": json.dumps(self.masses),
         }
 
     @classmethod
@@ -147,12 +221,13 @@ class Recorded:
                 texts["clock"],
                 {name: Role(role) for name, role in json.loads(texts["roles"]).items()},
                 {name: tuple(own) for name, own in ports.items()},
+                tuple(json.loads(texts["masses"])),
+                texts["manyhands"],
             )
         except (KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"found metadata without {error}; expected that of a recording") from error
-        every_port = [port for own in out.ports.values() for port in own]
         if not (0.0 < out.period < math.inf and out.roles.keys() == out.ports.keys() and out.devices):
             raise ValueError("found metadata without a period, or without the ports of every node; expected both")
-        if any(type(port) is not str for port in every_port):
-            raise ValueError("found a port that is no text in the metadata; expected names")
+        if any(type(name) is not str for names in (*out.ports.values(), out.masses) for name in names):
+            raise ValueError("found a port or a mass that is no text in the metadata; expected names")
         return out

@@ -50,7 +50,7 @@ def to_pipe(fd: int) -> Say:
 def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
     """Record until the session is over, or nothing more can be written; returns the exit code."""
     os.nice(NICENESS)
-    core = RecorderCore(plan.recorded)
+    core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:
         file = RecordingFile(plan.file, core.cut())
     except OSError as error:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from manyhands.nodes.recorder.layout import Recorded
@@ -21,11 +22,15 @@ class Plan:
         file: the recording, absolute.
         directory: the run's own directory, mode 0700, where the recorder binds its socket.
         recorded: what it will be told.
+        attachments: files that go into the recording, contents by name; texts.
+        started: when the recording was, ns since 1970.
     """
 
     file: Path
     directory: Path
     recorded: Recorded
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    started: int = 0
 
     def save(self, path: Path) -> None:
         """Write it for its owner's eyes only (mode 0600).
@@ -34,7 +39,13 @@ class Plan:
             OSError: the file cannot be written.
         """
         path.touch(mode=0o600, exist_ok=False)
-        plain = {"file": str(self.file), "directory": str(self.directory), "recorded": self.recorded.as_metadata()}
+        plain = {
+            "file": str(self.file),
+            "directory": str(self.directory),
+            "recorded": self.recorded.as_metadata(),
+            "attachments": {name: data.decode() for name, data in self.attachments.items()},
+            "started": self.started,
+        }
         path.write_text(json.dumps(plain))
 
     @classmethod
@@ -46,7 +57,13 @@ class Plan:
         """
         try:
             data = json.loads(path.read_text())
-            return cls(Path(data["file"]), Path(data["directory"]), Recorded.from_metadata(data["recorded"]))
+            return cls(
+                Path(data["file"]),
+                Path(data["directory"]),
+                Recorded.from_metadata(data["recorded"]),
+                {name: text.encode() for name, text in data["attachments"].items()},
+                int(data["started"]),
+            )
         except OSError as error:
             raise PlanError(f"{path}: cannot be read: {error.strerror}") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:

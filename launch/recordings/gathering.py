@@ -1,0 +1,116 @@
+"""Putting the rows of a topic together again, tick by tick, out of the messages that tell one tick each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes.recorder.layout import TICK
+from manyhands.protocol.topics import Columns, Topic
+
+Array = NDArray[np.float64]
+
+MOST_TICK: Final = 2**53
+"""Ticks beyond are no ticks of a run."""
+
+
+def objects(texts: Sequence[bytes]) -> list[Any]:
+    """What each text is in JSON, those that are it: all at once, or one by one where that does not go."""
+    try:
+        found: list[Any] = json.loads(b"[%b]" % b",".join(texts))
+    except (ValueError, RecursionError):
+        found = []
+    return found if len(found) == len(texts) else list(_one_by_one(texts))
+
+
+def _one_by_one(texts: Iterable[bytes]) -> Iterator[Any]:
+    for text in texts:
+        try:
+            yield json.loads(text)
+        except (ValueError, RecursionError):
+            continue  # a checksum says that this is what was written: who wrote it meant something else
+
+
+def fitting(plain: Iterable[Any], read: Callable[[Any], Any]) -> Iterator[Any]:
+    """What ``read`` makes of each object; those of which it says that they are none are passed over."""
+    for one in plain:
+        try:
+            yield read(one)
+        except ValueError:
+            continue
+
+
+class Gatherer:
+    """The rows of one topic of one node.
+
+    Attributes:
+        topic: the topic.
+        columns: names of its columns.
+    """
+
+    def __init__(self, topic: Topic, columns: tuple[str, ...]) -> None:
+        """Nothing is gathered yet."""
+        self.topic, self.columns = topic, columns
+        self._pieces: list[tuple[NDArray[np.int64], Array]] = []
+
+    @property
+    def count(self) -> int:
+        """How many rows were taken."""
+        return sum(len(ticks) for ticks, _ in self._pieces)
+
+    def take(self, texts: Sequence[bytes]) -> None:
+        """Take in messages; what is none of this topic is passed over, and its tick is missing then."""
+        plain = objects(texts)
+        piece = self._read(plain)
+        if piece is None:
+            for one in plain:
+                self._keep(self._read([one]))
+        else:
+            self._keep(piece)
+
+    def _keep(self, piece: tuple[NDArray[np.int64], Array] | None) -> None:
+        if piece is not None and len(piece[0]):
+            self._pieces.append(piece)
+
+    def _read(self, plain: list[Any]) -> tuple[NDArray[np.int64], Array] | None:
+        """Ticks and rows of messages that were read; None if not all of them are as they should be."""
+        key = self.topic.trace
+        try:
+            ticks = np.array([one[TICK] for one in plain])
+            values = np.array([one[key] for one in plain], dtype=np.float64)
+        except (LookupError, TypeError, ValueError, OverflowError):
+            return None
+        if self.topic.columns is Columns.ONE:
+            values = values.reshape(-1, 1) if values.ndim == 1 else values
+        right = ticks.ndim == 1 and ticks.dtype == np.int64 and values.shape == (len(plain), len(self.columns))
+        if not (right and (ticks >= 0).all() and (ticks < MOST_TICK).all()):
+            return None
+        return ticks, values
+
+    def length(self, most: int) -> int:
+        """One more than the latest tick of those below ``most``."""
+        return max((int(at[at < most].max(initial=-1)) + 1 for at, _ in self._pieces), default=0)
+
+    def rows(self, ticks: int) -> tuple[Array, NDArray[np.bool_]]:
+        """The rows of the first ``ticks`` ticks, NaN where there are none, and which ticks were told."""
+        values = np.full((ticks, len(self.columns)), np.nan)
+        told = np.zeros(ticks, dtype=np.bool_)
+        for at, piece in self._pieces:
+            inside = at < ticks
+            values[at[inside]], told[at[inside]] = piece[inside], True
+        return values, told
+
+
+def most_ticks(gatherers: Sequence[Gatherer], most_missing: int) -> int:
+    """How many ticks there are, by the latest told of; such that no more than ``most_missing`` numbers are missing.
+
+    A single message of a tick out of this world would otherwise cost memory for all those before it.
+    """
+    told = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
+    width = sum(len(gatherer.columns) for gatherer in gatherers)
+    room = (told + most_missing) // max(1, width)
+    return max((gatherer.length(room) for gatherer in gatherers), default=0)
