@@ -17,14 +17,14 @@ from manyhands.launch.bundles import mass_names
 from manyhands.launch.preparation import UNCERTIFIED, NotCertified, Prepared, prepare
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import Run
-from manyhands.launch.run_directory import CERTIFICATE, SESSION
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.launch.topology import topology
+from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
 
 Progress = Callable[[str], None]
 
-MOST_TICKS: Final = 100_000_000
-"""Ticks x columns of a recording that is recomputed: what is recomputed is kept beside what was recorded."""
+MOST_VALUES: Final = 100_000_000
+"""Numbers of a recording that is recomputed: what is recomputed is kept beside what was recorded, 0.8 GB of each."""
 
 
 def session_of(path: Path, run: Run) -> Session:
@@ -55,11 +55,11 @@ def prepared_of(path: Path, run: Run, progress: Progress | None = None) -> Prepa
     """
     with _unpacked(path, run) as folder:
         session = _session(path, run, folder)
-        certified = CERTIFICATE in run.attachments
+        certified = CERTIFICATE_FILE in run.attachments
         if not certified and not run.recorded.certificate.startswith(UNCERTIFIED):
             raise RecordingError(f"{path}: found no certificate in it; expected {run.recorded.certificate[:16]}")
         try:
-            prepared = prepare(session, folder / CERTIFICATE if certified else None, not certified, progress)
+            prepared = prepare(session, folder / CERTIFICATE_FILE if certified else None, not certified, progress)
         except CertificateError as error:
             raise RecordingError(_within(path, folder, error)) from error
         except NotCertified as error:
@@ -75,11 +75,11 @@ def prepared_of(path: Path, run: Run, progress: Progress | None = None) -> Prepa
 @contextmanager
 def _unpacked(path: Path, run: Run) -> Iterator[Path]:
     """A folder with the session, and the certificate where there is one; gone afterwards."""
-    if SESSION not in run.attachments:
-        raise RecordingError(f"{path}: found no session in it; expected the attachment {SESSION}")
+    if SESSION_FILE not in run.attachments:
+        raise RecordingError(f"{path}: found no session in it; expected the attachment {SESSION_FILE}")
     with tempfile.TemporaryDirectory(prefix="recorded-") as name:
         folder = Path(name)
-        for attachment in (SESSION, CERTIFICATE):
+        for attachment in (SESSION_FILE, CERTIFICATE_FILE):
             if attachment in run.attachments:
                 (folder / attachment).write_bytes(run.attachments[attachment])
         yield folder
@@ -87,7 +87,7 @@ def _unpacked(path: Path, run: Run) -> Iterator[Path]:
 
 def _session(path: Path, run: Run, folder: Path) -> Session:
     try:
-        session = load_session(folder / SESSION)
+        session = load_session(folder / SESSION_FILE)
     except SessionError as error:
         raise RecordingError(_within(path, folder, error)) from error
     recorded, graph = run.recorded, topology(session)
@@ -103,8 +103,8 @@ def _session(path: Path, run: Run, folder: Path) -> Session:
                 f"{path}: found a session whose {what} are {found!r:.200}; expected {expected!r:.200}, as recorded"
             )
     values = run.ticks * sum(len(trace.columns) for trace in run.traces.values())
-    if values > MOST_TICKS:
-        raise RecordingError(f"{path}: found {values} numbers; expected at most {MOST_TICKS}, which memory has room for")
+    if values > MOST_VALUES:
+        raise RecordingError(f"{path}: found {values} numbers; expected at most {MOST_VALUES}, which memory has room for")
     return session
 
 

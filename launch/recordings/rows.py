@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.recordings.run import Run
 from manyhands.nodes import telemetry as names
+from manyhands.protocol.messages import Role
 
 Array = NDArray[np.float64]
 Figures = Sequence[tuple[int, Mapping[str, float]]]
@@ -34,8 +35,8 @@ def rows_of(run: Run, node: str, trace: str) -> Array:
                 return values
             missing = np.full((run.ticks - len(values), values.shape[1]), np.nan)
             return np.vstack([values, missing])
-    columns = run.recorded.ports[node] if trace != names.LEDGER else ("E",)
-    return np.full((run.ticks, len(columns)), np.nan)
+    topic = next(topic for topic in run.recorded.topics(node) if topic.trace == trace)
+    return np.full((run.ticks, len(run.recorded.columns(node, topic))), np.nan)
 
 
 def there(rows: Array) -> NDArray[np.bool_]:
@@ -68,7 +69,7 @@ def changes(figures: Figures, name: str, at_rest: float = 0.0) -> list[Window]:
 def count_until(figures: Figures, name: str) -> Callable[[int], float]:
     """What a count had come to, at most, when a tick was done: what is told by the first figures behind it."""
     ticks = [tick for tick, _ in figures]
-    values = [told.get(name, 0.0) for _, told in figures]
+    values = [0.0 if np.isnan(value := told.get(name, 0.0)) else value for _, told in figures]
 
     def at(tick: int) -> float:
         i = int(np.searchsorted(ticks, tick, side="right"))
@@ -102,7 +103,7 @@ def first_sign(run: Run, environment: str) -> tuple[int, str]:
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():
-        if role == "coupling":
+        if role is Role.COUPLING:
             holes = np.flatnonzero(own & ~there(rows_of(run, node, names.FREE_POSITION)))
             signs += [(int(holes[0]), f"{node} has no row there")] if len(holes) else []
     return min(signs)
