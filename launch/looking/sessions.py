@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from manyhands.launch.run_directory import run_directories
+from manyhands.nodes.log import LOG_FOLDER
 from manyhands.nodes.observer.about import About, AboutError
 
 
@@ -59,3 +60,24 @@ def find_session(name: str | None) -> Running:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise NoSession(f"found no running session {name!r}; expected one of {listed}{hint}")
     return wanted[0]
+
+
+def session_in(directory: Path) -> Running:
+    """The running session of this directory: its own below the temporary one, or the one that its user keeps.
+
+    Raises:
+        NoSession: it is of none that runs.
+    """
+    running = running_sessions()
+    for one in running:
+        if _same(one.directory, directory) or _same(one.directory / LOG_FOLDER, directory / LOG_FOLDER):
+            return one
+    listed = ", ".join(f"{one.about.session} in {one.directory}" for one in running) or "none runs"
+    raise NoSession(f"{directory}: found no running session's directory; expected that of one: {listed}")
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there
+        return False
