@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from types import NoneType
 from typing import Any, Final
 
 import numpy as np
@@ -78,18 +80,18 @@ class Gatherer:
 
     def _read(self, plain: list[Any]) -> tuple[NDArray[np.int64], Array] | None:
         """Ticks and rows of messages that were read; None if not all of them are as they should be."""
-        key = self.topic.trace
+        key, one = self.topic.trace, self.topic.columns is Columns.ONE
         try:
-            ticks = np.array([one[TICK] for one in plain])
-            values = np.array([one[key] for one in plain], dtype=np.float64)
+            numbers, rows = [each[TICK] for each in plain], [each[key] for each in plain]
+            kinds = {type(value) for value in (rows if one else chain.from_iterable(rows))}
+            if {type(number) for number in numbers} != {int} or not kinds <= {float, int, NoneType}:
+                return None
+            ticks, values = np.array(numbers, dtype=np.int64), np.array(rows, dtype=np.float64)  # None: not a number
         except (LookupError, TypeError, ValueError, OverflowError):
             return None
-        if self.topic.columns is Columns.ONE:
-            values = values.reshape(-1, 1) if values.ndim == 1 else values
-        right = ticks.ndim == 1 and ticks.dtype == np.int64 and values.shape == (len(plain), len(self.columns))
-        if not (right and (ticks >= 0).all() and (ticks < MOST_TICK).all()):
-            return None
-        return ticks, values
+        values = values[:, None] if one else values
+        right = values.shape == (len(plain), len(self.columns)) and (ticks >= 0).all() and (ticks < MOST_TICK).all()
+        return (ticks, values) if right else None
 
     def length(self, most: int) -> int:
         """One more than the latest tick of those below ``most``."""

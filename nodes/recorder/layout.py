@@ -101,7 +101,7 @@ def _number(value: object) -> float:
     try:
         return float(value)
     except OverflowError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError("found an integer beyond all doubles; expected a number") from error
 
 
 def encode_condition(tick: int, condition: Condition) -> bytes:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import random
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import CompressionType, Writer
 
 from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import Recorded, encode_rows
+from manyhands.nodes.recorder.layout import Recorded
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role
 
@@ -115,13 +117,48 @@ def test_what_a_power_failure_leaves_behind_the_last_chunk_is_no_chunk(
 
 
 def test_a_chunk_that_was_changed_is_found_out(written: Written, tmp_path: Path) -> None:
-    """One bit of a number: nothing but its checksum tells."""
-    path, data = tmp_path / "r.mcap", bytearray(written.data)
-    values = encode_rows(2 * ROWS, NOISE[0, 2 * ROWS : 3 * ROWS, 0:1])
-    data[data.index(values) + 40] ^= 1
+    """One digit of a number, packed again: nothing but the checksum of what is in the chunk tells."""
+    path, (before, after) = tmp_path / "r.mcap", written.borders[2:4]
+    start = written.data.index(b"\x28\xb5\x2f\xfd", before)  # the magic number of a zstd frame
+    packed = written.data[start:after] if after < len(written.data) else b""
+    plain = zstandard.ZstdDecompressor().decompress(packed)
+    number = repr(float(NOISE[0, 2 * ROWS, 0])).encode()
+    assert plain.count(number) == 1
+    digit = plain.index(number) + len(number) - 1
+    changed = plain[:digit] + bytes([plain[digit] ^ 1]) + plain[digit + 1 :]
+    again = zstandard.ZstdCompressor(level=1).compress(changed)
+    lengths = before_chunk(written.data, before), start - 8
+    data = bytearray(written.data[:start] + again)
+    struct.pack_into("<Q", data, lengths[0], struct.unpack_from("<Q", data, lengths[0])[0] + len(again) - len(packed))
+    struct.pack_into("<Q", data, lengths[1], len(again))
     path.write_bytes(data)
     assert_readable(written, path, written.borders[2])
-    assert "damaged" in str(read_recording(path).cut)
+    assert "damaged (ValueError)" in str(read_recording(path).cut)
+
+
+def before_chunk(data: bytes, at: int) -> int:
+    """Where the length of the next chunk's record stands, from the end ``at`` of the chunk before."""
+    while data[at] != 6:
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    return at + 1
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(written: Written, tmp_path: Path) -> None:
+    """A gibibyte of zeros in some thirty kilobytes: reading it must not cost the gibibyte."""
+    path, end = tmp_path / "r.mcap", written.borders[1]
+    packing = zstandard.ZstdCompressor(level=1).compressobj()
+    zeros = bytes(2**20)
+    bomb = b"".join(packing.compress(zeros) for _ in range(2**10)) + packing.flush()
+    for size in (100, 2**26, 2**26 + 1, 2**63):
+        body = struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", len(bomb)) + bomb
+        path.write_bytes(written.data[:end] + struct.pack("<BQ", 6, len(body)) + body)
+        tracemalloc.start()
+        try:
+            assert_readable(written, path, end)
+            assert tracemalloc.get_traced_memory()[1] < 2**28
+        finally:
+            tracemalloc.stop()
+        assert "damaged" in str(read_recording(path).cut)
 
 
 def test_any_byte_may_be_wrong_and_nothing_but_a_recording_error_comes_of_it(written: Written, tmp_path: Path) -> None:
@@ -170,11 +207,82 @@ def test_a_tick_out_of_this_world_costs_no_memory(tmp_path: Path) -> None:
 
 
 def test_a_force_without_its_sample_is_no_tick(tmp_path: Path) -> None:
-    with (tmp_path / "r.mcap").open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE)
+    written_by_another(tmp_path / "r.mcap", {"/s/a/force": [b'{"tick": 0, "time": 0.0, "f_v": [1.0]}']})
+    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"\xff",
+        b"[" * 5000,
+        b"[]",
+        b"null",
+        b"1, 2",
+        b'{"tick": 1}',
+        b'{"tick": "1", "x": [2.0]}',
+        b'{"tick": 1.0, "x": [2.0]}',
+        b'{"tick": true, "x": [2.0]}',
+        b'{"tick": -1, "x": [2.0]}',
+        b'{"tick": 100000000000000000000, "x": [2.0]}',
+        b'{"tick": 1, "x": []}',
+        b'{"tick": 1, "x": [1.0, 2.0]}',
+        b'{"tick": 1, "x": [[1.0]]}',
+        b'{"tick": 1, "x": ["a"]}',
+        b'{"tick": 1, "x": ["2.0"]}',
+        b'{"tick": 1, "x": [true]}',
+        b'{"tick": 1, "x": 2.0}',
+        b'{"tick": 1, "x": null}',
+        b'{"tick": 1, "x": {}}',
+        b'{"tick": 1, "x": [1e999999999999]' + b"0" * 10,
+    ],
+)
+def test_a_message_that_makes_no_sense_takes_nothing_from_those_around_it(text: bytes, tmp_path: Path) -> None:
+    x, f_v = ([b'{"tick": %d, "%b": [%d.5]}' % (k, key, k) for k in range(3)] for key in (b"x", b"f_v"))
+    written_by_another(tmp_path / "r.mcap", {"/s/a/sample": [x[0], text, x[2]], "/s/a/force": f_v})
+    found = read_recording(tmp_path / "r.mcap")
+    np.testing.assert_array_equal(found.x[:, 0], [0.5, np.nan, 2.5])
+    assert found.missing == {"a": 1, "b": 3}
+
+
+def test_a_number_that_is_none_was_recorded_all_the_same(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    x = np.array([[1.0], [np.nan], [-np.inf]])
+    core.take(encode(Observation("a", 3, {}, {"x": x, "f_v": x})), 1)
+    core.take(encode(Observation("b", 3, {}, {"x": np.ones((3, 2)), "f_v": np.ones((3, 2))})), 1)
+    (tmp_path / "r.mcap").write_bytes(core.cut() + core.end())
+    found = read_recording(tmp_path / "r.mcap")
+    np.testing.assert_array_equal(found.x[:, 0], [1.0, np.nan, np.nan])
+    assert found.missing == {}
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("chunks", [True, False])
+def test_a_recording_that_another_program_has_written_again_is_read(
+    compression: CompressionType, chunks: bool, tmp_path: Path
+) -> None:
+    told = {f"/s/{node}/{topic}": [b'{"tick":0,"%b":%b}' % (key, row)]
+            for node, row in (("a", b"[1]"), ("b", b"[1,1.0]"))
+            for topic, key in (("sample", b"x"), ("force", b"f_v"))}  # fmt: skip
+    written_by_another(tmp_path / "r.mcap", told, compression, chunks)
+    found = read_recording(tmp_path / "r.mcap")
+    np.testing.assert_array_equal(found.x, np.ones((1, 3)))
+    assert (found.missing, found.cut) == ({}, None)
+
+
+def written_by_another(
+    path: Path,
+    told: dict[str, list[bytes]],
+    compression: CompressionType = CompressionType.NONE,
+    chunks: bool = True,
+) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, use_chunking=chunks, enable_data_crcs=True)
         writer.start()
         writer.add_metadata("session", RECORDED.as_metadata())
-        force = writer.register_channel("/s/a/force", "cdr", 0)
-        writer.add_message(force, 1, encode_rows(0, np.ones((5, 1))), 1)
+        for topic, texts in told.items():
+            channel = writer.register_channel(topic, "json", 0)
+            for text in texts:
+                writer.add_message(channel, 1, text, 1)
         writer.finish()  # type: ignore[no-untyped-call]
-    assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)

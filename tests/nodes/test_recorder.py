@@ -9,6 +9,7 @@ import resource
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,19 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder import status
 from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore
 from manyhands.nodes.recorder.file import RecordingFile
-from manyhands.nodes.recorder.layout import Recorded, decode_rows, encode_figures, encode_rows
+from manyhands.nodes.recorder.layout import (
+    Recorded,
+    decode_condition,
+    decode_figures,
+    encode_condition,
+    encode_figures,
+)
 from manyhands.nodes.recorder.plan import Plan, PlanError
+from manyhands.nodes.recorder.rows import Ticks, row_texts
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Role, Stop, Telemetry
+from manyhands.protocol.messages import Condition, Observation, Role, Stop, Telemetry
 
+SENTENCES = ("silent", "notices", "incidents", "faults")
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf])
 RECORDED = Recorded(
     "s",
@@ -45,51 +54,82 @@ def observation(node: str, tick: int, rows: int, columns: int, **more: float) ->
     return Observation(node, tick, more, dict(zip(names, (x, -x), strict=True)))
 
 
+class Test_rows:
+    @given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=8), elements=numbers))
+    def test_each_row_is_json_that_reads_back_as_the_same_doubles(self, values: np.ndarray) -> None:
+        texts = row_texts(values, one=False)
+        found = [json.loads(b"[%b]" % text, parse_constant=pytest.fail) for text in texts]
+        told = np.array(found, dtype=np.float64)
+        expected = np.where(np.isfinite(values), values, np.nan)
+        assert told.shape == values.shape
+        assert np.array_equal(told, expected, equal_nan=True)
+        assert np.array_equal(np.signbit(told[told == 0]), np.signbit(expected[expected == 0]))
+        ones = [json.loads(text) for text in row_texts(values[:, :1], one=True)]
+        assert ones == [row[0] for row in found]
+
+    @given(st.integers(0, 2**40), st.integers(1, 5), st.sampled_from([0.001, 1 / 3000, 2e-4, 0.0125]))
+    def test_the_time_of_a_tick_is_told_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
+        told = replace(RECORDED, period=period)
+        ticks = Ticks.of(first, count, 10**18, told.tick_ns)
+        for k, (begin, time) in enumerate(zip(ticks.beginnings, ticks.times.tolist(), strict=True), first):
+            plain = json.loads(begin + b'"x": 0}')
+            assert plain["tick"] == k
+            assert plain["time"] == pytest.approx(k * period, rel=1e-9, abs=1e-9)
+            assert time - 10**18 == pytest.approx(k * period * 1e9, rel=1e-9, abs=1)
+        assert ticks.sequences.tolist() == [k % 2**32 for k in range(first, first + count)]
+
+    def test_the_time_of_a_usual_period_has_no_tail(self) -> None:
+        ticks = Ticks.of(0, 5000, 0, RECORDED.tick_ns)
+        assert max(ticks.lengths) == len(b'{"tick": 4999, "time": 4.999, ')
+        assert ticks.times.tolist() == list(range(0, 5_000_000_000, 1_000_000))
+
+
 class Test_layout:
-    @given(
-        st.integers(0, 2**63 - 1), hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2), elements=numbers)
-    )
-    def test_rows_round_trip_bit_for_bit(self, first: int, values: np.ndarray) -> None:
-        tick, found = decode_rows(encode_rows(first, values))
-        assert tick == first
-        assert found.shape == values.shape
-        assert found.tobytes() == values.tobytes()
-
-    def test_rows_are_the_bytes_that_ros_2_would_write(self) -> None:
-        """Encapsulation, then members at their alignment, counted from behind it: 8, 4, 4, 4, padding, 8 each."""
-        told = encode_rows(258, np.array([[1.5, -2.0]]))
-        assert told.hex(" ", 4) == (
-            "00010000 02010000 00000000 01000000 02000000 02000000 00000000 00000000 0000f83f 00000000 000000c0"
-        )
-
-    @given(st.binary(max_size=80) | st.builds(lambda head, rest: head + rest, st.just(b"\0\1\0\0"), st.binary()))
-    def test_what_is_no_message_of_rows_is_refused(self, data: bytes) -> None:
-        try:
-            tick, values = decode_rows(data)
-        except ValueError:
-            return
-        assert encode_rows(tick, values)[:20] == data[:20]
-
-    @pytest.mark.parametrize("cut", [1, 8, 9])
-    def test_a_message_of_another_length_is_refused(self, cut: int) -> None:
-        with pytest.raises(ValueError, match="expected"):
-            decode_rows(encode_rows(0, X)[:-cut])
-        with pytest.raises(ValueError, match="expected"):
-            decode_rows(encode_rows(0, X) + b"\0" * cut)
-
     def test_figures_that_json_cannot_say_are_null(self) -> None:
         told = encode_figures(3, {"a": math.nan, "b": math.inf, "c": 0.1})
-        assert json.loads(told, parse_constant=pytest.fail) == {"tick": 3, "figures": {"a": None, "b": None, "c": 0.1}}
+        plain = json.loads(told, parse_constant=pytest.fail)
+        assert plain == {"tick": 3, "figures": {"a": None, "b": None, "c": 0.1}}
+        tick, figures = decode_figures(plain)
+        assert (tick, figures["c"], math.isnan(figures["a"])) == (3, 0.1, True)
+
+    def test_a_condition_round_trips(self) -> None:
+        condition = Condition("running", 0.5, {"a": "running"}, ("a",), ("ä: so",), ("b\nc",), ("d",))
+        assert decode_condition(json.loads(encode_condition(7, condition))) == (7, condition)
+
+    @pytest.mark.parametrize(
+        "plain",
+        [
+            None,
+            [],
+            {"tick": 1},
+            {"tick": -1, "figures": {}},
+            {"tick": 2**63, "figures": {}},
+            {"tick": 1, "figures": {"a": "b"}},
+            {"tick": 1, "figures": {"a": True}},
+            {"tick": 1, "figures": {"a": 10**400}},
+            {"tick": 1, "phase": "p", "elapsed": None, "states": {}, **{key: [] for key in SENTENCES}},
+            {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {"a": 1}, **{key: [] for key in SENTENCES}},
+            {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {}, **{key: [1] for key in SENTENCES}},
+            {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {}},
+        ],
+    )
+    def test_what_is_none_is_refused(self, plain: object) -> None:
+        for decode in (decode_figures, decode_condition):
+            with pytest.raises(ValueError, match="expected"):
+                decode(plain)
 
     def test_what_was_recorded_round_trips(self) -> None:
-        assert Recorded.from_metadata(RECORDED.as_metadata()) == RECORDED
+        for recorded in (RECORDED, replace(RECORDED, masses=("m", "n"), version="9")):
+            assert Recorded.from_metadata(recorded.as_metadata()) == recorded
         assert RECORDED.devices == {"a": ("a",), "b": ("b.0", "b.1")}
 
     @pytest.mark.parametrize(
         "change",
         [
             {"format": "other"},
-            {"version": "2"},
+            {"version": "1"},
+            {"masses": "[1]"},
+            {"masses": "1"},
             {"period": "0.0"},
             {"period": "nan"},
             {"period": "soon"},
@@ -137,41 +177,6 @@ class Test_core:
         np.testing.assert_array_equal(found.f_v, -found.x)
         assert (found.missing, found.cut, core.tick, core.refused) == ({}, None, 20, 0)
 
-    def test_any_reader_of_mcap_finds_channels_units_ticks_and_figures(self, tmp_path: Path) -> None:
-        from mcap.reader import make_reader
-
-        core = RecorderCore(RECORDED)
-        core.take(encode(observation("b", 2**32 + 10, 10, 2, late=3.0)), 1_700_000_000_000_000_000)
-        core.take(encode(observation("c", 10, 10, 3)), 1_700_000_000_000_000_001)
-        self.written(core, tmp_path / "r.mcap")
-        with (tmp_path / "r.mcap").open("rb") as file:
-            reader = make_reader(file)
-            summary = reader.get_summary()
-            assert summary is not None
-            assert {c.topic: c.metadata.get("unit") for c in summary.channels.values()} == {
-                "/s/a/sample": "m",
-                "/s/a/force": "N",
-                "/s/a/telemetry": None,
-                "/s/b/sample": "m",
-                "/s/b/force": "N",
-                "/s/b/telemetry": None,
-                "/s/c/tool": "m",
-                "/s/c/reaction": "N",
-                "/s/c/telemetry": None,
-                "/s/environment/telemetry": None,
-            }
-            found = {channel.topic: (schema, message) for schema, channel, message in reader.iter_messages()}
-        assert found.keys() == {"/s/b/sample", "/s/b/force", "/s/b/telemetry", "/s/c/tool", "/s/c/reaction"}
-        schema, message = found["/s/b/telemetry"]
-        assert json.loads(message.data) == {"tick": 2**32 + 10, "figures": {"late": 3.0}}
-        assert schema is not None
-        assert schema.encoding == "jsonschema"
-        assert (message.sequence, message.log_time) == (10, 1_700_000_000_000_000_000)
-        schema, message = found["/s/b/sample"]
-        assert schema is not None
-        assert (schema.encoding, schema.name) == ("ros2msg", "manyhands/msg/Rows")
-        assert decode_rows(message.data)[0] == 2**32
-
     @pytest.mark.parametrize(
         "frame",
         [
@@ -180,7 +185,11 @@ class Test_core:
             encode(observation("stranger", 10, 10, 1)),
             encode(observation("a", 10, 10, 2)),
             encode(observation("a", 10, 11, 1)),  # before tick 0
-            encode(observation("environment", 10, 10, 3)),  # which has no traces
+            encode(observation("environment", 10, 10, 3)),  # whose traces are others
+            encode(observation("c", 10, 10, 2)),
+            encode(Observation("a", 10, {}, {"ledger": np.zeros((10, 2))})),  # one number a tick
+            encode(Observation("environment", 10, {}, {"q": np.zeros((10, 0))})),  # it has no masses
+            encode(Observation("a", 2**60, {}, {"x": X, "f_v": X})),  # in the year 36 million
             encode(Observation("a", 10, {}, {"x": X, "f_v": X[:2]})),
             encode(Observation("a", 10, {}, {"speed": X})),
         ],
@@ -201,12 +210,13 @@ class Test_core:
 
     def test_a_chunk_is_full_by_its_bytes_and_empty_when_cut(self) -> None:
         core = RecorderCore(RECORDED)
-        assert b"dx" not in core.cut()
+        assert core.cut()  # the beginning
         for k in range(1, 4):
             assert not core.full
-            core.take(encode(observation("a", 30_000 * k, 30_000, 1)), 5)
+            core.take(encode(observation("a", 3000 * k, 3000, 1)), 5)
+        assert core._tape.waiting > CHUNK_BYTES
         assert core.full
-        assert len(core.cut()) > CHUNK_BYTES
+        assert core.cut()
         assert not core.full
         assert core.cut() == b""
 
@@ -284,7 +294,7 @@ class Test_status:
 
 
 def test_a_plan_round_trips_and_is_its_owners_alone(tmp_path: Path) -> None:
-    plan = Plan(tmp_path / "r.mcap", tmp_path, RECORDED)
+    plan = Plan(tmp_path / "r.mcap", tmp_path, RECORDED, {"session.yaml": "name: ü\n".encode()}, 17)
     plan.save(tmp_path / "p")
     assert Plan.load(tmp_path / "p") == plan
     assert os.stat(tmp_path / "p").st_mode & 0o777 == 0o600
