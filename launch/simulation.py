@@ -160,7 +160,7 @@ class Simulation:
                     self.environment.freeze(blocks[name])
                 couplings = self._heard(silent)
             for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
-                displacement = driver.sample(k)
+                displacement = list(driver.sample(k))
                 breach = guard.breach(displacement)
                 if breach is not None:
                     raise LimitExceeded(f"{name}, {k * self._session.period:.6g} s after the start: {breach}")

@@ -109,7 +109,9 @@ def limits_kept(run: Run, node: str, bundle: DeviceBundle) -> list[Check]:
         verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
         told = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
         what = f"its {name} is within its limit"
-        out.append(Check("limits", node, what, verdict, numbers, first, int((values > most).sum()), (), 0.0, _LIMITS, told))
+        out.append(
+            Check("limits", node, what, verdict, numbers, first, int((values > most).sum()), (), 0.0, _LIMITS, told)
+        )
     return out
 
 

@@ -161,7 +161,9 @@ class _Auditing:
             own = self._ports[name]
             again = recompute_coupling(coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], told, self._tell)
             shifts[name] = again.shifts
-            out += self._compared(name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again)
+            out += self._compared(
+                name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
+            )
             self._next()
         for name, device in devices.items():
             out += self._device(name, device, shifts)
@@ -175,7 +177,9 @@ class _Auditing:
         out += [agreement.bounded(self._run, name, name in active) for name in ledgers]
         for name, device in devices.items():
             out += agreement.limits_kept(self._run, name, device)
-            taus = {0: device.rungs[0].tau} | {tick + 1: device.rungs[rung].tau for tick, rung in self._shifts(name, shifts)}
+            taus = {0: device.rungs[0].tau} | {
+                tick + 1: device.rungs[rung].tau for tick, rung in self._shifts(name, shifts)
+            }
             out += [agreement.delay_assumed(self._run, name, taus), agreement.period_assumed(self._run, name)]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
@@ -224,7 +228,14 @@ class _Auditing:
             source = agreement.let_go_source(own.offsets)
             out.append(
                 compare(
-                    "work", ENVIRONMENT, what, ("E",), own.recorded, own.recomputed, tolerance=own.tolerance, source=source
+                    "work",
+                    ENVIRONMENT,
+                    what,
+                    ("E",),
+                    own.recorded,
+                    own.recomputed,
+                    tolerance=own.tolerance,
+                    source=source,
                 )
             )
         return out

@@ -167,7 +167,9 @@ class Walk:
 
     def _all_indexed(self, at: int) -> None:
         if self._awaited:
-            self._tell(at, at, f"found no message index for {len(self._awaited)} channels of the chunk before; expected one")
+            self._tell(
+                at, at, f"found no message index for {len(self._awaited)} channels of the chunk before; expected one"
+            )
         self._awaited = deque()
 
     def _take(self, at: int, opcode: int, body: bytes) -> None:
@@ -215,7 +217,9 @@ class Walk:
             raise _Wrong(f"a chunk: {error}") from error
         stated = chunk.message_start_time, chunk.message_end_time
         if stated != (content.first, content.last):
-            raise _Wrong(f"found a chunk of times {stated}; expected those of its messages, {content.first, content.last}")
+            raise _Wrong(
+                f"found a chunk of times {stated}; expected those of its messages, {content.first, content.last}"
+            )
         self._awaited = deque(content.indexes.values())
         sizes = chunk.compression, len(chunk.data), chunk.uncompressed_size
         self._out.chunks.append(_chunk_index(at, length, content, sizes))

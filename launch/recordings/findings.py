@@ -155,9 +155,7 @@ def compare(
     return Check(name, party, what, verdict, numbers, first, int(wrong.sum()), tuple(gaps), widest, source)
 
 
-def first_of(
-    wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, recomputed: Array
-) -> Difference | None:
+def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, recomputed: Array) -> Difference | None:
     """The first number that is marked as wrong, by tick and then by column."""
     ticks = np.flatnonzero(wrong.any(axis=1))
     if not len(ticks):

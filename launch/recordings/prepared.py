@@ -104,7 +104,9 @@ def _session(path: Path, run: Run, folder: Path) -> Session:
             )
     values = run.ticks * sum(len(trace.columns) for trace in run.traces.values())
     if values > MOST_VALUES:
-        raise RecordingError(f"{path}: found {values} numbers; expected at most {MOST_VALUES}, which memory has room for")
+        raise RecordingError(
+            f"{path}: found {values} numbers; expected at most {MOST_VALUES}, which memory has room for"
+        )
     return session
 
 

@@ -100,7 +100,7 @@ def recompute_device(
     shifts: Sequence[tuple[int, int]] = (),
     progress: Progress = no_progress,
 ) -> Recomputed:
-    """x and the ledger of a device, from the forces that it felt.
+    """The x and the ledger of a device, from the forces that it felt.
 
     Args:
         bundle: the device's part of the session.
@@ -166,7 +166,7 @@ def _certain(make: Callable[[], Driver | None]) -> Callable[[], Driver]:
 def recompute_coupling(
     bundle: CouplingBundle, x: Array, p: Array, f: Array, figures: Figures, progress: Progress = no_progress
 ) -> Recomputed:
-    """p and the ledger of a coupling block, from the displacements and the forces of its ports.
+    """The p and the ledger of a coupling block, from the displacements and the forces of its ports.
 
     Args:
         bundle: the coupling's part of the session.

@@ -1,7 +1,7 @@
 """Running a recorded session again and comparing every number that it recorded, bit for bit.
 
 Under the simulated clock nothing of a session depends on the machine: the cores take the same steps in the same order,
-and what comes out is the same to the last bit, or the recording is another session's, another version's, or was changed.
+and what comes out is the same to the last bit, or the recording is another version's, or was changed.
 
 What no arithmetic knows is taken from the recording: the displacement of a device that a person moved. A session that
 lost a process cannot be run again, for the tick of a death is nowhere written.
@@ -180,4 +180,3 @@ def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended:
 def _believed(trace: Trace, given: bool) -> bool:
     """Whether a topic is taken over: where a person moved a device, and the ledger that reckons with that."""
     return given and trace.topic.trace in (DISPLACEMENT, LEDGER)
-

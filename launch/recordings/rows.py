@@ -41,8 +41,7 @@ def rows_of(run: Run, node: str, trace: str) -> Array:
 
 def there(rows: Array) -> NDArray[np.bool_]:
     """The ticks whose row is whole."""
-    whole: NDArray[np.bool_] = np.isfinite(rows).all(axis=1)
-    return whole
+    return np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
 
 
 @dataclass(frozen=True)

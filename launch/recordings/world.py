@@ -6,7 +6,7 @@ Its work is, though: a clutch is lossless, so that with x_c = p + D_V f_c the co
 
     f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1))
 
-whatever the ratios were, but for the tick in which a last offset of at most LET_GO is let go. So the ledger's increments
+whatever the ratios were, but for the tick in which a last offset of at most LET_GO is let go. So its increments,
 
     T w^T Phi_E w - sum over the couplings f_c^T (x_c(k) - x_c(k-1)),     w = (x_e(k) - x_e(k-1))/T,
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class Blocks:
             own = self.ports[name]
             f, p = self.f[:, own], self.p[:, own]
             steps = [(0, 0), *self.shifts.get(name, []), (len(f), 0)]
-            for (begin, rung), (end, _) in zip(steps, steps[1:], strict=False):
+            for (begin, rung), (end, _) in pairwise(steps):
                 D = bundle.rungs[rung].block.D
                 out[begin:end, own] = p[begin:end] + f[begin:end] @ D.T
                 size[begin:end, own] = np.abs(p[begin:end]) + np.abs(f[begin:end]) @ np.abs(D).T
