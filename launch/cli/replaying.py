@@ -118,6 +118,6 @@ def _warn_of_version(run: Run) -> None:
     if run.recorded.version != manyhands.__version__:
         say(
             err,
-            f"warning: recorded by manyhands {run.recorded.version}, and this is {manyhands.__version__}: where the two "
-            "compute in another order, numbers differ in their last places",
+            f"warning: recorded by manyhands {run.recorded.version}, and this is {manyhands.__version__}: where the "
+            "two compute in another order, numbers differ in their last places",
         )

@@ -54,11 +54,15 @@ def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Arr
 
 
 def figures_agree(run: Run, node: str) -> Check:
-    """The ledger's total in the figures is the last of the trace before them."""
+    """The ledger's total in the figures is the last of the trace before them.
+
+    Those told before a gap, or at a run's end in real time, may be those of free periods that are in no row.
+    """
     trace = rows_of(run, node, names.LEDGER)
     told = np.full_like(trace, np.nan)
+    last = len(told) if run.recorded.clock == SIMULATED else len(told) - 1
     for tick, figures in run.figures.get(node, ()):
-        if 0 < tick <= len(told):
+        if 0 < tick <= last and (tick == len(told) or np.isfinite(trace[tick, 0])):
             told[tick - 1] = figures.get(names.LEDGER, np.nan)
     return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, told)
 

@@ -27,10 +27,12 @@ from numpy.typing import NDArray
 from manyhands.launch import bundles as cutting
 from manyhands.launch.preparation import NotCertified, Prepared
 from manyhands.launch.recordings import agreement
+from manyhands.launch.recordings.coupling_again import recompute_coupling
+from manyhands.launch.recordings.device_again import recompute_device
 from manyhands.launch.recordings.findings import Check, Difference, Verdict, compare
 from manyhands.launch.recordings.hands import given_devices, hand_of
 from manyhands.launch.recordings.prepared import prepared_of
-from manyhands.launch.recordings.recomputed import Recomputed, recompute_coupling, recompute_device
+from manyhands.launch.recordings.recomputed import Recomputed
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.rows import first_sign, rows_of
 from manyhands.launch.recordings.run import Run
@@ -159,7 +161,10 @@ class _Auditing:
         for name, coupling in couplings.items():
             told = self._run.figures.get(name, ())
             own = self._ports[name]
-            again = recompute_coupling(coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], told, self._tell)
+            devices_told = [self._run.figures.get(device, ()) for device in self._session.devices_of(name)]
+            again = recompute_coupling(
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], told, devices_told, self._tell
+            )
             shifts[name] = again.shifts
             out += self._compared(
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again

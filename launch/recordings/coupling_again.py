@@ -1,0 +1,170 @@
+"""A recorded coupling block computed again, by its own core, from what its devices and the environment told it.
+
+The state xi follows from the forces that the block handed on, and p from that and the devices' displacement, to the
+last bit. What happened between two rows shows in p: a process that came back begins at rest, and so does a block that
+has changed its rung, at a tick without force; both are tried where the figures or a gap say that there was something.
+
+A device that ran free says its x of one tick again and again, and records the last that it said, where p is of the
+first: so in as many rows as it had free periods, and in the row behind a gap, p may be another one. Those rows are not
+compared, and told.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.recordings.findings import Gap
+from manyhands.launch.recordings.recomputed import EVERY, Progress, Recomputed, no_progress
+from manyhands.launch.recordings.rows import Figures, Window, changes, there
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.coupling.core import CouplingCore
+
+Array = NDArray[np.float64]
+
+MOST_TRIALS: Final = 1000
+"""Places at which a block is tried to have changed its rung, for each change that its figures tell of."""
+
+MOST_AHEAD: Final = 100
+"""Rows that are looked ahead for one that says which state the block was in behind a gap."""
+
+_SAID_BEFORE = "a device of it had sampled again since p was said: p is believed"
+
+
+def recompute_coupling(
+    bundle: CouplingBundle,
+    x: Array,
+    p: Array,
+    f: Array,
+    figures: Figures,
+    devices: Sequence[Figures] = (),
+    progress: Progress = no_progress,
+) -> Recomputed:
+    """The p and the ledger of a coupling block, from the displacements and the forces of its ports.
+
+    Args:
+        bundle: the coupling's part of the session.
+        x: recorded by its devices, ticks x ports, m; NaN where one of them has no row.
+        p: recorded, m; it says where a rung was changed or a process began anew, and nothing else.
+        f: recorded, the force that was handed on, N.
+        figures: the coupling's.
+        devices: those of its devices.
+        progress: told now and then how many ticks are done.
+    """
+    free = [window for told in devices for window in _growing(told)]
+    return _Block(bundle, x, p, f, changes(figures, names.RUNG), free).follow(progress)
+
+
+def _growing(figures: Figures) -> list[Window]:
+    """Where a device ran free, and in ``value`` how many periods."""
+    windows = changes(figures, names.RELEASED)
+    before = [0.0, *(window.value for window in windows)]
+    # a count that is less than before is that of a new process
+    grown = [now.value - last if now.value > last else now.value for last, now in zip(before, windows, strict=False)]
+    return [Window(window.begin, window.end, by) for window, by in zip(windows, grown, strict=True)]
+
+
+class _Block:
+    """A coupling block, followed from row to row."""
+
+    def __init__(
+        self, bundle: CouplingBundle, x: Array, p: Array, f: Array, shifts: list[Window], free: list[Window]
+    ) -> None:
+        self._bundle, self._x, self._p, self._f = bundle, x, p, f
+        self._pending, self._free = shifts, [[window.begin, window.end, window.value] for window in free]
+        self._out = Recomputed.nothing(*p.shape)
+        self._core = self._core_of(0)
+        self._rows: list[int] = np.flatnonzero(there(p) & there(f)).tolist()
+        self._sampled = there(x)
+        self._begun = 0  # the first row, by number, of this process
+
+    def _core_of(self, rung: int) -> CouplingCore:
+        of = self._bundle.rungs[rung]
+        return CouplingCore(of.block, of.K, of.level, self._bundle.common.period, self._bundle.limits.force)
+
+    def follow(self, progress: Progress) -> Recomputed:
+        """All rows."""
+        out, before = self._out, -1
+        for i, k in enumerate(self._rows):
+            gap, compared = k != before + 1, bool(self._sampled[k])
+            if compared and not self._fits(self._core, k) and not self._shifted(i):
+                if gap and not self._leads_on(self._core, i) and self._leads_on(self._core_of(0), i):
+                    self._core, self._begun = self._core_of(0), i  # a new process
+                if not self._fits(self._core, k):
+                    compared = not self._excused(k, gap)
+                    if compared and (gap or self._window(k) is not None) and not self._leads_on(self._core, i):
+                        text = "it had rows missing" if gap else "it changed its rung"
+                        why = f"{text}, and its state then follows from nothing recorded: from there on it is believed"
+                        out.gaps.append(Gap(k, len(self._p), why))
+                        break
+                    if not compared:
+                        out.gaps.append(Gap(k, k + 1, _SAID_BEFORE))
+            if compared:
+                out.signal[k] = self._core.free_position(self._x[k].tolist())
+            self._core.absorb(self._f[k].tolist())
+            if self._core.ledger is not None:
+                out.ledger[k] = self._core.ledger.total
+            before = k
+            if k % EVERY == 0:
+                progress(k)
+        return out
+
+    def _fits(self, core: CouplingCore, k: int) -> bool:
+        """Whether a block in that state says the p that was recorded."""
+        same: bool = core.free_position(self._x[k].tolist()) == self._p[k].tolist()
+        return same
+
+    def _leads_on(self, core: CouplingCore, i: int) -> bool:
+        """Whether a row soon behind the i-th, and without a gap before it, follows from the state at the i-th."""
+        trial = copy.deepcopy(core)
+        for j in range(i, min(i + MOST_AHEAD, len(self._rows) - 1)):
+            trial.absorb(self._f[self._rows[j]].tolist())
+            k = self._rows[j + 1]
+            if k == self._rows[j] + 1 and self._sampled[k] and self._fits(trial, k):
+                return True
+        return False
+
+    def _excused(self, k: int, gap: bool) -> bool:
+        """Whether a device may have sampled again since p was said; each of its free periods excuses one row."""
+        for window in self._free:
+            if window[0] <= k < window[1] and window[2] > 0:
+                window[2] -= 1
+                return True
+        return gap
+
+    def _window(self, k: int) -> Window | None:
+        """The change of rung that may have happened before ``k``, the latest."""
+        return next((window for window in reversed(self._pending) if window.begin <= k), None)
+
+    def _shifted(self, i: int) -> bool:
+        """Whether the block had changed its rung at some tick before its i-th row, at which it exerted no force."""
+        window = self._window(self._rows[i])
+        if window is None or window.value not in range(len(self._bundle.rungs)):
+            return False
+        rung, tried = int(window.value), 0
+        for j in range(i - 1, self._begun - 1, -1):
+            k = self._rows[j]
+            if k < window.begin or tried >= MOST_TRIALS:
+                return False
+            if k >= window.end or np.any(self._f[k] != 0.0):
+                continue
+            tried += 1
+            core = self._core_of(rung)
+            if core.ledger is not None and j > self._begun:
+                core.ledger.enter(float(self._out.ledger[self._rows[j - 1], 0]))
+            ledgers = []
+            for row in self._rows[j:i]:
+                core.absorb(self._f[row].tolist())
+                ledgers.append(np.nan if core.ledger is None else core.ledger.total)
+            if self._fits(core, self._rows[i]):
+                self._out.ledger[self._rows[j:i], 0] = ledgers
+                self._core = core
+                self._out.shifts.append((k, rung))
+                self._pending = [other for other in self._pending if other.begin > window.begin]
+                return True
+        return False
