@@ -93,11 +93,12 @@ class _Block:
         for i, k in enumerate(self._rows):
             gap, compared = k != before + 1, bool(self._sampled[k])
             if compared and not self._fits(self._core, k) and not self._shifted(i):
-                if gap and not self._leads_on(self._core, i) and self._leads_on(self._core_of(0), i):
+                if gap and self._joins(self._core_of(0), i) < self._joins(self._core, i):
                     self._core, self._begun = self._core_of(0), i  # a new process
                 if not self._fits(self._core, k):
                     compared = not self._excused(k, gap)
-                    if compared and (gap or self._window(k) is not None) and not self._leads_on(self._core, i):
+                    told_of = gap or self._window(k) is not None
+                    if compared and told_of and self._joins(self._core, i) > MOST_AHEAD:
                         text = "it had rows missing" if gap else "it changed its rung"
                         why = f"{text}, and its state then follows from nothing recorded: from there on it is believed"
                         out.gaps.append(Gap(k, len(self._p), why))
@@ -119,15 +120,19 @@ class _Block:
         same: bool = core.free_position(self._x[k].tolist()) == self._p[k].tolist()
         return same
 
-    def _leads_on(self, core: CouplingCore, i: int) -> bool:
-        """Whether a row soon behind the i-th, and without a gap before it, follows from the state at the i-th."""
+    def _joins(self, core: CouplingCore, i: int) -> int:
+        """After how many rows from the i-th on a row follows from the state at the i-th; more than MOST_AHEAD: none.
+
+        A state is forgotten with time, so that a wrong one joins in the end, but the right one joins first.
+        """
         trial = copy.deepcopy(core)
-        for j in range(i, min(i + MOST_AHEAD, len(self._rows) - 1)):
-            trial.absorb(self._f[self._rows[j]].tolist())
-            k = self._rows[j + 1]
-            if k == self._rows[j] + 1 and self._sampled[k] and self._fits(trial, k):
-                return True
-        return False
+        for j in range(i, min(i + MOST_AHEAD, len(self._rows))):
+            k = self._rows[j]
+            behind_gap = j > i and k != self._rows[j - 1] + 1
+            if self._sampled[k] and not behind_gap and self._fits(trial, k):
+                return j - i
+            trial.absorb(self._f[k].tolist())
+        return MOST_AHEAD + 1
 
     def _excused(self, k: int, gap: bool) -> bool:
         """Whether a device may have sampled again since p was said; each of its free periods excuses one row."""

@@ -222,10 +222,11 @@ def increments(Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array
     for own in blocks.ports.values():
         silent = still[sign:, own].all(axis=1)
         allowed += int((silent & ~np.concatenate([[False], silent[:-1]])).sum())
+    most = LET_GO * np.linalg.norm(f, axis=1)
     with np.errstate(invalid="ignore"):
-        off = np.abs(recorded - recomputed)
-        behind = np.arange(len(off)) >= sign
-        let_go = behind & (off > tolerance) & (off <= tolerance + LET_GO * np.linalg.norm(f, axis=1))
+        off = recorded - recomputed  # what is let go is given up, never gained
+        let_go = (off < -tolerance) & (off >= -tolerance - most)
+    let_go[:sign] = False
     used = np.flatnonzero(let_go)[:allowed]
-    tolerance[used] += LET_GO * np.linalg.norm(f[used], axis=1)
+    tolerance[used] += most[used]
     return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used))

@@ -9,10 +9,12 @@ import numpy as np
 import yaml
 
 from manyhands.design.certificate import to_json
+from manyhands.design.coupling import SpringDamper
 from manyhands.launch.bundles import mass_names
-from manyhands.launch.preparation import Prepared
+from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recordings.run import Run
 from manyhands.launch.recordings.tracing import Traces
+from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.launch.topology import topology
 from manyhands.nodes.recorder.core import RecorderCore
@@ -22,6 +24,7 @@ from manyhands.protocol.messages import Observation, Role
 from manyhands.protocol.topics import LEDGER, TAU
 
 EVERY = 100  # ticks between two telemetry messages
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 START = 1_700_000_000_000_000_000  # ns since 1970
 
 Rows = Mapping[tuple[str, str], np.ndarray]
@@ -101,3 +104,16 @@ def forged(path: Path, run: Run, change: Callable[[dict[tuple[str, str], np.ndar
     assert any(not np.array_equal(rows[key], before[key], equal_nan=True) for key in rows)
     figures = {node: dict(told) for node, told in run.figures.items()}
     return written(path, run.recorded, run.attachments, rows, lambda node, tick: figures[node].get(tick, {}))
+
+
+def prepared_as(kind: str) -> Prepared:
+    """A certified session of a kind: a shipped one, or Example 1 ``linear`` or ``enforced``, without a ladder."""
+    if kind == "enforced":
+        return prepare(load_session(SESSIONS / "example1.yaml", ["environment.enforce=true", "design.ladder=[]"]))
+    if kind != "linear":
+        return prepare(load_session(SESSIONS / f"{kind}.yaml"))
+    session = load_session(SESSIONS / "example1.yaml")
+    block = SpringDamper(np.array([[700.0]]), np.array([[0.04]])).realisation(session.period)
+    matrices = {name: {key: getattr(block, key).tolist() for key in "ABCD"} for name in session.couplings}
+    plain = session.as_plain() | {"design": {"coupling": "given", "matrices": matrices, "ladder": []}}
+    return prepare(Session.model_validate(plain, context={"folder": Path()}))

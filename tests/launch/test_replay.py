@@ -11,25 +11,23 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.preparation import Prepared
 from manyhands.launch.recordings.hands import GivenMotion
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import Replayed, replay
 from manyhands.launch.recordings.run import read_run
-from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, LEDGER
 
-from .recorded import attachments_of, forged, recorded_of, simulated, written
+from .recorded import attachments_of, forged, prepared_as, recorded_of, simulated, written
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 330  # no multiple of the ticks between two telemetry messages
 
 
 @pytest.fixture(scope="module")
 def prepared() -> Prepared:
-    return prepare(load_session(SESSIONS / "example1.yaml"))
+    return prepared_as("example1")
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +40,9 @@ def replayed(prepared: Prepared, path: Path) -> Replayed:
     return replay(prepared, read_run(path))
 
 
-@pytest.mark.parametrize("name", ["example1", "example1-operator", "example2-linear"])
+@pytest.mark.parametrize("name", ["example1-operator", "linear", "enforced"])
 def test_every_number_is_the_same(name: str, tmp_path: Path) -> None:
-    prepared = prepare(load_session(SESSIONS / f"{name}.yaml"))
+    prepared = prepared_as(name)
     rows = simulated(prepared, TICKS)
     found = replayed(prepared, written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows))
     assert found.identical
