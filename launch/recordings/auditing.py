@@ -93,7 +93,7 @@ def sentence(check: Check) -> str:
     first, within = check.first, f" within {check.tolerance:.3g}" if check.tolerance else ""
     return (
         f"differs first at tick {first.tick}, {first.column}: recorded {first.recorded!r}, expected "
-        f"{first.recomputed!r}{within} ({check.what}; {check.differing} numbers differ)"
+        f"{first.recomputed!r}{within} ({check.what}; {check.differing} of {check.numbers} differ)"
     )
 
 

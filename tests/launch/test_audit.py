@@ -390,4 +390,4 @@ def test_what_a_clutch_gives_up_at_last_is_within_the_tolerance(tmp_path: Path) 
     def gained(rows: Rows) -> None:  # what is let go is given up, and not gained
         rows["environment", LEDGER][2000:] += 1e-6
 
-    assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), gained))) == {("environment", "work"): 2000}
+    assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), gained)))["environment", "work"] == 2000
