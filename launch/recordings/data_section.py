@@ -5,22 +5,17 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Chunk, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex
 from mcap.writer import MCAP0_MAGIC
 
-from manyhands.launch.recordings.records import (
-    FRAME,
-    MOST_RECORD_BYTES,
-    Content,
-    content_of,
-    record_of,
-    uncompressed,
-)
+from manyhands.launch.recordings.records import FRAME, Content, content_in, record_of
+from manyhands.launch.recordings.stream import MOST_RECORD_BYTES
 from manyhands.nodes.recorder.layout import METADATA, Recorded
 
 _OF_DATA: Final = {
@@ -82,16 +77,16 @@ class _Wrong(Exception):
 class Walk:
     """Goes through the records of a file's data section."""
 
-    def __init__(self, file: BinaryIO, limit: int, known: Sequence[int]) -> None:
+    def __init__(self, file: BinaryIO, limit: int, known: Callable[[], list[int]]) -> None:
         """Of a file that is open at any place.
 
         Args:
             file: the file.
             limit: where at the latest the section ends.
-            known: where records begin, by the file's own summary, in order: there the walk goes on after one whose
-                length is not to be believed.
+            known: tells where records begin, by the file's own summary, in order: there the walk goes on after one
+                whose length is not to be believed. Asked when it is needed, and once.
         """
-        self._file, self._limit, self._known = file, limit, known
+        self._file, self._limit, self._ask = file, limit, known
         self._out = DataSection()
         self._awaited: deque[bytes] | None = deque()  # message indexes to come; None where that is not known
 
@@ -155,6 +150,10 @@ class Walk:
         head = self._head(at)
         return head is not None and head[0] in _OF_DATA and head[1] <= self._limit
 
+    @cached_property
+    def _known(self) -> list[int]:
+        return self._ask()
+
     def _resume(self, at: int) -> int | None:
         place = bisect_right(self._known, at)
         return self._known[place] if place < len(self._known) else None
@@ -189,9 +188,16 @@ class Walk:
             case Chunk():
                 self._chunk(at, record, FRAME.size + len(body))
             case Attachment():
-                times = record.log_time, record.create_time
-                told = len(record.data), record.name, record.media_type
-                self._out.attachments.append(AttachmentIndex(at, FRAME.size + len(body), *times, *told))
+                index = AttachmentIndex(
+                    offset=at,
+                    length=FRAME.size + len(body),
+                    log_time=record.log_time,
+                    create_time=record.create_time,
+                    data_size=len(record.data),
+                    name=record.name,
+                    media_type=record.media_type,
+                )
+                self._out.attachments.append(index)
             case Metadata(name, texts):
                 self._out.metadata.append(MetadataIndex(at, FRAME.size + len(body), name))
                 self._session(name, texts)
@@ -212,14 +218,9 @@ class Walk:
 
     def _chunk(self, at: int, chunk: Chunk, length: int) -> None:
         try:
-            content = content_of(uncompressed(chunk))
+            content = content_in(chunk)
         except ValueError as error:
-            raise _Wrong(f"a chunk: {error}") from error
-        stated = chunk.message_start_time, chunk.message_end_time
-        if stated != (content.first, content.last):
-            raise _Wrong(
-                f"found a chunk of times {stated}; expected those of its messages, {content.first, content.last}"
-            )
+            raise _Wrong(str(error)) from error
         self._awaited = deque(content.indexes.values())
         sizes = chunk.compression, len(chunk.data), chunk.uncompressed_size
         self._out.chunks.append(_chunk_index(at, length, content, sizes))
