@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from manyhands.design.certificate import Certificate
 from manyhands.launch.outcome import Progress
@@ -103,13 +105,22 @@ def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]
 class Showing:
     """One session's gallery, from before its nodes are started to after their end."""
 
-    def __init__(self, directory: Path, about: About) -> None:
+    def __init__(self, directory: Path, about: About, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Open it in the session's directory.
+
+        Args:
+            directory: the session's.
+            about: its description.
+            files: what belongs to it besides, contents by name; there before the description is, for their user alone.
 
         Raises:
             OSError, TransportError: it cannot be opened there.
         """
         self._gallery = Gallery(directory)
+        for name, data in files.items():
+            path = directory / name
+            path.touch(mode=0o600)
+            path.write_bytes(data)
         about.save(directory)
 
     def tell(self, frame: bytes | None) -> None:

@@ -42,7 +42,7 @@ from manyhands.launch.recorder import Recorder
 from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.report import run_report
 from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.run_directory import run_directory
+from manyhands.launch.run_directory import kept_files, run_directory
 from manyhands.launch.session import SUPERVISOR
 from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
@@ -135,7 +135,7 @@ class Supervisor:
         reach = self._reach
         transport = ZmqTransport.of(reach.transport, directory, reach.ring())
         processes = Processes(directory)
-        showing = self._showing = Showing(directory, self._about)
+        showing = self._showing = Showing(directory, self._about, kept_files(self._prepared))
         try:
             local = [name for name in self._graph.nodes if name not in reach.remote]
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}

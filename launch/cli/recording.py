@@ -2,6 +2,189 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
 import typer
 
+from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of
+from manyhands.launch.display import say, status
+from manyhands.launch.exits import EXIT_FAILED
+from manyhands.launch.files import require_target
+from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from manyhands.launch.recordings.attached import AttachedCore, AttachedRecording
+    from manyhands.launch.recordings.info import Info
+    from manyhands.launch.recordings.integrity import Damage
+
 commands = typer.Typer()
+
+RecordingPath = Annotated[Path, typer.Argument(metavar="FILE", help=f"A recording ({STREAMED}).")]
+
+_GAPS_SHOWN = 5
+
+
+@contextmanager
+def _bar(text: str) -> Iterator[Callable[[float], None]]:
+    """Show on a terminal how far something is; yields what is to be told the part that is done."""
+    from rich.progress import Progress
+
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
+        task = bar.add_task(text, total=1.0)
+        yield lambda part: bar.update(task, completed=part)
+
+
+@commands.command(epilog="Example: manyhands record -o run.mcap --duration 10")
+def record(
+    output: Annotated[Path, typer.Option("-o", metavar="FILE", help=f"Where the recording goes ({STREAMED}).")],
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="[DIR]", help="The session's directory: that of launch --directory, or the run's own."),
+    ] = None,
+    session: RunningName = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="How long, in s of the session's time; else until its end."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Record a session that runs already, from now to its end, --duration or Ctrl-C."""
+    with errors():
+        from manyhands.launch.interrupt import Interrupt
+        from manyhands.launch.looking.sessions import find_session, session_in
+        from manyhands.launch.recordings.attached import record_attached
+        from manyhands.protocol.clock import RealtimeClock
+
+        require_suffix(output, (STREAMED,))
+        if duration is not None and not 0.0 < duration <= 1e9:
+            refuse(f"--duration: found {duration:g} s; expected more than 0 s, and at most 1e9 s")
+        if directory is not None and session is not None:
+            refuse(f"found both {directory} and --session {session}; expected one of them")
+        running = find_session(session) if directory is None else session_in(directory)
+        name, said = running.about.session, False
+        with Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
+
+            def show(core: AttachedCore) -> None:
+                nonlocal said
+                if core.beginning and not said:
+                    first = min(core.beginning.values())
+                    say(
+                        err,
+                        f"recording {name} to {output}, from tick {first} to its end; Ctrl-C ends the recording alone",
+                    )
+                    said = True
+                lost = f", {sum(core.missing.values())} missing" if core.missing else ""
+                shown(f"recording {name}: tick {core.tick}{lost}")
+
+            done = record_attached(running, output, duration, interrupt, RealtimeClock(), show)
+        if as_json:
+            say(out, json.dumps(done.as_plain()))
+        _tell(done)
+
+
+def _tell(done: AttachedRecording) -> None:
+    if done.missing:
+        lost = ", ".join(f"{device} {ticks}" for device, ticks in done.missing.items())
+        say(err, f"warning: ticks missing from the recording: {lost}")
+    if done.refused:
+        say(err, f"warning: {done.refused} frames made no sense")
+    ticks = "no ticks" if done.first is None else f"ticks {done.first} to {done.ticks - 1}"
+    say(err, f"{done.ending}; {ticks} written to {done.file}")
+
+
+@commands.command(epilog="Example: manyhands info run.mcap --check")
+def info(
+    file: RecordingPath,
+    check: Annotated[bool, typer.Option("--check", help="Exit with 1 if the file is damaged or cut.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Say what a recording holds, what is missing from it, and whether any byte of it was changed."""
+    with errors():
+        from manyhands.launch.recordings.info import read_info
+        from manyhands.launch.recordings.integrity import findings
+
+        with _bar("reading") as progress:
+            found = read_info(file, lambda part: progress(part / 2))
+            damages = findings(file, lambda part: progress((1 + part) / 2))
+        if as_json:
+            damaged = [{"begin": damage.begin, "end": damage.end, "what": damage.what} for damage in damages]
+            say(out, json.dumps({"file": str(file), **found.as_plain(), "damaged": damaged}))
+        else:
+            _print(found, damages)
+        end(EXIT_FAILED if check and damages else 0)
+
+
+def _print(found: Info, damages: list[Damage]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    recorded = found.recorded
+    say(out, f"session {recorded.session}, certificate {recorded.certificate}, manyhands {recorded.version}")
+    begin = f", from tick {found.first}" if found.first else ""
+    say(
+        out,
+        f"{found.ticks - (found.first or 0)} ticks of {recorded.period:g} s{begin}: {found.duration:g} s; "
+        f"{recorded.clock} clock; {found.size} bytes",
+    )
+    table = Table("channel", box=None)
+    table.add_column("messages", justify="right")
+    table.add_column("rate [Hz]", justify="right")
+    for channel in found.channels:
+        rate = "" if channel.rate is None else f"{channel.rate:.6g}"
+        table.add_row(Text(channel.topic), str(channel.messages), rate)
+    out.print(table)
+    for name, size in found.attachments.items():
+        say(out, f"attachment {name}: {size} bytes")
+    for device, ticks in found.missing.items():
+        gaps = found.gaps[device]
+        listed = ", ".join(f"{gap.begin}..{gap.end - 1}" for gap in gaps[:_GAPS_SHOWN])
+        say(out, f"missing of {device}: {ticks} ticks: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
+    if found.cut is not None:
+        say(out, f"not whole: {found.cut}")
+    for damage in damages:
+        say(out, f"damaged: bytes {damage.begin} to {damage.end}: {damage.what}")
+    if not damages:
+        say(out, "whole: every byte agrees with the others")
+
+
+@commands.command(epilog="Example: manyhands export run.mcap --to csv --topics dx/force")
+def export(
+    file: RecordingPath,
+    to: Annotated[str | None, typer.Option("--to", metavar="csv|npz|parquet", help="The format.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", metavar="OUT", help="Where the table goes; by default beside FILE.")
+    ] = None,
+    topics: Annotated[
+        list[str],
+        typer.Option(
+            "--topics",
+            metavar="PATTERN",
+            help="Only these: /SESSION/NODE/TOPIC, NODE/TOPIC, a node or a topic, with * and ?; repeatable, or with "
+            "commas.",
+        ),
+    ] = [],  # noqa: B006
+) -> None:
+    """Write a recording as a table, one row a tick, every number exact."""
+    with errors():
+        from manyhands.launch.recordings.export import FORMATS
+        from manyhands.launch.recordings.export import export as write
+        from manyhands.launch.recordings.run import read_run
+
+        format_ = to or (output.suffix[1:] if output is not None else "")
+        require_one_of("--to", format_, tuple(FORMATS))
+        target = output or file.with_suffix(f".{format_}")
+        require_format(target, (f".{format_}",))
+        require_target(target)
+        with _bar("exporting") as progress:
+            run = read_run(file, lambda part: progress(part / 2))
+            patterns = [pattern for given in topics for pattern in given.split(",")]
+            write(run, target, format_, patterns, lambda part: progress((1 + part) / 2))
+        if run.cut is not None:
+            say(err, f"warning: {file}: {run.cut}")
+        say(err, f"{run.ticks} ticks written to {target}")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from manyhands.launch.conductor import Phase
 from manyhands.launch.interrupt import Interrupt
@@ -24,7 +24,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.file import RecordingFile
 from manyhands.nodes.recorder.layout import MEDIA_TYPES, Recorded
 from manyhands.nodes.recorder.node import FLUSH_EVERY
-from manyhands.protocol.clock import Clock, Instant, from_seconds
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Observation
@@ -231,7 +231,7 @@ def record_attached(
             core = AttachedCore(maker, recorded, duration, clock.now())
             file = RecordingFile(path, maker.cut())
             try:
-                _record(core, visit, supervisor, file, interrupt, clock, show)
+                write_down(core, visit, supervisor.gone, file.append, lambda: interrupt.signal is not None, clock, show)
             finally:
                 file.close()
         finally:
@@ -243,26 +243,45 @@ def record_attached(
     return AttachedRecording(path, recorded.session, ending, first, core.tick, core.missing, core.refused)
 
 
-def _record(
+class Shown(Protocol):
+    """Where frames come from: a visit to a gallery."""
+
+    def recv(self, timeout: Duration) -> bytes | None:
+        """The next frame, or None if none came within ``timeout``."""
+        ...
+
+
+def write_down(
     core: AttachedCore,
-    visit: Visit,
-    supervisor: Supervisor,
-    file: RecordingFile,
-    interrupt: Interrupt,
+    visit: Shown,
+    gone: Callable[[], bool],
+    append: Callable[[bytes], None],
+    interrupted: Callable[[], bool],
     clock: Clock,
     show: Callable[[AttachedCore], None],
 ) -> None:
+    """Take in frames and write until ``core`` knows why to end, then write the file's end.
+
+    Args:
+        core: what is to be done.
+        visit: where frames come from.
+        gone: whether the session has ended; asked when nothing is heard.
+        append: writes.
+        interrupted: whether the recording was asked to end.
+        clock: for the times of writing.
+        show: called whenever something was written.
+    """
     while core.ending is None:
         frame = visit.recv(_PATIENCE)
         if frame is not None:
             core.take(frame, time.time_ns())
-        elif supervisor.gone():
-            while (frame := visit.recv(from_seconds(0.0))) is not None:  # what came before
+        elif gone():
+            while (frame := visit.recv(Duration(0))) is not None:  # what came before
                 core.take(frame, time.time_ns())
             core.end(Ending.GONE)
-        if interrupt.signal is not None:
+        if interrupted():
             core.end(Ending.INTERRUPTED)
         if piece := core.piece(clock.now()):
-            file.append(piece)
+            append(piece)
             show(core)
-    file.append(core.rest())
+    append(core.rest())

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, McapRecord, Schema, Statistics, SummaryOffset
+from mcap.records import Statistics, SummaryOffset
 
 from manyhands.launch.recordings.data_section import DataSection
-from manyhands.launch.recordings.records import FRAME, bytes_of, record_of
+from manyhands.launch.recordings.records import FRAME, bytes_of
 
 SUMMARY_RECORDS: Final = {
     Opcode.SCHEMA: "a schema",
@@ -23,15 +23,15 @@ SUMMARY_RECORDS: Final = {
 """What stands in a summary, in this order."""
 
 
-def records_in(summary: bytes) -> Iterator[McapRecord]:
-    """The records of a summary, as far as they go; what is none is passed over."""
+def records_in(summary: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of each record of a summary, as far as they go."""
     at = 0
     while len(summary) - at >= FRAME.size:
         opcode, length = FRAME.unpack_from(summary, at)
         at += FRAME.size
-        record = record_of(opcode, summary[at : at + length]) if length <= len(summary) - at else None
-        if record is not None:
-            yield record
+        if length > len(summary) - at:
+            return
+        yield opcode, summary[at : at + length]
         at += length
 
 
@@ -45,30 +45,27 @@ def implied(section: DataSection, start: int, told: bytes) -> tuple[list[bytes],
             of groups that are empty it may have offsets or not.
     """
     content = section.content
-    schemas, channels = dict(content.schemas), dict(content.channels)
+    schemas, channels = [*content.schemas.values()], [*content.channels.values()]
     if not section.chunks:
-        for record in records_in(told):
-            match record:
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = record
-    groups: dict[Opcode, Sequence[McapRecord]] = {
-        Opcode.SCHEMA: [*schemas.values()],
-        Opcode.CHANNEL: [*channels.values()],
-        Opcode.STATISTICS: [_statistics(section, len(schemas), len(channels))],
-        Opcode.CHUNK_INDEX: section.chunks,
-        Opcode.ATTACHMENT_INDEX: section.attachments,
-        Opcode.METADATA_INDEX: section.metadata,
+        schemas, channels = (
+            [FRAME.pack(opcode, len(body)) + body for opcode, body in records_in(told) if opcode == wanted]
+            for wanted in (Opcode.SCHEMA, Opcode.CHANNEL)
+        )
+    groups: dict[Opcode, Sequence[bytes]] = {
+        Opcode.SCHEMA: schemas,
+        Opcode.CHANNEL: channels,
+        Opcode.STATISTICS: [bytes_of(_statistics(section, len(schemas), len(channels)))],
+        Opcode.CHUNK_INDEX: [*map(bytes_of, section.chunks)],
+        Opcode.ATTACHMENT_INDEX: [*map(bytes_of, section.attachments)],
+        Opcode.METADATA_INDEX: [*map(bytes_of, section.metadata)],
     }
     records: list[bytes] = []
     offsets: dict[Opcode, bytes] = {}
     at = start
     for opcode, group in groups.items():
-        written = [bytes_of(record) for record in group]
-        length = sum(map(len, written))
+        length = sum(map(len, group))
         offsets[opcode] = bytes_of(SummaryOffset(opcode, at, length))
-        records += written
+        records += group
         at += length
     every = [*records, *offsets.values()]
     if sum(map(len, every)) != len(told):

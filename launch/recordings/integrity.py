@@ -1,4 +1,4 @@
-"""What is wrong with a recording: every byte of it is held against the others, and what disagrees is named by its place.
+"""What is wrong with a recording: every byte is held against the others, and what disagrees is named by its place.
 
 The chunks and attachments have checksums; all else follows from them. A message index is what the messages of its chunk
 make it, the summary is what the data section makes it, the footer is what both make it: each is written anew, in the
@@ -22,7 +22,8 @@ from mcap.writer import MCAP0_MAGIC
 from manyhands.launch.recordings.data_section import DATA_END_BYTES, Damage, DataSection, Walk, checksum_of
 from manyhands.launch.recordings.implied import SUMMARY_RECORDS, implied, records_in
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.records import FRAME, MOST_RECORD_BYTES, bytes_of, record_of
+from manyhands.launch.recordings.records import FRAME, bytes_of, record_of
+from manyhands.launch.recordings.stream import MOST_RECORD_BYTES
 from manyhands.launch.recordings.syndrome import changed_bytes
 
 __all__ = ["Damage", "findings"]
@@ -84,10 +85,10 @@ class _Examination:
         if self._start is None:
             return []
         found = {self._start - DATA_END_BYTES}
-        for record in records_in(self._read(self._start, self._tail_at)):
-            match record:
-                case ChunkIndex():
-                    found |= {record.chunk_start_offset, *record.message_index_offsets.values()}
+        for opcode, body in records_in(self._read(self._start, self._tail_at)):
+            match record_of(opcode, body):
+                case ChunkIndex() as index:
+                    found |= {index.chunk_start_offset, *index.message_index_offsets.values()}
                 case AttachmentIndex(offset) | MetadataIndex(offset):
                     found.add(offset)
         return sorted(found)
@@ -96,12 +97,14 @@ class _Examination:
         """Look at everything."""
         whole = self._size >= _TAIL and (self._magic or self._footer is not None)
         limit = self._size if not whole else self._tail_at if self._start is None else self._start
-        section = Walk(self._file, limit, self._known()).run(progress)
+        section = Walk(self._file, limit, self._known).run(progress)
         found, end = list(section.damages), section.end or self._start
         if not whole:
             return [*found, self._cut(section)]
         if not self._magic:
-            found.append(Damage(self._tail_at + _FOOTER_BYTES, self._size, "found a file that does not end as MCAP does"))
+            found.append(
+                Damage(self._tail_at + _FOOTER_BYTES, self._size, "found a file that does not end as MCAP does")
+            )
         if end is None:
             return found or [Damage(section.whole_to, self._size, "found no end of the data; expected one")]
         if self._start is not None and end < self._start:
@@ -113,7 +116,9 @@ class _Examination:
     def _cut(self, section: DataSection) -> Damage:
         at = section.whole_to
         if section.end is None:
-            what = f"the file ends at byte {self._size} as no recorder ends it: it was cut, and is whole up to byte {at}"
+            what = (
+                f"the file ends at byte {self._size} as no recorder ends it: it was cut, and is whole up to byte {at}"
+            )
         else:
             what = f"the file ends within its summary: it was cut, and its data, up to byte {at}, is whole"
         return Damage(at, self._size, what)
@@ -133,7 +138,9 @@ class _Examination:
         if len(places) > _MOST_PLACES:
             return found
         if sum(byte != 0 for byte in syndrome.to_bytes(4, "little")) == 1:
-            found.append(Damage(end, behind, "if one byte was changed, it may be one of the stated checksum of the data"))
+            found.append(
+                Damage(end, behind, "if one byte was changed, it may be one of the stated checksum of the data")
+            )
         for place in places:
             begin, after = self._record_at(place)
             found.append(Damage(begin, after, f"if one byte was changed, it may be byte {place}, in the record here"))

@@ -8,7 +8,6 @@ bytes, which also holds an attachment against its checksum.
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -36,20 +35,13 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from manyhands.launch.recordings.stream import unpacked
+
 FRAME: Final = struct.Struct("<BQ")
 """Opcode, and length of the body that follows."""
 
-MOST_RECORD_BYTES: Final = 256 * 2**20
-"""Longest record that is read; a recorder's are little longer than a mebibyte."""
-
-MOST_CHUNK_BYTES: Final = 64 * 2**20
-"""Longest content of a chunk, uncompressed; a recorder closes its chunks at a mebibyte or soon after."""
-
-COMPRESSED: Final = "zstd"
-"""How recorders compress their chunks, as the chunk says it."""
-
-_MOST_WINDOW_BYTES: Final = 128 * 2**20  # that a compressed chunk may ask a reader to keep
 _MESSAGE: Final = struct.Struct("<HIQ")  # channel, sequence, log time; publish time and data follow
+_NUMBER: Final = struct.Struct("<H")  # of a schema or a channel, first in either
 _MESSAGE_HEAD: Final = 22
 _INDEX_ENTRY: Final = struct.Struct("<QQ")  # log time, offset in the chunk
 
@@ -95,7 +87,7 @@ class Content:
     """What a chunk holds.
 
     Attributes:
-        schemas: by number, in order.
+        schemas: by number, in order, as they are written.
         channels: likewise.
         counts: messages by channel, in the order of their first ones.
         first: least log time of a message, 0 without any.
@@ -103,36 +95,32 @@ class Content:
         indexes: by channel, the message index that belongs to the chunk, as it is written.
     """
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, bytes] = field(default_factory=dict)
+    channels: dict[int, bytes] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     first: int = 0
     last: int = 0
     indexes: dict[int, bytes] = field(default_factory=dict)
 
 
-def uncompressed(chunk: Chunk) -> bytes:
-    """The content of a chunk, held against its size and its checksum.
+def content_in(chunk: Chunk) -> Content:
+    """What a chunk holds, held against its size, its checksum and its times.
 
     Raises:
         ValueError: it cannot be had, or is another; says what was found.
     """
-    if chunk.compression not in (COMPRESSED, ""):
-        raise ValueError(f"found the compression {chunk.compression!r:.40}; expected {COMPRESSED!r}")
-    if chunk.uncompressed_size > MOST_CHUNK_BYTES:
-        raise ValueError(f"found a chunk of {chunk.uncompressed_size} bytes; expected at most {MOST_CHUNK_BYTES}")
-    data = chunk.data
-    if chunk.compression:
-        try:
-            with zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW_BYTES).stream_reader(data) as reader:
-                data = reader.read(chunk.uncompressed_size + 1)
-        except zstandard.ZstdError as error:
-            raise ValueError(f"cannot be uncompressed: {error}") from error
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"found content that is not of {chunk.uncompressed_size} bytes; expected as many")
-    if zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("found content that does not agree with its checksum")
-    return data
+    if chunk.uncompressed_crc == 0:
+        raise ValueError("found a chunk without a checksum; expected one")
+    try:
+        content = content_of(unpacked(chunk))
+    except zstandard.ZstdError as error:
+        raise ValueError(f"found a chunk that cannot be unpacked ({error}); expected zstd") from error
+    except ValueError as error:
+        raise ValueError(f"found {error}") from error
+    stated = chunk.message_start_time, chunk.message_end_time
+    if stated != (content.first, content.last):
+        raise ValueError(f"found a chunk of times {stated}; expected its messages', {content.first, content.last}")
+    return content
 
 
 def content_of(data: bytes) -> Content:
@@ -147,23 +135,20 @@ def content_of(data: bytes) -> Content:
     at, size = 0, len(data)
     while at < size:
         if size - at < FRAME.size:
-            raise ValueError(f"found {size - at} bytes behind the chunk's last record; expected none")
+            raise ValueError(f"{size - at} bytes behind the chunk's last record")
         opcode, length = FRAME.unpack_from(data, at)
         begin = at + FRAME.size
         if length > size - begin:
-            raise ValueError("found a record in the chunk that is longer than the chunk")
+            raise ValueError("a record in the chunk that is longer than the chunk")
         if opcode == Opcode.MESSAGE and length >= _MESSAGE_HEAD:
             channel, _, time = _MESSAGE.unpack_from(data, begin)
             entries.setdefault(channel, bytearray()).extend(_INDEX_ENTRY.pack(time, at))
             times.append(time)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and length >= _NUMBER.size:
+            (number,) = _NUMBER.unpack_from(data, begin)
+            (out.schemas if opcode == Opcode.SCHEMA else out.channels)[number] = data[at : begin + length]
         else:
-            match record_of(opcode, data[begin : begin + length]):
-                case Schema() as schema:
-                    out.schemas[schema.id] = schema
-                case Channel() as told:
-                    out.channels[told.id] = told
-                case _:
-                    raise ValueError(f"found a record in the chunk with opcode {opcode} that is none")
+            raise ValueError(f"a record in the chunk with opcode 0x{opcode:02x} that is none")
         at = begin + length
     if times:
         out.first, out.last = min(times), max(times)

@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from manyhands.nodes.recorder.layout import (
-    CONDITION_SCHEMA,
-    FIGURES_SCHEMA,
     MAX_TIME_NS,
     MEDIA_TYPES,
     MESSAGE_ENCODING,
     METADATA,
+    OTHER_SCHEMAS,
     SCHEMA_ENCODING,
     SEQUENCES,
     SUPERVISOR,
@@ -117,31 +118,26 @@ class RecorderCore:
                     self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
             self._count(told.node, told.tick, rows)
         if told.figures:
-            about = {"node": told.node, "role": self._recorded.roles[told.node].value}
-            channel = self._channel(told.node, TELEMETRY, FIGURES_SCHEMA, about)
+            channel = self._channel(told.node, TELEMETRY, None)
             self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
         one = topic.columns is Columns.ONE
-        about = {
-            "node": node,
-            "role": self._recorded.roles[node].value,
-            "symbol": topic.symbol,
-            "unit": topic.unit,
-            "columns": json.dumps(self._recorded.columns(node, topic), ensure_ascii=False),
-        }
-        channel = self._channel(node, topic.name, schema_of(topic), about)
         rows, count = row_texts(values, one), len(values)
         key, end = f'"{topic.trace}": {"" if one else "["}'.encode(), b"}" if one else b"]}"
-        lengths = ticks.lengths + lengths_of(rows) + len(key) + len(end)
+        lengths = ticks.lengths + lengths_of(rows) + np.uint64(len(key) + len(end))
         columns = (ticks.beginnings, (key,) * count, rows, (end,) * count)
-        self._tape.messages(channel, ticks.times, ticks.sequences, lengths, columns)
+        self._tape.messages(self._channel(node, topic.name, topic), ticks.times, ticks.sequences, lengths, columns)
 
-    def _channel(self, node: str, name: str, schema: tuple[str, str], about: dict[str, str]) -> int:
+    def _channel(self, node: str, name: str, topic: Topic | None) -> int:
         """The channel of a node's topic; the file is told of it before its first message."""
         number = self._channels.get((node, name))
         if number is None:
-            title, text = schema
+            about = {"node": node, "role": self._recorded.roles.get(node, Role.SUPERVISOR).value}
+            if topic is not None:
+                columns = json.dumps(self._recorded.columns(node, topic), ensure_ascii=False)
+                about |= {"symbol": topic.symbol, "unit": topic.unit, "columns": columns}
+            title, text = OTHER_SCHEMAS[name] if topic is None else schema_of(topic)
             if title not in self._schemas:
                 self._schemas[title] = self._tape.schema(title, SCHEMA_ENCODING, text)
             full = topic_name(self._recorded.session, node, name)
@@ -157,8 +153,7 @@ class RecorderCore:
         before, self._condition = self._condition, condition
         if before is not None and replace(condition, elapsed=before.elapsed) == before:
             return
-        about = {"node": SUPERVISOR, "role": Role.SUPERVISOR.value}
-        channel = self._channel(SUPERVISOR, CONDITION, CONDITION_SCHEMA, about)
+        channel = self._channel(SUPERVISOR, CONDITION, None)
         data = encode_condition(self.tick, condition)
         if self._start is None:  # the time of tick 0 is not known yet
             self._tape.message(channel, time, self.tick % SEQUENCES, data)

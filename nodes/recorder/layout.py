@@ -43,6 +43,7 @@ MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
 
 _NUMBER: Final = {"type": "number", "nullable": True}  # one type alone: viewers refuse a list of them
+_TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
 
@@ -60,20 +61,19 @@ def _schema(name: str, properties: Mapping[str, Any]) -> tuple[str, str]:
     return f"manyhands.{name}", json.dumps({"type": "object", "properties": every, "required": [*every]})
 
 
-_TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
-
-FIGURES_SCHEMA: Final = _schema(
-    TELEMETRY, {FIGURES: {"type": "object", "properties": {}, "additionalProperties": _NUMBER}}
-)
-CONDITION_SCHEMA: Final = _schema(
-    CONDITION,
-    {
-        "phase": _TEXT,
-        "elapsed": {"type": "number", "description": "since the first tick, s, by the clock on the wall"},
-        "states": {"type": "object", "properties": {}, "additionalProperties": _TEXT},
-        **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
-    },
-)
+OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
+    TELEMETRY: _schema(TELEMETRY, {FIGURES: {"type": "object", "properties": {}, "additionalProperties": _NUMBER}}),
+    CONDITION: _schema(
+        CONDITION,
+        {
+            "phase": _TEXT,
+            "elapsed": {"type": "number", "description": "since the first tick, s, by the clock on the wall"},
+            "states": {"type": "object", "properties": {}, "additionalProperties": _TEXT},
+            **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
+        },
+    ),
+}
+"""Names and texts of the schemas of what is told besides the topics of the table."""
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.recorder.layout import SEQUENCES, TICK, TIME
+
+_BLOCK: Final = 128  # ticks
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +40,34 @@ class Ticks:
     def of(cls, first: int, count: int, start: int, tick_ns: float) -> Ticks:
         """The ticks ``first`` to ``first + count - 1`` of a session whose tick 0 was at ``start``, ns since 1970."""
         numbers = np.arange(first, first + count, dtype=np.uint64)
-        since = np.rint(numbers.astype(np.float64) * tick_ns)
-        beginnings = tuple(
-            f'{{"{TICK}": {tick}, "{TIME}": {time!r}, '.encode()
-            for tick, time in zip(numbers.tolist(), (since / 1e9).tolist(), strict=True)
-        )
+        beginnings = _beginnings(first, count, tick_ns)
         return cls(
-            np.uint64(start) + since.astype(np.uint64),
+            np.uint64(start) + _since_start(first, count, tick_ns).astype(np.uint64),
             (numbers % np.uint64(SEQUENCES)).astype(np.uint32),
             beginnings,
             lengths_of(beginnings),
         )
+
+
+def _since_start(first: int, count: int, tick_ns: float) -> NDArray[np.float64]:
+    """How long after tick 0 the ticks are, ns: whole numbers."""
+    return np.rint(np.arange(first, first + count, dtype=np.uint64).astype(np.float64) * tick_ns)
+
+
+def _beginnings(first: int, count: int, tick_ns: float) -> tuple[bytes, ...]:
+    """How the messages of these ticks begin, out of blocks: all nodes tell of the same ticks, one after the other."""
+    out: list[bytes] = []
+    for block in range(first // _BLOCK, (first + count - 1) // _BLOCK + 1):
+        out += _block(block, tick_ns)
+    skipped = first % _BLOCK
+    return tuple(out[skipped : skipped + count])
+
+
+@lru_cache(maxsize=64)
+def _block(number: int, tick_ns: float) -> tuple[bytes, ...]:
+    first = number * _BLOCK
+    times = (_since_start(first, _BLOCK, tick_ns) / 1e9).tolist()
+    return tuple(f'{{"{TICK}": {tick}, "{TIME}": {time!r}, '.encode() for tick, time in enumerate(times, first))
 
 
 def lengths_of(texts: Sequence[bytes]) -> NDArray[np.uint64]:

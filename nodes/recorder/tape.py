@@ -1,8 +1,8 @@
 """An MCAP file as it is written: records one after the other, messages gathered in compressed chunks, an index at last.
 
 The records are those of https://mcap.dev/spec, most of them as the library ``mcap`` writes them. Its writer makes an
-object of each message and writes it field by field, which would take a quarter of a processor at 23 000 messages a
-second: here the messages of one trace are laid out together, with their indexes.
+object of each message and writes it field by field, which takes longer than all else that a recorder does: here the
+messages of one trace are laid out together, with their indexes.
 """
 
 from __future__ import annotations

@@ -12,17 +12,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.design.certificate import load
+from manyhands.launch import recorder_process
+from manyhands.launch.gallery import observation_frame
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recorder import Recorder
-from manyhands.launch.recorder_process import MOST_WAITING_BYTES, RecorderProcess
+from manyhands.launch.recorder_process import RecorderProcess
 from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.session import load_session
 from manyhands.protocol.messages import Telemetry
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
-ROWS = 20_000  # of a frame: 320 kB
-FRAMES_A_CHUNK = 4
+ROWS = 700  # of a frame: 11 kB, which become 110 kB of messages
+FRAMES_A_CHUNK = 4  # of each of three devices: enough to fill one
+MOST_WAITING_BYTES = 400_000  # instead of the true bound, which would take minutes to read back
+
+
+@pytest.fixture(autouse=True)
+def bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder_process, "MOST_WAITING_BYTES", MOST_WAITING_BYTES)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +60,7 @@ class Stage:
             tick = self.told * ROWS
             x = np.arange(tick - ROWS, tick, dtype=np.float64).reshape(ROWS, 1)
             for device in ("dx", "dy", "dz"):
-                self.recorder.tell(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x}))
+                self.recorder.tell(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
 
     def attend(self) -> bool:
         """Wait for whatever the recorder says; whether there may be more."""
@@ -108,6 +119,31 @@ def test_all_that_is_told_is_recorded(stage: Stage, tmp_path: Path) -> None:
     assert stage.recorder.fds == ()
 
 
+def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_has_one(
+    prepared: Prepared, tmp_path: Path
+) -> None:
+    certified = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dx.mass=0.3"]))
+    for number, (one, names) in enumerate(
+        ((prepared, ["session.yaml"]), (certified, ["session.yaml", "certificate.json"]))
+    ):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        stage = Stage(RecorderProcess(one, "realtime", folder / "r.mcap"), folder)
+        stage.finish()
+        stage.close()
+        directory = SessionDirectory(folder / "kept")
+        directory.keep_session(one)
+        found = read_run(folder / "r.mcap")
+        assert list(found.attachments) == names
+        for name in names:
+            assert found.attachments[name] == (directory.path / name).read_bytes()
+        assert (found.recorded.certificate, found.recorded.masses) == (one.id, tuple(one.session.environment.masses))
+    (folder / "c.json").write_bytes(found.attachments["certificate.json"])
+    assert load(folder / "c.json")[0].id == certified.id
+    (folder / "s.yaml").write_bytes(found.attachments["session.yaml"])
+    assert load_session(folder / "s.yaml") == certified.session
+
+
 def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: Stage, tmp_path: Path) -> None:
     stage.tell(2 * FRAMES_A_CHUNK)
     stage.attend_until_taken()
@@ -128,7 +164,7 @@ def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage:
 def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: Stage, tmp_path: Path) -> None:
     """The kernel refuses the recorder what would make its file longer; tests/system has a disk that is really full."""
     assert stage.recorder.pid is not None
-    resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (5_000_000, resource.RLIM_INFINITY))
+    resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
     stage.tell(4 * FRAMES_A_CHUNK)
     while stage.attend():
         pass
@@ -216,7 +252,9 @@ def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: Stage, tmp_path:
 
 
 def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: Stage) -> None:
-    stage.recorder.tell("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
+    stage.recorder.tell(
+        observation_frame("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
+    )
     assert stage.recorder.lost == 1
     stage.finish()
 
@@ -250,7 +288,8 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
 def test_without_a_recording_nothing_is_asked_or_told(tmp_path: Path) -> None:
     nobody = Recorder()
     nobody.start(tmp_path)
-    nobody.tell("dx", Telemetry(1, {}, {}))
+    nobody.tell(observation_frame("dx", Telemetry(1, {}, {})))
+    nobody.tell(None)
     assert (nobody.fds, nobody.has_room, nobody.attend({1}), nobody.finish(0)) == ((), True, None, None)
-    assert (nobody.missing, nobody.failure, nobody.as_plain(), nobody.wants_traces) == ({}, None, {}, False)
+    assert (nobody.missing, nobody.failure, nobody.as_plain()) == ({}, None, {})
     assert list(tmp_path.iterdir()) == []

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from manyhands.launch import recorder_process
 from manyhands.launch.conductor import Phase
@@ -24,11 +25,13 @@ from manyhands.launch.reach import reach
 from manyhands.launch.recorder_process import RecorderProcess
 from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.supervisor import Supervisor
 from manyhands.launch.topology import roster
+from manyhands.protocol.topics import topic_name, topics_of
 
 from .commands import MANYHANDS, run
 
@@ -71,6 +74,15 @@ def test_under_the_simulated_clock_the_file_holds_the_simulations_numbers(
     assert found.x.tobytes() == expected.x.tobytes()
     assert found.f_v.tobytes() == expected.f_v.tobytes()
     assert outcome.report["recording"] == {"file": str(tmp_path / "r.mcap"), "ticks": TICKS}
+    whole = read_run(tmp_path / "r.mcap")
+    assert (whole.ticks, whole.cut, whole.recorded.masses) == (TICKS, None, ("hub",))
+    for node, role in whole.recorded.roles.items():
+        assert [tick for tick, _ in whole.figures[node]][-1] == TICKS
+        for topic in topics_of(role, ("hub",)):
+            assert not np.isnan(whole.traces[node, topic.name].values).any(), (node, topic.name)
+    phases = [condition.phase for _, condition in whole.conditions]
+    assert phases == sorted(phases, key=[phase.value for phase in Phase].index)
+    assert (phases[-1], whole.conditions[-1][0]) == ("over", TICKS)
 
 
 @pytest.mark.parametrize(("clock", "code"), [("realtime", 0), ("simulated", 1)])
@@ -175,7 +187,8 @@ def test_everything_of_one_run_is_in_its_directory(tmp_path: Path) -> None:
     session = load_session(kept / "session.yaml")
     assert session == load_session(SESSIONS / "example1.yaml", ["devices.dx.mass=0.3"])
     certificate, report = (json.loads((kept / f"{name}.json").read_text()) for name in ("certificate", "report"))
-    recording = read_recording(kept / "r.mcap")
+    recording, attached = read_recording(kept / "r.mcap"), read_run(kept / "r.mcap").attachments
+    assert attached == {name: (kept / name).read_bytes() for name in ("session.yaml", "certificate.json")}
     assert certificate["id"] == report["certificate"] == recording.certificate
     assert recording.x.shape == (300, 3)
     events = [json.loads(line) for line in (kept / "log" / "supervisor.jsonl").read_text().splitlines()]
@@ -183,6 +196,27 @@ def test_everything_of_one_run_is_in_its_directory(tmp_path: Path) -> None:
     assert events[-1]["event"] == "end"
     assert {event["peer"] for event in events if event["event"] == "exited"} == set(session.roles)
     assert {event["code"] for event in events if event["event"] == "exited"} == {0}
+
+
+def test_every_tick_of_every_topic_is_a_message_of_its_own(tmp_path: Path) -> None:
+    ticks = 450
+    run("launch", "example1.yaml", "--clock", "simulated", "--duration", "0.45", "--record", tmp_path / "r.mcap")
+    session = load_session(SESSIONS / "example1.yaml")
+    with (tmp_path / "r.mcap").open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    found = {channel.topic: counts[number] for number, channel in summary.channels.items()}
+    told = {
+        topic_name(session.name, node, topic.name): ticks
+        for node, role in session.roles.items()
+        for topic in topics_of(role, ("hub",))
+    }
+    assert len(told) == 3 * 4 + 3 * 3 + 3
+    assert {topic: found.pop(topic) for topic in told} == told
+    condition = topic_name(session.name, "supervisor", "condition")
+    assert found.keys() == {condition, *(topic_name(session.name, node, "telemetry") for node in session.roles)}
 
 
 def test_a_directory_of_another_run_is_refused_before_anything_is_started(tmp_path: Path) -> None:

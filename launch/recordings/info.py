@@ -1,0 +1,226 @@
+"""What a recording says of itself, without keeping its numbers: whose it is, how long, and what is missing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata
+from numpy.typing import NDArray
+
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import cut_at
+from manyhands.launch.recordings.stream import End, Message, Messages, parts
+from manyhands.nodes.recorder.layout import METADATA, Recorded
+from manyhands.protocol.messages import Role
+from manyhands.protocol.topics import DISPLACEMENT, topic_name, topics_of
+
+MOST_GAPS: Final = 1000
+"""Most gaps of one device that are told one by one; all are counted."""
+
+
+@dataclass
+class ChannelInfo:
+    """One channel.
+
+    Attributes:
+        topic: its full name.
+        messages: how many.
+        first: log time of the first, ns since 1970; 0 without any.
+        last: of the last.
+    """
+
+    topic: str
+    messages: int = 0
+    first: int = 0
+    last: int = 0
+
+    @property
+    def rate(self) -> float | None:
+        """Messages a second of the session's time; None of fewer than two, or all at once."""
+        return (self.messages - 1) * 1e9 / (self.last - self.first) if self.last > self.first else None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Ticks that were not recorded: from ``begin`` to the one before ``end``."""
+
+    begin: int
+    end: int
+
+
+@dataclass
+class Ticks:
+    """The ticks of one device, as they are met: where they begin and end, and which are missing between.
+
+    Attributes:
+        first: the first tick; None before any.
+        next: the one after the last.
+        missing: how many are missing between.
+        gaps: which, the first of them.
+    """
+
+    first: int | None = None
+    next: int = 0
+    missing: int = 0
+    gaps: list[Gap] = field(default_factory=list)
+
+    def take(self, ticks: NDArray[np.int64]) -> None:
+        """Take in ticks, in order; not empty. Such as were there before are passed over."""
+        if self.first is None:
+            self.first = self.next = int(ticks[0])
+        before = np.maximum.accumulate(np.concatenate([[self.next - 1], ticks]))
+        for place in np.flatnonzero(ticks - before[:-1] > 1).tolist():
+            self.skip(int(before[place]) + 1, int(ticks[place]))
+        self.next = int(before[-1]) + 1
+
+    def skip(self, begin: int, end: int) -> None:
+        """These are missing."""
+        self.missing += end - begin
+        if len(self.gaps) < MOST_GAPS:
+            self.gaps.append(Gap(begin, end))
+
+
+@dataclass(frozen=True)
+class Info:
+    """What is in a recording.
+
+    Attributes:
+        recorded: the session.
+        size: of the file, bytes.
+        first: the first tick of any device; None where there is none.
+        ticks: one more than the last.
+        channels: in the file's order.
+        attachments: bytes by name.
+        missing: ticks that are missing between first and last, by device, those devices that miss some.
+        gaps: which they are, likewise; the first :data:`MOST_GAPS`.
+        cut: why the file cannot be read to its end, and up to which tick it can; None for a whole one.
+    """
+
+    recorded: Recorded
+    size: int
+    first: int | None
+    ticks: int
+    channels: tuple[ChannelInfo, ...]
+    attachments: Mapping[str, int]
+    missing: Mapping[str, int]
+    gaps: Mapping[str, tuple[Gap, ...]]
+    cut: str | None
+
+    @property
+    def duration(self) -> float:
+        """From the first tick to the end of the last, s of the session's time."""
+        return (self.ticks - (self.first or 0)) * self.recorded.period
+
+    def as_plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        recorded = self.recorded
+        return {
+            "session": recorded.session,
+            "certificate": recorded.certificate,
+            "version": recorded.version,
+            "clock": recorded.clock,
+            "period": recorded.period,
+            "bytes": self.size,
+            "first": self.first,
+            "ticks": self.ticks,
+            "duration": self.duration,
+            "channels": [{"topic": c.topic, "messages": c.messages, "rate": c.rate} for c in self.channels],
+            "attachments": dict(self.attachments),
+            "missing": dict(self.missing),
+            "gaps": {device: [[gap.begin, gap.end] for gap in gaps] for device, gaps in self.gaps.items()},
+            "cut": self.cut,
+        }
+
+
+def read_info(path: Path, progress: Callable[[float], None] | None = None) -> Info:
+    """Look through a recording, whole or cut.
+
+    Args:
+        path: the recording.
+        progress: gets the part that is done, 0 to 1.
+
+    Raises:
+        RecordingError: not readable, no such recording, or cut before it says what it is.
+    """
+    looking = _Looking(path)
+    for part in parts(path, progress):
+        looking.take(part)
+    return looking.info()
+
+
+class _Looking:
+    """At one file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._recorded: Recorded | None = None
+        self._channels: dict[int, ChannelInfo] = {}
+        self._devices: dict[str, tuple[str, Ticks]] = {}
+        self._attachments: dict[str, int] = {}
+        self._why: str | None = None
+
+    def take(self, part: object) -> None:
+        match part:
+            case Metadata(name, texts) if name == METADATA and self._recorded is None:
+                try:
+                    self._begin(Recorded.from_metadata(texts))
+                except ValueError as error:
+                    raise RecordingError(f"{self._path}: {error}") from error
+            case Channel():
+                self._channels.setdefault(part.id, ChannelInfo(part.topic))
+            case Attachment():
+                self._attachments[part.name] = len(part.data)
+            case Messages(found):
+                self._count(found)
+            case End(why):
+                self._why = why
+
+    def _begin(self, recorded: Recorded) -> None:
+        self._recorded = recorded
+        sample = next(topic.name for topic in topics_of(Role.DEVICE) if topic.trace == DISPLACEMENT)
+        self._devices = {topic_name(recorded.session, device, sample): (device, Ticks()) for device in recorded.devices}
+
+    def _count(self, found: list[Message]) -> None:
+        together: dict[int, list[Message]] = {}
+        for message in found:
+            together.setdefault(message.channel, []).append(message)
+        for number, told in together.items():
+            channel = self._channels.get(number)
+            if channel is None:
+                continue  # the file never says of what they are
+            times = [message.log_time for message in told]
+            channel.first = min(times) if channel.messages == 0 else min(channel.first, *times)
+            channel.last = max(channel.last, *times)
+            channel.messages += len(told)
+            if channel.topic in self._devices:
+                ticks = np.fromiter((message.sequence for message in told), dtype=np.int64, count=len(told))
+                self._devices[channel.topic][1].take(ticks)
+
+    def info(self) -> Info:
+        if self._recorded is None:
+            raise RecordingError(f"{self._path}: found no word of what was recorded, but {self._why or 'another file'}")
+        devices = dict(self._devices.values())
+        begun = {device: ticks.first for device, ticks in devices.items() if ticks.first is not None}
+        first, end = min(begun.values(), default=None), max((ticks.next for ticks in devices.values()), default=0)
+        for device, ticks in devices.items():
+            begin = 0 if first is None else first
+            if begun.get(device, end) > begin:
+                ticks.skip(begin, begun.get(device, end))
+            if device in begun and ticks.next < end:
+                ticks.skip(ticks.next, end)
+        lacking = {device: ticks for device, ticks in devices.items() if ticks.missing}
+        return Info(
+            recorded=self._recorded,
+            size=self._path.stat().st_size,
+            first=first,
+            ticks=end,
+            channels=tuple(self._channels.values()),
+            attachments=self._attachments,
+            missing={device: ticks.missing for device, ticks in lacking.items()},
+            gaps={device: tuple(sorted(ticks.gaps, key=lambda gap: gap.begin)) for device, ticks in lacking.items()},
+            cut=None if self._why is None else cut_at(self._why, end),
+        )

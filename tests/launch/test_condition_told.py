@@ -1,0 +1,79 @@
+"""How the session is goes to whoever looks on and to the recorder, and what is too long to be said ends nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from manyhands.launch.conductor import Phase
+from manyhands.launch.gallery import Showing, condition_frame
+from manyhands.launch.outcome import Progress
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.reach import reach
+from manyhands.launch.recorder import Recorder
+from manyhands.launch.session import load_session
+from manyhands.launch.supervisor import Supervisor
+from manyhands.protocol.codec import decode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SENTENCES, MAX_TEXT
+from manyhands.protocol.messages import Condition
+
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+
+
+class Ear(Recorder):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[bytes | None] = []
+
+    def tell(self, frame: bytes | None) -> None:
+        self.told.append(frame)
+
+
+class Eye(Showing):
+    """Keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.shown: list[bytes | None] = []
+
+    def tell(self, frame: bytes | None) -> None:
+        self.shown.append(frame)
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)
+
+
+def progress(*sentences: str) -> Progress:
+    return Progress(Phase.RUNNING, {"dx": "running"}, {}, {}, 1.5, sentences, {}, frozenset(), sentences, sentences)
+
+
+def test_one_frame_is_for_both(prepared: Prepared) -> None:
+    ear, eye = Ear(), Eye()
+    supervisor = Supervisor(
+        prepared, clock="simulated", reach=reach(prepared.session, "ipc"), ticks=1, record=False, recorder=ear
+    )
+    supervisor._showing = eye
+    supervisor._tell(progress("a spring broke"))
+    (frame,) = ear.told
+    assert eye.shown == ear.told
+    assert frame is not None
+    sentence = ("a spring broke",)
+    assert decode(frame, MAX_CONTROL_BYTES) == Condition(
+        "running", 1.5, {"dx": "running"}, (), sentence, sentence, sentence
+    )
+
+
+def test_one_that_is_too_long_is_nobodys_loss(prepared: Prepared) -> None:
+    ear, eye = Ear(), Eye()
+    supervisor = Supervisor(
+        prepared, clock="simulated", reach=reach(prepared.session, "ipc"), ticks=1, record=False, recorder=ear
+    )
+    supervisor._showing = eye
+    long = progress(*["€" * MAX_TEXT] * MAX_SENTENCES)
+    assert condition_frame(long) is None
+    supervisor._tell(long)
+    assert (ear.told, eye.shown) == ([], [None])
+    Showing.tell(eye, None)  # which shows nothing, and needs no gallery for it

@@ -1,0 +1,117 @@
+"""What ``info`` says of a recording."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from manyhands.launch.cli import app
+from manyhands.launch.recordings.info import Gap, Ticks, read_info
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.nodes.recorder.core import RecorderCore
+
+from .recordings_made import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(recording(ticks=20, each=5))
+    info = read_info(path)
+    assert info.recorded == RECORDED
+    assert (info.first, info.ticks, info.duration, info.size) == (0, 20, 0.02, path.stat().st_size)
+    assert (info.missing, info.gaps, info.cut) == ({}, {}, None)
+    assert info.attachments == {name: len(data) for name, data in ATTACHED.items()}
+    channels = {channel.topic: channel for channel in info.channels}
+    assert (channels["/s/dx/sample"].messages, channels["/s/dx/sample"].rate) == (20, 1000.0)
+    assert (channels["/s/dx/telemetry"].messages, channels["/s/dx/telemetry"].rate) == (4, 200.0)
+    assert (channels["/s/supervisor/condition"].messages, channels["/s/supervisor/condition"].rate) == (1, None)
+    assert len(channels) == 4 + 3 + 3 + 3 + 1
+
+
+def test_what_is_missing_is_told_by_device(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    data = core.cut()
+    for tick in (10, 20, 40):
+        core.take(observation("dx", tick, 5), STARTED)
+        data += core.cut()
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data + core.end())
+    info = read_info(path)
+    assert (info.first, info.ticks, info.missing) == (5, 40, {"dx": 20})
+    assert info.gaps == {"dx": (Gap(10, 15), Gap(20, 35))}
+
+
+@given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 7))
+def test_gaps_are_the_ticks_that_are_not_there(there: set[int], each: int) -> None:
+    told, ticks = sorted(there), Ticks()
+    for begin in range(0, len(told), each):
+        ticks.take(np.array(told[begin : begin + each], dtype=np.int64))
+    lacking = {tick for gap in ticks.gaps for tick in range(gap.begin, gap.end)}
+    assert lacking == set(range(min(there), max(there))) - there
+    assert ticks.missing == len(lacking)
+    assert (ticks.first, ticks.next) == (min(there), max(there) + 1)
+
+
+def test_a_cut_one_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(cut_recording(ticks=20, each=5))
+    info = read_info(path)
+    assert info.cut is not None
+    assert 0 < info.ticks < 20
+
+
+@pytest.mark.parametrize("text", [b"", b"no recording", recording()[:60]])
+def test_what_is_no_recording_is_refused(text: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(text)
+    with pytest.raises(RecordingError, match=r"run\.mcap: found"):
+        read_info(path)
+
+
+def test_the_command_says_what_is_damaged_and_fails_only_when_it_is_asked_to_check(tmp_path: Path) -> None:
+    whole, path = recording(), tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    runner = CliRunner()
+    result = runner.invoke(app, ["info", str(path), "--json", "--check"])
+    assert (result.exit_code, json.loads(result.stdout)["damaged"]) == (0, [])
+    assert "whole" in runner.invoke(app, ["info", str(path)]).stdout
+    at = whole.index(b"jsonschema") if b"jsonschema" in whole else len(whole) // 2
+    path.write_bytes(whole[:at] + b"X" + whole[at + 1 :])
+    for arguments, code in (([], 0), (["--check"], 1)):
+        result = runner.invoke(app, ["info", str(path), *arguments])
+        assert (result.exit_code, "damaged: bytes" in result.stdout) == (code, True)
+        result = runner.invoke(app, ["info", str(path), "--json", *arguments])
+        (damage,) = json.loads(result.stdout)["damaged"]
+        assert result.exit_code == code
+        assert damage["begin"] <= at < damage["end"]
+
+
+def test_the_command_refuses_what_is_no_recording(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["info", str(tmp_path / "none.mcap")])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "none.mcap: cannot be read" in result.stderr
+
+
+def test_a_condition_alone_is_a_recording_without_ticks(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    core.take(condition(), STARTED)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(core.cut() + core.end())
+    info = read_info(path)
+    assert (info.first, info.ticks, info.duration, info.missing) == (None, 0, 0.0, {})

@@ -1,0 +1,161 @@
+"""A recording in which anything was changed: it is found, and where."""
+
+from __future__ import annotations
+
+import random
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.launch.recordings.integrity import Damage, findings
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.syndrome import changed_bytes
+from manyhands.nodes.recorder.core import RecorderCore
+
+from .recordings_made import ALONE, ATTACHED, RECORDED, STARTED, recording
+
+MAGIC = 8
+
+
+def records(data: bytes) -> list[tuple[int, int]]:
+    """Where each record of a whole file begins and ends, its two magics included."""
+    found, at = [(0, MAGIC)], MAGIC
+    while at < len(data) - MAGIC:
+        (length,) = struct.unpack_from("<Q", data, at + 1)
+        found.append((at, at + 9 + length))
+        at += 9 + length
+    return [*found, (at, len(data))]
+
+
+def examined(path: Path, data: bytes) -> list[Damage]:
+    path.write_bytes(data)
+    return findings(path)
+
+
+def test_nothing_is_wrong_with_a_recording_as_it_was_written(tmp_path: Path) -> None:
+    parts: list[float] = []
+    path = tmp_path / "run.mcap"
+    path.write_bytes(recording())
+    assert findings(path, parts.append) == []
+    assert parts == sorted(parts)
+    assert 0.0 <= parts[0] <= parts[-1] <= 1.0
+
+
+def test_nothing_is_wrong_with_one_of_a_session_of_which_nothing_was_heard(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED, ATTACHED, STARTED)
+    assert examined(tmp_path / "run.mcap", core.cut() + core.end()) == []
+
+
+def test_every_changed_byte_is_found_in_the_record_that_holds_it(tmp_path: Path) -> None:
+    whole, path = recording(ticks=4, each=2, recorded=ALONE), tmp_path / "run.mcap"
+    draw = random.Random(20)
+    for begin, end in records(whole):
+        for place in range(begin, end):
+            data = bytearray(whole)
+            data[place] ^= draw.randrange(1, 256)
+            found = examined(path, bytes(data))
+            told = f"byte {place} of the record {begin}..{end}: {found}"
+            assert any(begin <= damage.begin <= place < damage.end <= end for damage in found), told
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_so_is_a_single_bit_where_it_is_easily_overlooked(tmp_path: Path, bit: int) -> None:
+    """Texts of the header and of the metadata, which are neither in a chunk nor in the summary."""
+    whole, path = recording(), tmp_path / "run.mcap"
+    for begin, end in records(whole)[1:3]:
+        for place in range(begin, end, 7):
+            data = bytearray(whole)
+            data[place] ^= 1 << bit
+            found = examined(path, bytes(data))
+            assert any(begin <= damage.begin <= place < damage.end <= end for damage in found), found
+
+
+def test_what_follows_damage_is_not_called_damaged(tmp_path: Path) -> None:
+    whole, path = recording(ticks=40, each=5, chunks=4), tmp_path / "run.mcap"
+    for begin, end in [records(whole)[place] for place in (5, 6, 9)]:  # chunks and indexes in the middle
+        for place in (begin, begin + 1, begin + 8, begin + 12, end - 1):
+            data = bytearray(whole)
+            data[place] ^= 0x55
+            found = examined(path, bytes(data))
+            assert found
+            assert all(begin <= damage.begin and damage.end <= end for damage in found), found
+
+
+def test_two_changed_chunks_are_both_told(tmp_path: Path) -> None:
+    whole, path = recording(ticks=40, each=5, chunks=4), tmp_path / "run.mcap"
+    chunks = [(begin, end) for begin, end in records(whole)[1:-1] if whole[begin] == 6]
+    data = bytearray(whole)
+    for begin, end in chunks[1:3]:
+        data[(begin + end) // 2] ^= 1
+    assert [(damage.begin, damage.end) for damage in examined(path, bytes(data))] == chunks[1:3]
+
+
+def test_what_only_the_checksum_of_all_data_can_tell_is_told_of_the_whole_section(tmp_path: Path) -> None:
+    whole, path = recording(), tmp_path / "run.mcap"
+    data = bytearray(whole)
+    at = whole.index(RECORDED.certificate.encode())
+    data[at : at + 4] = b"eeee"
+    found = examined(path, bytes(data))
+    begin, end = next(r for r in records(whole) if whole[r[0]] == 0x0F)
+    assert Damage(0, end, found[0].what) in found
+    assert "checksum" in found[0].what
+    assert begin > at
+
+
+@pytest.mark.parametrize("less", [0, 1, 3])
+def test_a_file_that_was_cut_is_told_to_be_with_what_is_whole_of_it(less: int, tmp_path: Path) -> None:
+    whole, path = recording(ticks=20, each=5, chunks=3), tmp_path / "run.mcap"
+    for begin, end in records(whole)[1:-2]:
+        cut = max(end - less, begin + 1)
+        (damage,) = examined(path, whole[:cut])
+        data_end = next(r[1] for r in records(whole) if whole[r[0]] == 0x0F)
+        assert "cut" in damage.what
+        assert (damage.begin, damage.end) == (min(end if cut == end else begin, data_end), cut)
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_no_bytes_make_it_raise(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    """Cut anywhere, then changed at several places or overwritten; and texts that never were a recording."""
+    whole = recording(ticks=4, each=4)
+    path = tmp_path_factory.getbasetemp() / "any.mcap"
+    text = bytearray(whole[: data.draw(st.integers(0, len(whole)))] or data.draw(st.binary()))
+    for place in data.draw(st.lists(st.integers(0, max(len(text) - 1, 0)), max_size=6)):
+        text[place : place + 1] = data.draw(st.binary(max_size=9))
+    found = examined(path, bytes(text))
+    assert found or bytes(text) == whole
+    assert all(0 <= damage.begin <= damage.end <= len(text) for damage in found)
+
+
+def test_a_chunk_that_would_unpack_to_more_than_there_is_memory_for_is_refused_unread(tmp_path: Path) -> None:
+    whole, path = recording(), tmp_path / "run.mcap"
+    begin = next(b for b, _ in records(whole)[1:] if whole[b] == 6)
+    data = bytearray(whole)
+    data[begin + 25 : begin + 33] = struct.pack("<Q", 2**50)
+    assert any(damage.begin == begin and str(2**50) in damage.what for damage in examined(path, bytes(data)))
+
+
+def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        findings(tmp_path / "none.mcap")
+
+
+@given(st.binary(min_size=1, max_size=300), st.data())
+def test_a_syndrome_leads_to_the_changed_byte(text: bytes, data: st.DataObject) -> None:
+    place, change = data.draw(st.integers(0, len(text) - 1)), data.draw(st.integers(1, 255))
+    other = bytearray(text)
+    other[place] ^= change
+    assert changed_bytes(zlib.crc32(text) ^ zlib.crc32(bytes(other)), len(text), 9) == [place]
+
+
+def test_also_far_from_the_end() -> None:
+    text = bytearray(3 * 2**16 + 5)
+    before = zlib.crc32(text)
+    for place in (0, 1, 2**16, 2**17 + 3, len(text) - 1):
+        text[place] ^= 0xA5
+        assert changed_bytes(before ^ zlib.crc32(text), len(text), 9) == [place]
+        text[place] ^= 0xA5
