@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.findings import EXACT, Check, Difference, Gap, Verdict, compare, first_of
+from manyhands.launch.recordings.findings import EXACT, Check, Gap, Verdict, compare, first_of
 from manyhands.launch.recordings.rows import rows_of
 from manyhands.launch.recordings.run import Run
 from manyhands.launch.recordings.world import ROUNDING, Blocks
@@ -160,16 +160,3 @@ def let_go_source(offsets: int) -> str:
     if offsets:
         text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, by which a clutch may close"
     return text
-
-
-__all__ = [
-    "Difference",
-    "bounded",
-    "delay_assumed",
-    "figures_agree",
-    "forces_agree",
-    "let_go_source",
-    "limits_kept",
-    "period_assumed",
-    "tools_agree",
-]

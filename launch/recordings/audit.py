@@ -29,7 +29,7 @@ from manyhands.launch.preparation import NotCertified, Prepared
 from manyhands.launch.recordings import agreement
 from manyhands.launch.recordings.coupling_again import recompute_coupling
 from manyhands.launch.recordings.device_again import recompute_device
-from manyhands.launch.recordings.findings import Check, Difference, Verdict, compare
+from manyhands.launch.recordings.findings import Check, Verdict, compare
 from manyhands.launch.recordings.hands import given_devices, hand_of
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.recomputed import Recomputed
@@ -162,8 +162,9 @@ class _Auditing:
             told = self._run.figures.get(name, ())
             own = self._ports[name]
             devices_told = [self._run.figures.get(device, ()) for device in self._session.devices_of(name)]
+            ledger = rows_of(self._run, name, names.LEDGER)
             again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], told, devices_told, self._tell
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], ledger, told, devices_told, self._tell
             )
             shifts[name] = again.shifts
             out += self._compared(
@@ -274,6 +275,3 @@ class _Auditing:
     def _next(self) -> None:
         self._done += self._run.ticks
         self._progress(self._done)
-
-
-__all__ = ["Audit", "Difference", "audit", "require_certificate", "work_of"]

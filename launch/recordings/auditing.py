@@ -9,7 +9,7 @@ from rich.table import Table
 
 from manyhands.launch.display import say
 from manyhands.launch.recordings.audit import Audit
-from manyhands.launch.recordings.findings import Check, Difference, Gap, Verdict, verdicts
+from manyhands.launch.recordings.findings import Check, Gap, Verdict, verdicts
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.replay import Replayed
 
@@ -64,12 +64,8 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         )
     if checks:
         out.print(table)
-    said: set[str] = set()
-    for check in checks:
-        for line in (f"not checked: {check.party}: {gap}" for gap in check.gaps):
-            if line not in said:
-                say(out, line)
-                said.add(line)
+    for line in dict.fromkeys(line for check in checks for line in _unchecked(check)):
+        say(out, f"not checked: {line}")
     for check in checks:
         if check.verdict is Verdict.ASSUMPTION:
             say(out, f"assumed in vain: {check.party}: {check.what}: {check.told}")
@@ -86,6 +82,19 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     )
 
 
+def _unchecked(check: Check) -> list[str]:
+    """What a check does not speak of, a line for each reason."""
+    gaps: dict[str, list[Gap]] = {}
+    for gap in check.gaps:
+        gaps.setdefault(gap.why, []).append(gap)
+    return [
+        f"{check.party}: {own[0]}"
+        if len(own) == 1
+        else f"{check.party}: {sum(gap.end - gap.begin for gap in own)} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
+        for why, own in gaps.items()
+    ]
+
+
 def sentence(check: Check) -> str:
     """What is wrong, by its first number."""
     if check.first is None:
@@ -95,6 +104,3 @@ def sentence(check: Check) -> str:
         f"differs first at tick {first.tick}, {first.column}: recorded {first.recorded!r}, expected "
         f"{first.recomputed!r}{within} ({check.what}; {check.differing} of {check.numbers} differ)"
     )
-
-
-__all__ = ["Difference", "Gap", "print_audit", "print_damage", "print_replayed", "sentence"]

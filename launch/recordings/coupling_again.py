@@ -41,6 +41,7 @@ def recompute_coupling(
     x: Array,
     p: Array,
     f: Array,
+    ledger: Array,
     figures: Figures,
     devices: Sequence[Figures] = (),
     progress: Progress = no_progress,
@@ -52,12 +53,14 @@ def recompute_coupling(
         x: recorded by its devices, ticks x ports, m; NaN where one of them has no row.
         p: recorded, m; it says where a rung was changed or a process began anew, and nothing else.
         f: recorded, the force that was handed on, N.
+        ledger: recorded, ticks x 1, J; of several places where a rung may have been changed, or a process begun, it
+            says which one it was, and nothing else.
         figures: the coupling's.
         devices: those of its devices.
         progress: told now and then how many ticks are done.
     """
     free = [window for told in devices for window in _growing(told)]
-    return _Block(bundle, x, p, f, changes(figures, names.RUNG), free).follow(progress)
+    return _Block(bundle, (x, p, f, ledger), changes(figures, names.RUNG), free).follow(progress)
 
 
 def _growing(figures: Figures) -> list[Window]:
@@ -73,9 +76,10 @@ class _Block:
     """A coupling block, followed from row to row."""
 
     def __init__(
-        self, bundle: CouplingBundle, x: Array, p: Array, f: Array, shifts: list[Window], free: list[Window]
+        self, bundle: CouplingBundle, told: tuple[Array, Array, Array, Array], shifts: list[Window], free: list[Window]
     ) -> None:
-        self._bundle, self._x, self._p, self._f = bundle, x, p, f
+        self._bundle = bundle
+        self._x, self._p, self._f, self._ledger = x, p, f, _ = told
         self._pending, self._free = shifts, [[window.begin, window.end, window.value] for window in free]
         self._out = Recomputed.nothing(*p.shape)
         self._core = self._core_of(0)
@@ -93,7 +97,7 @@ class _Block:
         for i, k in enumerate(self._rows):
             gap, compared = k != before + 1, bool(self._sampled[k])
             if compared and not self._fits(self._core, k) and not self._shifted(i):
-                if gap and self._joins(self._core_of(0), i) < self._joins(self._core, i):
+                if gap and self._begins(k) and self._joins(self._core_of(0), i) < self._joins(self._core, i):
                     self._core, self._begun = self._core_of(0), i  # a new process
                 if not self._fits(self._core, k):
                     compared = not self._excused(k, gap)
@@ -136,11 +140,19 @@ class _Block:
 
     def _excused(self, k: int, gap: bool) -> bool:
         """Whether a device may have sampled again since p was said; each of its free periods excuses one row."""
+        if gap:
+            return True
         for window in self._free:
             if window[0] <= k < window[1] and window[2] > 0:
                 window[2] -= 1
                 return True
-        return gap
+        return False
+
+    def _begins(self, k: int) -> bool:
+        """Whether a ledger of a process that begins at rest with row ``k`` is the one that was recorded."""
+        core = self._core_of(0)
+        core.absorb(self._f[k].tolist())
+        return core.ledger is None or core.ledger.total == float(self._ledger[k, 0])
 
     def _window(self, k: int) -> Window | None:
         """The change of rung that may have happened before ``k``, the latest."""
@@ -151,25 +163,37 @@ class _Block:
         window = self._window(self._rows[i])
         if window is None or window.value not in range(len(self._bundle.rungs)):
             return False
-        rung, tried = int(window.value), 0
+        found: tuple[int, CouplingCore, list[float]] | None = None
+        before, tried = self._rows[i - 1], 0
         for j in range(i - 1, self._begun - 1, -1):
             k = self._rows[j]
             if k < window.begin or tried >= MOST_TRIALS:
-                return False
+                break
             if k >= window.end or np.any(self._f[k] != 0.0):
                 continue
             tried += 1
-            core = self._core_of(rung)
-            if core.ledger is not None and j > self._begun:
-                core.ledger.enter(float(self._out.ledger[self._rows[j - 1], 0]))
-            ledgers = []
-            for row in self._rows[j:i]:
-                core.absorb(self._f[row].tolist())
-                ledgers.append(np.nan if core.ledger is None else core.ledger.total)
-            if self._fits(core, self._rows[i]):
-                self._out.ledger[self._rows[j:i], 0] = ledgers
-                self._core = core
-                self._out.shifts.append((k, rung))
-                self._pending = [other for other in self._pending if other.begin > window.begin]
-                return True
-        return False
+            core, ledger = self._shifted_at(j, i, int(window.value))
+            if not self._fits(core, self._rows[i]):
+                continue
+            right = core.ledger is None or ledger[-1] == float(self._ledger[before, 0])
+            if found is None or right:
+                found = j, core, ledger
+            if right:
+                break
+        if found is None:
+            return False
+        j, self._core, ledger = found
+        self._out.ledger[self._rows[j:i], 0] = ledger
+        self._out.shifts.append((self._rows[j], int(window.value)))
+        self._pending = [other for other in self._pending if other.begin > window.begin]
+        return True
+
+    def _shifted_at(self, j: int, i: int, rung: int) -> tuple[CouplingCore, list[float]]:
+        """The block at its i-th row, had it changed its rung at the j-th, and its ledger in the rows between."""
+        core, ledger = self._core_of(rung), []
+        if core.ledger is not None and j > self._begun:
+            core.ledger.enter(float(self._out.ledger[self._rows[j - 1], 0]))
+        for k in self._rows[j:i]:
+            core.absorb(self._f[k].tolist())
+            ledger.append(np.nan if core.ledger is None else core.ledger.total)
+        return core, ledger

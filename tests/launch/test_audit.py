@@ -286,11 +286,11 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
         assert core.ledger is not None
         energy[k] = core.ledger.total
     figures = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
-    again = recompute_coupling(bundle, x, p, f, figures)
+    again = recompute_coupling(bundle, x, p, f, energy, figures)
     np.testing.assert_array_equal(again.signal, p)
     np.testing.assert_array_equal(again.ledger, energy)
     assert (again.shifts, again.gaps) == ([(150, 1)], [])
-    blind = recompute_coupling(bundle, x, p, f, [])
+    blind = recompute_coupling(bundle, x, p, f, energy, [])
     first = compare("signal", "cx", "", ("dx",), p, blind.signal).first
     assert first is not None
     assert first.tick == 151
