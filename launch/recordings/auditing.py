@@ -87,12 +87,12 @@ def _unchecked(check: Check) -> list[str]:
     gaps: dict[str, list[Gap]] = {}
     for gap in check.gaps:
         gaps.setdefault(gap.why, []).append(gap)
-    return [
-        f"{check.party}: {own[0]}"
-        if len(own) == 1
-        else f"{check.party}: {sum(gap.end - gap.begin for gap in own)} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
-        for why, own in gaps.items()
-    ]
+    out = []
+    for why, own in gaps.items():
+        ticks = sum(gap.end - gap.begin for gap in own)
+        text = str(own[0]) if len(own) == 1 else f"{ticks} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
+        out.append(f"{check.party}: {text}")
+    return out
 
 
 def sentence(check: Check) -> str:
