@@ -9,7 +9,7 @@ the devices' hands go on without one, and who returns starts with a coupling at 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.tracing import Traces
 from manyhands.launch.topology import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.guard import Guard, LimitExceeded
 from manyhands.nodes.environment.black_box import EnforcedCore
@@ -60,14 +62,21 @@ class Simulation:
             nothing are absent.
     """
 
-    def __init__(self, prepared: Prepared) -> None:
-        """Everything at rest at tick 0."""
+    def __init__(self, prepared: Prepared, drivers: Mapping[str, Driver] | None = None) -> None:
+        """Everything at rest at tick 0.
+
+        Args:
+            prepared: the session with its coupling and certificate.
+            drivers: by device, what moves it in place of what its session says.
+        """
+        given = {} if drivers is None else drivers
         session = prepared.session
         self._session, self._id = session, prepared.id
         bundles = cut(prepared, Run(SIMULATED, None, ""))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
-        self._drivers, self._device_ports = [], []
+        self._drivers: list[Driver] = []
+        self._device_ports: list[NDArray[np.intp]] = []
         self._coupling_ports: dict[str, NDArray[np.intp]] = {}
         self._coupling_bundles: dict[str, CouplingBundle] = {}
         self.devices: dict[str, DeviceCore] = {}
@@ -81,7 +90,7 @@ class Simulation:
             match bundle:
                 case DeviceBundle():
                     device = DeviceCore(bundle.level, bundle.K, T)
-                    self._drivers.append(driver_of(bundle))
+                    self._drivers.append(given[name] if name in given else driver_of(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device
                     self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
@@ -107,8 +116,16 @@ class Simulation:
         if coupling.ledger is not None:
             self.ledgers[name] = coupling.ledger
 
+    def traces(self, ticks: int) -> Traces:
+        """Room for what all nodes tell of a run of ``ticks`` ticks; hand it to :meth:`run`."""
+        return Traces(self._session, self.ledgers, ticks)
+
     def run(
-        self, ticks: int, progress: Callable[[int], None] | None = None, faults: Sequence[Silence] = ()
+        self,
+        ticks: int,
+        progress: Callable[[int], None] | None = None,
+        faults: Sequence[Silence] = (),
+        traces: Traces | None = None,
     ) -> Recording:
         """Run ``ticks`` ticks.
 
@@ -116,6 +133,7 @@ class Simulation:
             ticks: how many.
             progress: told now and then how many are done.
             faults: who falls silent, and when; ticks count from the beginning of this run.
+            traces: filled with what each node would tell of its ticks.
 
         Raises:
             LimitExceeded: a device went beyond its displacement or its speed, which would end a session.
@@ -148,27 +166,33 @@ class Simulation:
                     raise LimitExceeded(f"{name}, {k * self._session.period:.6g} s after the start: {breach}")
                 device.sample(displacement)
                 x[k, ports] = displacement
-            for coupling, ports in couplings:
+            for _, coupling, ports in couplings:
                 p[ports] = coupling.free_position(x[k, ports].tolist())
             f_v[k] = self.environment.react(p.tolist())
             if model is not None and model.failure is not None:
                 raise ModelFailure(model.failure)
             self.environment.settle()
-            for coupling, ports in couplings:
+            if traces is not None:
+                traces.keep(ENVIRONMENT, k, self.environment.tools, self.environment.masses)
+            for name, coupling, ports in couplings:
                 f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)
-            for driver, device, guard, ports in devices:
+                if traces is not None:
+                    traces.keep(name, k, p[ports].tolist(), applied)
+            for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
                 f_v[k, ports] = force = guard.clip(f_v[k, ports].tolist())
                 driver.apply(force)
                 driver.idle()
                 device.apply(force, driver.intended_work())
+                if traces is not None:
+                    traces.keep(name, k, x[k, ports].tolist(), force)
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
         return Recording(self._session.name, self._id, self._session.period, self._session.ports, x, f_v)
 
-    def _heard(self, silent: Collection[str]) -> list[tuple[CouplingCore, NDArray[np.intp]]]:
+    def _heard(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
         """The couplings that are not silent, with their ports."""
-        return [(core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
+        return [(name, core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
 
 
 def _by_tick(

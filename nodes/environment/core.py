@@ -98,6 +98,7 @@ class EnvironmentCore:
         self._D_V = np.array(D_V, dtype=np.float64)
         self._step = _closed(E, self._D_V)
         self._force, self._rest = linear_map(self._step[:m]), linear_map(self._step[m:])
+        self._rest_of_tick = self._rest  # of the feedthrough that its forces were found with
         self._eta: Floats = [0.0] * n
         self._known: Floats = [0.0] * (n + m)  # (eta, p); where clutches are not settled r - W f_J in place of p
         self._x_e: Floats = [0.0] * m  # of the tick before, until settle
@@ -117,6 +118,7 @@ class EnvironmentCore:
 
         What p says of a frozen block is not looked at.
         """
+        self._rest_of_tick = self._rest
         if self._unsettled:
             return self._through_clutches(p)
         self._known = known = self._eta + p
@@ -126,7 +128,7 @@ class EnvironmentCore:
     def settle(self) -> None:
         """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
         m, T = self._m, self._T
-        rest = self._rest(self._known)
+        rest = self._rest_of_tick(self._known)
         x_e, self._eta = rest[:m], rest[m:]
         for port, at in self._concluded:
             x_e[port] = at
@@ -180,6 +182,8 @@ class EnvironmentCore:
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Give a frozen block another feedthrough: the whole matrix is made anew, which may take longer than a tick.
+
+        Between :meth:`react` and :meth:`settle` it is that of the next tick: this one ends as it began.
 
         Args:
             block: its index.

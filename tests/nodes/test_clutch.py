@@ -482,6 +482,32 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
     assert core.ratio(0) > 0.99 * SLOWEST
 
 
+def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> None:
+    """Forces are found, then a block changes its rung, then the tick ends: as it would have without that."""
+    within, behind = World(23, [[0, 2], [1]]), World(23, [[0, 2], [1]])
+    fresh = within.feedthrough(2)
+    p, v = np.zeros(3), np.zeros(3)
+    for k in range(120):
+        v = 0.97 * v + within.rng.normal(0.0, 2e-5, 3)
+        p = p + v
+        found = []
+        for world in (within, behind):
+            core = world.core
+            if k == 20:
+                core.disengage(0)
+            found.append(react(core, p).tolist())
+            if k == 50 and world is within:
+                core.exchange(0, fresh)
+                core.engage(0)
+            core.settle()
+            if k == 50 and world is behind:
+                core.exchange(0, fresh)
+                core.engage(0)
+            found.append(core.tools)
+        assert found[:2] == found[2:], k
+    assert within.core.ratio(0) > 0.99 * SLOWEST
+
+
 def test_only_a_frozen_block_may() -> None:
     world = World(22, [[0, 2], [1]])
     core, fresh = world.core, 2.0 * np.eye(2)

@@ -1,0 +1,106 @@
+"""What a person sees of a replay and of an audit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.launch.display import say
+from manyhands.launch.recordings.audit import Audit
+from manyhands.launch.recordings.findings import Check, Gap, Verdict, verdicts
+from manyhands.launch.recordings.integrity import Damage
+from manyhands.launch.recordings.replay import Replayed
+
+
+def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
+    """Say where a file is not as it was written."""
+    for found in damage:
+        say(out, f"{name}: damaged: bytes {found.begin} to {found.end - 1}: {found.what}")
+
+
+def print_replayed(out: Console, name: str, found: Replayed) -> None:
+    """Say whether a session that was run again is the same."""
+    for device in found.given:
+        say(out, f"{device}: a person moved it: its motion is taken from the recording, and its ledger is not compared")
+    for deviation in found.deviations:
+        first = deviation.first
+        say(
+            out,
+            f"{deviation.node}/{deviation.topic} differs first at tick {first.tick}, {first.column}: recorded "
+            f"{first.recorded!r} {deviation.unit}, recomputed {first.recomputed!r} {deviation.unit}",
+        )
+    for topic, ticks in found.missing.items():
+        say(out, f"{topic}: {ticks} ticks are not in the recording")
+    if found.ended:
+        say(out, f"run again, the session ends before the recording does: {found.ended}")
+    if found.identical:
+        say(out, f"{name}: identical: {found.numbers} numbers of {found.ticks} ticks, bit for bit")
+        return
+    for incident in found.incidents:
+        say(out, f"withstood, which no replay does: {incident}")
+    say(out, f"{name}: not identical: {found.differing} of {found.numbers} numbers of {found.ticks} ticks differ")
+
+
+def print_audit(out: Console, name: str, audit: Audit) -> None:
+    """A line for each party, then what does not hold, what was assumed in vain, and what was not checked."""
+    certificate, *checks = audit.checks
+    table = Table(title=f"{audit.session} ({audit.clock}), {audit.ticks} ticks", title_justify="left")
+    for column in ("party", "recomputed and compared"):
+        table.add_column(column)
+    for column in ("numbers", "least ledger [J]", "differ"):
+        table.add_column(column, justify="right")
+    for party in dict.fromkeys(check.party for check in checks):
+        own = [check for check in checks if check.party == party]
+        done = dict.fromkeys(check.name for check in own if check.verdict is not Verdict.UNCHECKED)
+        least = next((check.told for check in own if check.name == "bound"), "")
+        table.add_row(
+            party,
+            ", ".join(done),
+            str(sum(check.numbers for check in own)),
+            least.removeprefix("least ").removesuffix(" J"),
+            str(sum(check.differing for check in own if check.verdict is Verdict.BROKEN) or ""),
+        )
+    if checks:
+        out.print(table)
+    for line in dict.fromkeys(line for check in checks for line in _unchecked(check)):
+        say(out, f"not checked: {line}")
+    for check in checks:
+        if check.verdict is Verdict.ASSUMPTION:
+            say(out, f"assumed in vain: {check.party}: {check.what}: {check.told}")
+    for check in audit.broken:
+        say(out, f"broken: {check.party}: {check.name}: {sentence(check)}")
+    if certificate.holds:
+        say(out, f"certificate {certificate.told}: proved again, and this session's")
+    count = verdicts(audit.checks)
+    say(
+        out,
+        f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[Verdict.HOLDS]} checks hold, "
+        f"{count[Verdict.BROKEN]} do not, {count[Verdict.ASSUMPTION]} assumptions of the certificate did not, "
+        f"{count[Verdict.UNCHECKED]} had nothing to check",
+    )
+
+
+def _unchecked(check: Check) -> list[str]:
+    """What a check does not speak of, a line for each reason."""
+    gaps: dict[str, list[Gap]] = {}
+    for gap in check.gaps:
+        gaps.setdefault(gap.why, []).append(gap)
+    out = []
+    for why, own in gaps.items():
+        ticks = sum(gap.end - gap.begin for gap in own)
+        text = str(own[0]) if len(own) == 1 else f"{ticks} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
+        out.append(f"{check.party}: {text}")
+    return out
+
+
+def sentence(check: Check) -> str:
+    """What is wrong, by its first number."""
+    if check.first is None:
+        return check.told or check.what
+    first, within = check.first, f" within {check.tolerance:.3g}" if check.tolerance else ""
+    return (
+        f"differs first at tick {first.tick}, {first.column}: recorded {first.recorded!r}, expected "
+        f"{first.recomputed!r}{within} ({check.what}; {check.differing} of {check.numbers} differ)"
+    )

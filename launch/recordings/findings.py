@@ -1,0 +1,175 @@
+"""What was checked of a recording, and what came of it: the first number that is another one, or that all agree.
+
+A check never says more than what it has looked at: ticks that it could not recompute are counted, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EXACT: Final = "exact: the same arithmetic in the same order"
+
+
+class Verdict(StrEnum):
+    """What came of a check."""
+
+    HOLDS = "holds"
+    BROKEN = "broken"
+    ASSUMPTION = "assumption"  # what the certificate takes for granted was not so: no promise of a party is broken
+    UNCHECKED = "unchecked"  # there was nothing that could be checked
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A number that is not what it should be.
+
+    Attributes:
+        tick: of the session.
+        column: of the trace: a port, a mass, E.
+        recorded: what stands in the recording.
+        recomputed: what should stand there; of a bound, the bound.
+    """
+
+    tick: int
+    column: str
+    recorded: float
+    recomputed: float
+
+    def as_plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "tick": self.tick,
+            "column": self.column,
+            "recorded": _finite(self.recorded),
+            "recomputed": _finite(self.recomputed),
+        }
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Ticks that a check does not speak of: from ``begin`` on, up to but not including ``end``, and why."""
+
+    begin: int
+    end: int
+    why: str
+
+    def __str__(self) -> str:
+        ticks = f"tick {self.begin}" if self.end == self.begin + 1 else f"ticks {self.begin} to {self.end - 1}"
+        return f"{ticks}: {self.why}"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked.
+
+    Attributes:
+        name: of the check, such as ``ledger``.
+        party: of whom: a node, or the session.
+        what: was checked, a sentence.
+        verdict: what came of it.
+        numbers: how many were compared.
+        first: the first that differs.
+        differing: how many do.
+        gaps: what was not checked.
+        tolerance: by which a number may differ, in its unit; the greatest of all, where it is not the same everywhere.
+        source: where the tolerance comes from.
+        told: what else there is to say.
+    """
+
+    name: str
+    party: str
+    what: str
+    verdict: Verdict
+    numbers: int = 0
+    first: Difference | None = None
+    differing: int = 0
+    gaps: tuple[Gap, ...] = ()
+    tolerance: float = 0.0
+    source: str = EXACT
+    told: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing that was promised was found broken."""
+        return self.verdict is not Verdict.BROKEN
+
+    def as_plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "name": self.name,
+            "party": self.party,
+            "what": self.what,
+            "verdict": self.verdict.value,
+            "numbers": self.numbers,
+            "differing": self.differing,
+            "first": None if self.first is None else self.first.as_plain(),
+            "unchecked": [{"begin": gap.begin, "end": gap.end, "why": gap.why} for gap in self.gaps],
+            "tolerance": _finite(self.tolerance),
+            "tolerance_from": self.source,
+            "told": self.told,
+        }
+
+
+def compare(
+    name: str,
+    party: str,
+    what: str,
+    columns: Sequence[str],
+    recorded: Array,
+    recomputed: Array,
+    *,
+    gaps: Sequence[Gap] = (),
+    tolerance: Array | float = 0.0,
+    source: str = EXACT,
+) -> Check:
+    """Compare numbers with what they should be; where either is NaN there is nothing to compare.
+
+    Args:
+        name: of the check.
+        party: of whom.
+        what: is checked.
+        columns: names of the columns.
+        recorded: ticks x columns.
+        recomputed: likewise.
+        gaps: why some could not be recomputed.
+        tolerance: one number, or one for each of those compared.
+        source: where it comes from.
+    """
+    both = np.isfinite(recorded) & np.isfinite(recomputed)
+    with np.errstate(invalid="ignore"):
+        wrong = both & ~(np.abs(recorded - recomputed) <= tolerance)
+    first = first_of(wrong, columns, recorded, recomputed)
+    numbers = int(both.sum())
+    verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
+    widest = float(np.max(tolerance, initial=0.0, where=np.broadcast_to(both, np.shape(tolerance)))) if np.ndim(
+        tolerance
+    ) else float(tolerance)  # fmt: skip
+    return Check(name, party, what, verdict, numbers, first, int(wrong.sum()), tuple(gaps), widest, source)
+
+
+def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, recomputed: Array) -> Difference | None:
+    """The first number that is marked as wrong, by tick and then by column."""
+    ticks = np.flatnonzero(wrong.any(axis=1))
+    if not len(ticks):
+        return None
+    tick = int(ticks[0])
+    column = int(np.argmax(wrong[tick]))
+    return Difference(tick, columns[column], float(recorded[tick, column]), float(recomputed[tick, column]))
+
+
+def verdicts(checks: Sequence[Check]) -> Mapping[Verdict, int]:
+    """How many checks came to each verdict."""
+    return {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no words for what is infinite or not a number."""
+    return value if np.isfinite(value) else None

@@ -1,0 +1,182 @@
+"""Running a recorded session again and comparing every number that it recorded, bit for bit.
+
+Under the simulated clock nothing of a session depends on the machine: the cores take the same steps in the same order,
+and what comes out is the same to the last bit, or the recording is another version's, or was changed.
+
+What no arithmetic knows is taken from the recording: the displacement of a device that a person moved. A session that
+lost a process cannot be run again, for the tick of a death is nowhere written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.recordings.findings import Difference, first_of
+from manyhands.launch.recordings.hands import GivenMotion, given_devices
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.rows import rows_of
+from manyhands.launch.recordings.run import Run, Trace
+from manyhands.launch.recordings.tracing import Traces
+from manyhands.launch.simulation import Simulation
+from manyhands.nodes.bundle import SIMULATED
+from manyhands.nodes.device.guard import LimitExceeded
+from manyhands.nodes.environment.model import ModelFailure
+from manyhands.protocol.topics import DISPLACEMENT, LEDGER, TAU
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """The first number of a topic that is another one when the session is run again.
+
+    Attributes:
+        node: whose.
+        topic: its name.
+        unit: of the numbers.
+        first: where, and which numbers.
+    """
+
+    node: str
+    topic: str
+    unit: str
+    first: Difference
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What came of a replay.
+
+    Attributes:
+        ticks: that were run again.
+        numbers: how many were compared, bit for bit.
+        differing: how many of them differ.
+        deviations: of every topic that differs, its first number, in the order of ticks.
+        missing: by node and topic, the ticks without a recorded row before its last one.
+        given: devices whose motion was taken from the recording, since a person moved them.
+        ended: why the session ended before its recording does; empty otherwise.
+        incidents: what the session withstood, which a replay does not.
+    """
+
+    ticks: int
+    numbers: int
+    differing: int
+    deviations: tuple[Deviation, ...]
+    missing: Mapping[str, int]
+    given: tuple[str, ...]
+    ended: str
+    incidents: tuple[str, ...]
+
+    @property
+    def identical(self) -> bool:
+        """Whether every number was there and is the same."""
+        return not (self.deviations or self.missing or self.ended) and self.numbers > 0
+
+    def as_plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "identical": self.identical,
+            "ticks": self.ticks,
+            "numbers": self.numbers,
+            "differing": self.differing,
+            "deviations": [
+                {"node": d.node, "topic": d.topic, "unit": d.unit, **d.first.as_plain()} for d in self.deviations
+            ],
+            "missing": dict(self.missing),
+            "given": list(self.given),
+            "ended": self.ended,
+            "incidents": list(self.incidents),
+        }
+
+
+def require_simulated(path: Path, run: Run) -> None:
+    """Refuse a recording of a session that kept real time.
+
+    Raises:
+        RecordingError: so it is.
+    """
+    if run.recorded.clock != SIMULATED:
+        raise RecordingError(
+            f"{path}: found a session in real time ({run.recorded.clock}), in which ticks come late and couplings "
+            f"freeze as the machine has it; expected one under --clock {SIMULATED}. manyhands audit {path} checks "
+            "a recording of either kind"
+        )
+
+
+def replay(prepared: Prepared, run: Run, progress: Callable[[int], None] | None = None) -> Replayed:
+    """Run a recorded session again and compare.
+
+    Args:
+        prepared: the session that was recorded.
+        run: what was recorded.
+        progress: told now and then how many ticks are done.
+
+    Raises:
+        ModelError: the environment's model cannot be made.
+        ModelFailure: it gave no usable forces, as it had when it was recorded.
+    """
+    given = given_devices(prepared.session, run.recorded.clock)
+    drivers = {name: GivenMotion(rows_of(run, name, DISPLACEMENT)) for name in given}
+    ticks = min([run.ticks, *(driver.ticks for driver in drivers.values())])
+    simulation = Simulation(prepared, drivers)
+    traces = simulation.traces(ticks)
+    ended = ""
+    try:
+        simulation.run(ticks, progress, traces=traces)
+    except (LimitExceeded, ModelFailure) as error:
+        ended = str(error)
+    return _compared(run, ticks, traces, given, ended)
+
+
+def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended: str) -> Replayed:
+    numbers = differing = done = 0
+    deviations: list[Deviation] = []
+    missing: dict[str, int] = {}
+    for (node, topic), trace in run.traces.items():
+        if trace.topic.trace == TAU or _believed(trace, node in given):
+            continue
+        recomputed = next((kept.values for kept in traces.by_node[node] if kept.topic.name == topic), None)
+        rows = np.flatnonzero(~np.isnan(trace.values[:ticks]).all(axis=1))
+        last = int(rows[-1]) + 1 if len(rows) else 0
+        if recomputed is None:
+            if last:
+                raise RecordingError(f"found the topic {topic} of {node} in the recording; expected none of it")
+            continue  # it has no ledger to tell of
+        if len(rows) < last or not last:
+            missing[f"{node}/{topic}"] = last - len(rows) if last else ticks
+        recorded, again = trace.values[rows], recomputed[rows]
+        wrong = recorded.view(np.int64) != again.view(np.int64)
+        first = first_of(wrong, trace.columns, recorded, again)
+        numbers, differing, done = numbers + recorded.size, differing + int(wrong.sum()), max(done, last)
+        if first is not None:
+            at = Difference(int(rows[first.tick]), first.column, first.recorded, first.recomputed)
+            deviations.append(Deviation(node, topic, trace.topic.unit, at))
+    lacking = {
+        f"{node}/{kept.topic.name}": ticks
+        for node, topics in traces.by_node.items()
+        for kept in topics
+        if (node, kept.topic.name) not in run.traces
+    }
+    incidents = run.conditions[-1][1].incidents if run.conditions else ()
+    return Replayed(
+        done,
+        numbers,
+        differing,
+        tuple(sorted(deviations, key=lambda deviation: deviation.first.tick)),
+        missing | lacking,
+        tuple(given),
+        ended if deviations else "",
+        tuple(incidents),
+    )
+
+
+def _believed(trace: Trace, given: bool) -> bool:
+    """Whether a topic is taken over: where a person moved a device, and the ledger that reckons with that."""
+    return given and trace.topic.trace in (DISPLACEMENT, LEDGER)

@@ -1,0 +1,75 @@
+"""What every node of a session would tell of its ticks, kept by a simulation of it.
+
+A node's telemetry holds one row a tick of each of its topics (:mod:`manyhands.protocol.topics`). Here are the same rows
+by the same names, but for tau, which is the machine's and not the session's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.bundles import mass_names
+from manyhands.launch.session import Session
+from manyhands.launch.topology import topology
+from manyhands.nodes.ledger import Ledger
+from manyhands.protocol.topics import LEDGER, TAU, Topic, topics_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """One topic of one node.
+
+    Attributes:
+        topic: which.
+        columns: names of its columns.
+        values: ticks x columns; NaN in ticks that the node did not do.
+    """
+
+    topic: Topic
+    columns: tuple[str, ...]
+    values: Array
+
+
+class Traces:
+    """The traces of a run of ``ticks`` ticks.
+
+    Attributes:
+        by_node: by node, the topics that it tells of, in the table's order.
+    """
+
+    def __init__(self, session: Session, ledgers: Mapping[str, Ledger], ticks: int) -> None:
+        """Everything NaN.
+
+        Args:
+            session: whose nodes.
+            ledgers: by node, of those that keep one.
+            ticks: how many.
+        """
+        graph, masses = topology(session), mass_names(session)
+        self.by_node: dict[str, tuple[Kept, ...]] = {}
+        for name, role in graph.nodes.items():
+            told = [
+                topic
+                for topic in topics_of(role, masses)
+                if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
+            ]
+            columns = [topic.columns_of(graph.ports[name], masses) for topic in told]
+            self.by_node[name] = tuple(
+                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(told, columns, strict=True)
+            )
+        self._ledgers = ledgers
+
+    def keep(self, node: str, tick: int, *signals: Sequence[float]) -> None:
+        """A tick that ``node`` has done: ``signals`` in the order of its topics; its ledger is looked up."""
+        kept = self.by_node[node]
+        for one, row in zip(kept, signals, strict=False):  # a ledger has no signal, and masses may be none
+            one.values[tick] = row
+        ledger = self._ledgers.get(node)
+        if ledger is not None:
+            kept[-1].values[tick] = ledger.total

@@ -1,0 +1,232 @@
+"""What the environment of a recorded session must have told, recomputed from what its couplings said to it.
+
+As long as every coupling is there and no clutch has moved, forces, tools, masses and ledger follow from p alone, by the
+environment's own core and so to the last bit. Once a clutch was at work the environment's own force f_e is in no row.
+Its work is, though: a clutch is lossless, so that with x_c = p + D_V f_c the coupling's end and f_c what it was sent,
+
+    f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1))
+
+whatever the ratios were, but for the tick in which a last offset of at most LET_GO is let go. So its increments,
+
+    T w^T Phi_E w - sum over the couplings f_c^T (x_c(k) - x_c(k-1)),     w = (x_e(k) - x_e(k-1))/T,
+
+are checked at every tick, to rounding. That holds for a model of somebody else's making as well, whose code need not be
+run for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.recordings.findings import Gap
+from manyhands.launch.recordings.rows import there
+from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
+from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.environment.cores import environment_core
+from manyhands.nodes.saturation import Saturation
+
+Array = NDArray[np.float64]
+Progress = Callable[[int], None]
+
+ROUNDING = 64.0
+"""Units in the last place of the greatest product of a tick, by which another order of its sums may change it."""
+
+_EPSILON = float(np.finfo(np.float64).eps)
+_EVERY = 1000  # ticks between two words of progress
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """What the couplings recorded, in the order of the environment's ports.
+
+    Attributes:
+        bundles: each coupling's part of the session.
+        ports: by coupling, indices of its ports.
+        p: ticks x m, m; NaN where a coupling has no row.
+        f: what they handed on, N; likewise.
+        shifts: by coupling, the ticks at which it changed its rung, and to which.
+    """
+
+    bundles: Mapping[str, CouplingBundle]
+    ports: Mapping[str, NDArray[np.intp]]
+    p: Array
+    f: Array
+    shifts: Mapping[str, list[tuple[int, int]]]
+
+    @property
+    def D_V(self) -> Array:
+        """The couplings' feedthrough at rung 0, m x m, m/N."""
+        m = self.p.shape[1]
+        out = np.zeros((m, m))
+        for name, bundle in self.bundles.items():
+            out[np.ix_(self.ports[name], self.ports[name])] = bundle.block.D
+        return out
+
+    @property
+    def clipped(self) -> NDArray[np.bool_]:
+        """The ticks in which some force is at its limit, so that the environment's own may be another."""
+        out = np.zeros(len(self.f), dtype=np.bool_)
+        for name, bundle in self.bundles.items():
+            out |= (np.abs(self.f[:, self.ports[name]]) >= np.array(bundle.limits.force)).any(axis=1)
+        return out
+
+    def ends(self) -> tuple[Array, Array]:
+        """x_c = p + D_V f_c, ticks x m, m, with the D_V of the rung in force, and |p| + |D_V| |f_c|."""
+        out, size = np.full_like(self.p, np.nan), np.full_like(self.p, np.nan)
+        for name, bundle in self.bundles.items():
+            own = self.ports[name]
+            f, p = self.f[:, own], self.p[:, own]
+            steps = [(0, 0), *self.shifts.get(name, []), (len(f), 0)]
+            for (begin, rung), (end, _) in pairwise(steps):
+                D = bundle.rungs[rung].block.D
+                out[begin:end, own] = p[begin:end] + f[begin:end] @ D.T
+                size[begin:end, own] = np.abs(p[begin:end]) + np.abs(f[begin:end]) @ np.abs(D).T
+        return out, size
+
+
+@dataclass(frozen=True, eq=False)
+class Environment:
+    """What the environment must have told by its own core.
+
+    Attributes:
+        tools: x_e, ticks x m, m; NaN where it could not be recomputed, as in all the others.
+        masses: q, ticks x masses, m.
+        forces: what each coupling must have handed on, ticks x m, N.
+        ledger: ticks x 1, J.
+        gaps: why not.
+    """
+
+    tools: Array
+    masses: Array
+    forces: Array
+    ledger: Array
+    gaps: list[Gap]
+
+
+def recompute_environment(
+    bundle: EnvironmentBundle,
+    blocks: Blocks,
+    tools: Array,
+    ledger: Array,
+    sign: tuple[int, str],
+    progress: Progress,
+) -> Environment:
+    """Everything the environment tells, from p of all couplings.
+
+    Args:
+        bundle: the environment's part of the session.
+        blocks: what the couplings recorded.
+        tools: recorded x_e, ticks x m, m; from ``sign`` on it says up to where no clutch has moved.
+        ledger: recorded, J; likewise.
+        sign: the first tick at which one may have, and why.
+        progress: told now and then how many ticks are done.
+    """
+    ticks, m = blocks.p.shape
+    out = Environment(
+        np.full((ticks, m), np.nan),
+        np.full((ticks, len(bundle.masses)), np.nan),
+        np.full((ticks, m), np.nan),
+        np.full((ticks, 1), np.nan),
+        [],
+    )
+    if bundle.model is not None:
+        why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are believed"
+        out.gaps.append(Gap(0, ticks, why))
+        return out
+    core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
+    limits = [(blocks.ports[name], Saturation(of.limits.force)) for name, of in blocks.bundles.items()]
+    complete, begin, why = there(blocks.p), *sign
+    for k in range(ticks):
+        if not complete[k]:
+            if k < ticks - 1 and complete[k:].any():
+                out.gaps.append(Gap(k, ticks, "a coupling has no row there: what follows is believed"))
+            break
+        f = core.react(blocks.p[k].tolist())
+        core.settle()
+        if k >= begin and (core.tools != tools[k].tolist() or _forces(f, limits, m) != blocks.f[k].tolist()):
+            out.gaps.append(Gap(k, ticks, f"{why}, and a clutch has moved: forces and masses are believed"))
+            break
+        out.tools[k], out.forces[k] = core.tools, _forces(f, limits, m)
+        if bundle.masses:
+            out.masses[k] = core.masses
+        if core.ledger is not None:
+            out.ledger[k] = core.ledger.total
+        if k % _EVERY == 0:
+            progress(k)
+    return out
+
+
+def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m: int) -> list[float]:
+    """What the couplings hand on of the environment's forces."""
+    out = [0.0] * m
+    for ports, saturation in limits:
+        for port, force in zip(ports.tolist(), saturation.clip([f[port] for port in ports]), strict=True):
+            out[port] = force
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """The ledger of the environment from the signals around it.
+
+    Attributes:
+        recorded: its increments, ticks x 1, J.
+        recomputed: likewise; NaN where they are not known.
+        tolerance: of each, J.
+        offsets: how often a last offset may have been let go.
+    """
+
+    recorded: Array
+    recomputed: Array
+    tolerance: Array
+    offsets: int
+
+
+def increments(Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array, sign: int) -> Increments:
+    """The increments of the environment's ledger, from tools and couplings alone.
+
+    Args:
+        Phi: the level that the environment promised, m x m, N*s/m.
+        T: period, s.
+        blocks: what the couplings recorded.
+        tools: recorded x_e, ticks x m, m.
+        ledger: recorded, ticks x 1, J.
+        sign: the first tick at which a clutch may have moved.
+    """
+    ends, size = blocks.ends()
+    rest = np.zeros((1, tools.shape[1]))
+    step_e = np.diff(np.vstack([rest, tools]), axis=0)
+    step_c = np.diff(np.vstack([rest, ends]), axis=0)
+    f = np.where(np.isnan(blocks.f), 0.0, blocks.f)  # who is silent is sent none
+    still = f == 0.0
+    work = np.where(still, 0.0, f * np.where(still, 0.0, step_c))
+    w = step_e / T
+    dissipated = T * np.einsum("ki,ij,kj->k", w, Phi, w)
+    totals = ledger[:, 0]
+    recorded = np.diff(np.concatenate([[0.0], totals]))
+    recomputed = dissipated - work.sum(axis=1)
+    recomputed[blocks.clipped] = np.nan
+    before = np.vstack([rest, size[:-1]])
+    moved = np.where(still, 0.0, np.abs(f) * np.where(still, 0.0, size + before + np.abs(tools)))
+    speeds = T * np.abs(w) + np.abs(tools)
+    largest = moved.sum(axis=1) + np.einsum("ki,ij,kj->k", np.abs(w), np.abs(Phi), speeds)
+    largest += np.abs(totals) + np.abs(np.concatenate([[0.0], totals[:-1]]))
+    tolerance = ROUNDING * _EPSILON * largest
+    # a last offset is let go after a freeze, and once for each
+    allowed = 0
+    for own in blocks.ports.values():
+        silent = still[sign:, own].all(axis=1)
+        allowed += int((silent & ~np.concatenate([[False], silent[:-1]])).sum())
+    most = LET_GO * np.linalg.norm(f, axis=1)
+    with np.errstate(invalid="ignore"):
+        off = recorded - recomputed  # what is let go is given up, never gained
+        let_go = (off < -tolerance) & (off >= -tolerance - most)
+    let_go[:sign] = False
+    used = np.flatnonzero(let_go)[:allowed]
+    tolerance[used] += most[used]
+    return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used))

@@ -1,0 +1,119 @@
+"""Recordings of simulated sessions, as a recorder writes them: no process is needed for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from manyhands.design.certificate import to_json
+from manyhands.design.coupling import SpringDamper
+from manyhands.launch.bundles import mass_names
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.recordings.run import Run
+from manyhands.launch.recordings.tracing import Traces
+from manyhands.launch.session import Session, load_session
+from manyhands.launch.simulation import Silence, Simulation
+from manyhands.launch.topology import topology
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE, Recorded
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.topics import LEDGER, TAU
+
+EVERY = 100  # ticks between two telemetry messages
+SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+START = 1_700_000_000_000_000_000  # ns since 1970
+
+Rows = Mapping[tuple[str, str], np.ndarray]
+"""By node and trace, ticks x columns."""
+
+
+def simulated(prepared: Prepared, ticks: int, faults: Sequence[Silence] = ()) -> dict[tuple[str, str], np.ndarray]:
+    """What all nodes tell of a run."""
+    simulation = Simulation(prepared)
+    traces: Traces = simulation.traces(ticks)
+    simulation.run(ticks, faults=faults, traces=traces)
+    rows = {(node, kept.topic.trace): kept.values for node, topics in traces.by_node.items() for kept in topics}
+    return rows | {(name, TAU): np.zeros((ticks, 1)) for name in prepared.session.devices}
+
+
+def attachments_of(prepared: Prepared) -> dict[str, bytes]:
+    session = yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True).encode()
+    out = {SESSION_FILE: session}
+    if prepared.certificate is not None:
+        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
+    return out
+
+
+def recorded_of(prepared: Prepared, clock: str = "simulated") -> Recorded:
+    session, graph = prepared.session, topology(prepared.session)
+    ports = {name: graph.ports[name] for name in graph.nodes}
+    return Recorded(session.name, prepared.id, session.period, clock, dict(graph.nodes), ports, mass_names(session))
+
+
+def written(
+    path: Path,
+    recorded: Recorded,
+    attachments: Mapping[str, bytes],
+    rows: Rows,
+    more: Callable[[str, int], Mapping[str, float]] = lambda node, tick: {},
+) -> Path:
+    """A recording of these rows; where a node has none, it told of none.
+
+    Args:
+        path: where it goes.
+        recorded: the session.
+        attachments: by name.
+        rows: by node and trace.
+        more: by node and tick, what its figures say besides its ledger.
+    """
+    core = RecorderCore(recorded, attachments, START)
+    for node, role in recorded.roles.items():
+        own = {trace: values for (of, trace), values in rows.items() if of == node}
+        there = np.isfinite(next(iter(own.values()))).all(axis=1)
+        for begin in range(0, len(there), EVERY):
+            end = min(begin + EVERY, len(there))
+            runs = np.split(np.arange(begin, end), np.flatnonzero(np.diff(there[begin:end])) + 1)
+            for ticks in runs:
+                if not there[ticks[0]]:
+                    continue
+                until = int(ticks[-1]) + 1
+                told = {trace: values[ticks[0] : until] for trace, values in own.items()}
+                figures = {LEDGER: float(told[LEDGER][-1, 0])} if LEDGER in told else {}
+                figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
+                core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)
+    assert core.refused == 0
+    path.write_bytes(core.cut() + core.end())
+    return path
+
+
+def forged(path: Path, run: Run, change: Callable[[dict[tuple[str, str], np.ndarray]], None]) -> Path:
+    """A recording once more, as a recorder writes it and so with every checksum right, with some numbers changed.
+
+    Args:
+        path: where it goes.
+        run: what was recorded.
+        change: changes the rows in place.
+    """
+    rows = {(node, trace.topic.trace): trace.values.copy() for (node, _), trace in run.traces.items()}
+    before = {key: values.copy() for key, values in rows.items()}
+    change(rows)
+    assert any(not np.array_equal(rows[key], before[key], equal_nan=True) for key in rows)
+    figures = {node: dict(told) for node, told in run.figures.items()}
+    return written(path, run.recorded, run.attachments, rows, lambda node, tick: figures[node].get(tick, {}))
+
+
+def prepared_as(kind: str) -> Prepared:
+    """A certified session of a kind: a shipped one, or Example 1 ``linear`` or ``enforced``, without a ladder."""
+    if kind == "enforced":
+        return prepare(load_session(SESSIONS / "example1.yaml", ["environment.enforce=true", "design.ladder=[]"]))
+    if kind != "linear":
+        return prepare(load_session(SESSIONS / f"{kind}.yaml"))
+    session = load_session(SESSIONS / "example1.yaml")
+    block = SpringDamper(np.array([[700.0]]), np.array([[0.04]])).realisation(session.period)
+    matrices = {name: {key: getattr(block, key).tolist() for key in "ABCD"} for name in session.couplings}
+    plain = session.as_plain() | {"design": {"coupling": "given", "matrices": matrices, "ladder": []}}
+    return prepare(Session.model_validate(plain, context={"folder": Path()}))

@@ -1,0 +1,393 @@
+"""An audit agrees with every honest recording, and finds what was changed afterwards, at its tick and party."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from manyhands.design.certificate import from_content, to_json
+from manyhands.launch.bundles import Run as Way
+from manyhands.launch.bundles import cut
+from manyhands.launch.cli import app
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.recordings.agreement import bounded
+from manyhands.launch.recordings.audit import Audit, audit
+from manyhands.launch.recordings.coupling_again import recompute_coupling
+from manyhands.launch.recordings.device_again import recompute_device
+from manyhands.launch.recordings.findings import Check, Verdict, compare
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.session import load_session
+from manyhands.launch.simulation import Silence
+from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
+from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
+from manyhands.protocol.topics import LEDGER, TAU
+
+from .recorded import SESSIONS, attachments_of, forged, prepared_as, recorded_of, simulated, written
+
+TICKS = 330  # no multiple of the ticks between two telemetry messages
+AT = 217
+
+Rows = dict[tuple[str, str], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepared_as("example1")
+
+
+@pytest.fixture(scope="module")
+def recording(prepared: Prepared, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    return written(path, recorded_of(prepared), attachments_of(prepared), simulated(prepared, TICKS))
+
+
+def audited(path: Path) -> Audit:
+    return audit(path, read_run(path), lambda text: None, lambda tick: None)
+
+
+def found(done: Audit, party: str, name: str) -> Check:
+    return next(check for check in done.checks if (check.party, check.name) == (party, name))
+
+
+def broken(done: Audit) -> dict[tuple[str, str], int]:
+    """By party and name of the checks that do not hold, the first tick that differs."""
+    return {(check.party, check.name): -1 if check.first is None else check.first.tick for check in done.broken}
+
+
+@pytest.mark.parametrize("kind", ["example1", "example1-operator", "linear", "enforced"])
+def test_an_honest_recording_holds_to_the_last_bit(kind: str, tmp_path: Path) -> None:
+    prepared = prepared_as(kind)
+    rows = simulated(prepared, TICKS)
+    done = audited(written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows))
+    assert broken(done) == {}
+    assert done.holds
+    nodes = recorded_of(prepared).roles
+    for node in nodes:
+        ledger = found(done, node, "ledger")
+        assert (ledger.verdict, ledger.numbers, ledger.gaps, ledger.tolerance) == (Verdict.HOLDS, TICKS, (), 0.0)
+        assert found(done, node, "bound").verdict is Verdict.HOLDS
+    for check in done.checks:
+        assert check.verdict is Verdict.HOLDS, check
+    work = found(done, "environment", "work")
+    assert (work.numbers, work.tolerance < 1e-13) == (TICKS, True)
+    assert sum(check.numbers for check in done.checks) > 20 * TICKS
+
+
+def one(node: str, trace: str, by: float) -> Callable[[Rows], None]:
+    def change(rows: Rows) -> None:
+        rows[node, trace][AT, 0] += by
+
+    return change
+
+
+def shifted(node: str) -> Callable[[Rows], None]:
+    def change(rows: Rows) -> None:
+        rows[node, LEDGER] += 1e-3
+
+    return change
+
+
+def both_forces(rows: Rows) -> None:
+    rows["dy", "f_v"][AT] += 1e-6
+    rows["cy", "f_v"][AT] += 1e-6
+
+
+FORGED: Mapping[str, tuple[Callable[[Rows], None], dict[tuple[str, str], int]]] = {
+    "one number of a device's ledger": (one("dx", LEDGER, 1e-12), {("dx", "ledger"): AT}),
+    "one number of a coupling's ledger": (one("cz", LEDGER, 1e-12), {("cz", "ledger"): AT}),
+    "one number of the environment's": (
+        one("environment", LEDGER, 1e-12),
+        {("environment", "ledger"): AT, ("environment", "work"): AT},
+    ),
+    "a whole ledger, by 1 mJ": (shifted("dx"), {("dx", "ledger"): 0}),
+    "a whole ledger of a coupling": (shifted("cy"), {("cy", "ledger"): 0}),
+    "a whole ledger of the environment": (
+        shifted("environment"),
+        {("environment", "ledger"): 0, ("environment", "work"): 0},
+    ),
+    "a device's force": (
+        one("dy", "f_v", 1e-9),
+        {("cy", "agreement"): AT, ("dy", "ledger"): AT, ("dy", "signal"): AT + 1},
+    ),
+    "a coupling's force": (
+        one("cy", "f_v", 1e-9),
+        {
+            ("cy", "agreement"): AT,
+            ("cy", "ledger"): AT,
+            ("cy", "signal"): AT + 1,
+            ("environment", "forces"): AT,
+            ("environment", "agreement"): AT,
+            ("environment", "work"): AT,
+        },
+    ),
+    "the force of both": (
+        both_forces,
+        {
+            ("cy", "ledger"): AT,
+            ("cy", "signal"): AT + 1,
+            ("dy", "ledger"): AT,
+            ("dy", "signal"): AT + 1,
+            ("environment", "forces"): AT,
+            ("environment", "agreement"): AT,
+            ("environment", "work"): AT,
+        },
+    ),
+    "a displacement": (
+        one("dz", "x", 1e-9),
+        {("dz", "signal"): AT, ("dz", "ledger"): AT, ("cz", "signal"): AT},
+    ),
+    "a tool": (
+        one("environment", "x_e", 1e-9),
+        {("environment", "tools"): AT, ("environment", "agreement"): AT, ("environment", "work"): AT},
+    ),
+    "a mass": (one("environment", "q", 1e-9), {("environment", "masses"): AT}),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_what_was_changed_is_found_at_its_tick_and_party(what: str, recording: Path, tmp_path: Path) -> None:
+    change, expected = FORGED[what]
+    done = audited(forged(tmp_path / "forged.mcap", read_run(recording), change))
+    assert not done.holds
+    ticks = broken(done)
+    assert expected.items() <= ticks.items()
+    others = {key for key in ticks if key not in expected}
+    assert {party for party, _ in others} <= {party for party, _ in expected}, others
+    assert min(ticks.values()) == min(expected.values())
+
+
+def test_what_was_recorded_and_what_should_be_are_told(recording: Path, tmp_path: Path) -> None:
+    honest = read_run(recording).traces["dx", "ledger"].values[AT, 0]
+    done = audited(forged(tmp_path / "forged.mcap", read_run(recording), one("dx", LEDGER, 1e-3)))
+    first = found(done, "dx", "ledger").first
+    assert first is not None
+    assert (first.tick, first.column, first.recorded, first.recomputed) == (AT, "E", honest + 1e-3, honest)
+
+
+def test_a_frozen_coupling_leaves_a_gap_that_is_told_and_the_rest_is_checked(
+    prepared: Prepared, tmp_path: Path
+) -> None:
+    rows = simulated(prepared, 600, [Silence("cx", 150, 220), Silence("cz", 260, 300)])
+    path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
+    done = audited(path)
+    assert broken(done) == {}
+    ledger = found(done, "cx", "ledger")
+    assert (ledger.numbers, ledger.gaps) == (600 - 70, ())  # a process that begins anew is recomputed, too
+    for name in ("tools", "masses", "forces", "ledger"):
+        check = found(done, "environment", name)
+        assert [(gap.begin, gap.end) for gap in check.gaps] == [(150, 600)]
+        assert check.verdict is Verdict.HOLDS
+    work = found(done, "environment", "work")
+    assert (work.numbers, work.gaps) == (600, ())
+
+    change = one("environment", LEDGER, 1e-9)  # behind the gap, where no core is followed any more
+    assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), change))) == {("environment", "work"): AT}
+
+    def later(rows: Rows) -> None:
+        rows["environment", LEDGER][400:] += 1e-3
+
+    forged_later = audited(forged(tmp_path / "l.mcap", read_run(path), later))
+    assert broken(forged_later)["environment", "work"] == 400
+
+
+def bundle_of(prepared: Prepared, name: str) -> object:
+    return cut(prepared, Way(SIMULATED, None, ""))[name]
+
+
+def played_device(
+    bundle: DeviceBundle, f: list[float], free: Mapping[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, f and ledger of a device that ran free for so many periods before those ticks."""
+    driver, core = simulated_driver(bundle), DeviceCore(bundle.level, bundle.K, bundle.common.period)
+    turn, x, energy = 0, [], []
+    for k, force in enumerate(f):
+        for _ in range(free.get(k, 0)):
+            at = driver.sample(turn)
+            driver.apply([0.0])
+            core.sample(at)
+            core.apply([0.0], driver.intended_work())
+            turn += 1
+        at = driver.sample(turn)
+        driver.apply([force])
+        core.sample(at)
+        core.apply([force], driver.intended_work())
+        turn += 1
+        x.append(at)
+        energy.append([core.ledger.total])
+    return np.array(x), np.array(f)[:, None], np.array(energy)
+
+
+@pytest.mark.parametrize("free", [{250: 7}, {160: 1, 200: 3}, {3: 5}, {20: 2, 180: 4}])
+def test_a_device_that_ran_free_is_followed(prepared: Prepared, free: Mapping[int, int]) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    # at rest until its hand pushes, at 100 ticks
+    f = [0.0 if k < 120 else 0.3 * np.sin(0.05 * k) for k in range(TICKS)]
+    x, force, energy = played_device(bundle, f, free)
+    figures = [
+        (tick, {"released": float(sum(n for k, n in free.items() if k < tick))})
+        for tick in (*range(50, TICKS, 50), TICKS)
+    ]
+    again = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, figures)
+    np.testing.assert_array_equal(again.signal, x)
+    np.testing.assert_array_equal(again.ledger, energy)
+    assert again.gaps == []
+    # without a word of it in its figures it is another motion
+    blind = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, [])
+    assert not compare("signal", "dx", "", ("dx",), x, blind.signal).holds
+
+
+def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    x, force, _ = played_device(bundle, [0.1] * TICKS, {})
+    x[200:] += 1e-3
+    x[190:200] = np.nan
+    again = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, [])
+    assert [(gap.begin, gap.end) for gap in again.gaps] == [(200, TICKS)]
+    assert np.isnan(again.ledger[190:]).all()
+    np.testing.assert_array_equal(again.signal[:190], x[:190])
+
+
+def test_a_device_that_a_person_moved_is_believed(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    again = recompute_device(bundle, lambda: None, np.zeros((9, 1)), np.zeros((9, 1)), [])
+    assert np.isnan(again.ledger).all()
+    assert [(gap.begin, gap.end) for gap in again.gaps] == [(0, 9)]
+
+
+def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "cx")
+    assert isinstance(bundle, CouplingBundle)
+    rung = 1
+    assert len(bundle.rungs) > rung
+    rng = np.random.default_rng(3)
+    x, f = np.cumsum(rng.normal(size=(TICKS, 1)), axis=0) * 1e-5, rng.normal(size=(TICKS, 1))
+    f[140:160] = 0.0
+    p, energy = np.zeros_like(x), np.zeros_like(x)
+    core = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
+    for k in range(TICKS):
+        p[k] = core.free_position(x[k].tolist())
+        if k == 150:
+            of, before = bundle.rungs[rung], core
+            core = CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
+            core.succeed(before)
+        core.absorb(f[k].tolist())
+        assert core.ledger is not None
+        energy[k] = core.ledger.total
+    figures = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
+    again = recompute_coupling(bundle, x, p, f, energy, figures)
+    np.testing.assert_array_equal(again.signal, p)
+    np.testing.assert_array_equal(again.ledger, energy)
+    assert (again.shifts, again.gaps) == ([(150, 1)], [])
+    blind = recompute_coupling(bundle, x, p, f, energy, [])
+    first = compare("signal", "cx", "", ("dx",), p, blind.signal).first
+    assert first is not None
+    assert first.tick == 151
+
+
+def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:
+    run = read_run(recording)
+    assert bounded(run, "dx", active=False).verdict is Verdict.HOLDS
+    run.traces["dx", "ledger"].values[AT] = -1e-9
+    check = bounded(run, "dx", active=False)
+    assert check.verdict is Verdict.BROKEN
+    assert check.first is not None
+    assert (check.first.tick, check.first.recorded) == (AT, -1e-9)
+    assert bounded(run, "dx", active=True).verdict is Verdict.UNCHECKED  # a person's own work is in no ledger
+
+
+def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:
+    def change(rows: Rows) -> None:
+        rows["dx", TAU][AT:] = 1500.0
+        rows["dy", "x"][AT] = 11.0
+
+    done = audited(forged(tmp_path / "f.mcap", read_run(recording), change))
+    tau = found(done, "dx", "tau")
+    assert (tau.verdict, tau.holds, tau.differing) == (Verdict.ASSUMPTION, True, TICKS - AT)
+    assert tau.first is not None
+    assert tau.first.tick == AT
+    assert found(done, "dy", "tau").verdict is Verdict.HOLDS
+    assert {check.first.tick for check in done.broken if check.name == "limits" and check.first} == {AT}
+
+
+def test_a_certificate_that_proves_nothing_is_found(prepared: Prepared, tmp_path: Path) -> None:
+    assert prepared.certificate is not None
+    data = json.loads(to_json(prepared.certificate))
+    data["levels"]["Phi_E"] = {name: [[-10.0]] for name in ("cx", "cy", "cz")}
+    parts = attachments_of(prepared) | {CERTIFICATE_FILE: to_json(from_content(data)).encode()}
+    done = audited(written(tmp_path / "r.mcap", recorded_of(prepared), parts, simulated(prepared, 20)))
+    (check,) = done.checks
+    assert (check.name, check.holds) == ("certificate", False)
+    assert "not proved" in check.told
+
+
+def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, tmp_path: Path) -> None:
+    recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
+    done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
+    assert broken(done) == {("session", "certificate"): -1}
+    assert "which it says that its session ran under" in done.checks[0].told
+
+
+def invoke(*arguments: str | Path) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, [*map(str, arguments)])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_the_command_agrees(recording: Path) -> None:
+    code, out, _ = invoke("audit", recording)
+    assert code == 0
+    assert f"{recording}: holds: " in out.splitlines()[-1]
+    assert "proved again, and this session's" in out
+    code, out, _ = invoke("audit", recording, "--json")
+    told = json.loads(out)
+    assert (code, told["holds"], told["ticks"], told["damage"]) == (0, True, TICKS, [])
+    assert {check["verdict"] for check in told["checks"]} == {"holds"}
+
+
+def test_the_command_names_tick_and_party(recording: Path, tmp_path: Path) -> None:
+    path = forged(tmp_path / "forged.mcap", read_run(recording), one("dx", LEDGER, 1e-3))
+    code, out, _ = invoke("audit", path)
+    assert code == 1
+    assert f"broken: dx: ledger: differs first at tick {AT}, E: recorded " in out
+    assert f"{path}: does not hold: " in out.splitlines()[-1]
+
+
+def test_an_uncertified_recording_is_refused(tmp_path: Path) -> None:
+    session = load_session(SESSIONS / "example1-uncoupled.yaml")
+    prepared = prepare(session, uncertified=True)
+    rows = simulated(prepared, 50)
+    path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
+    code, out, err = invoke("audit", path)
+    assert (code, out) == (2, "")
+    assert "found no certificate in it" in err
+    code, out, _ = invoke("replay", path)
+    assert code == 0
+    assert "identical" in out
+
+
+def test_what_a_clutch_gives_up_at_last_is_within_the_tolerance(tmp_path: Path) -> None:
+    hand = "{operator: {num: [0.02, 1.2, 20], den: [1, 10.3, 100]}, stiffness: 500, motion: '0.03*sin(7*t)'}"
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", [f"devices.dx.hand={hand}", "design.ladder=[]"]))
+    rows = simulated(prepared, 4300, [Silence("cx", 10, 12)])
+    path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
+    done = audited(path)
+    work = found(done, "environment", "work")
+    assert (done.holds, work.numbers) == (True, 4300)
+    assert 1e-6 < work.tolerance < 1e-5  # in the one tick in which the last offset is let go
+    assert "and in 1 ticks LET_GO" in work.source
+
+    def gained(rows: Rows) -> None:  # what is let go is given up, and not gained
+        rows["environment", LEDGER][2000:] += 1e-6
+
+    assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), gained)))["environment", "work"] == 2000

@@ -1,0 +1,87 @@
+"""A whole session recorded, run again and audited; and what is told of a file that was changed afterwards."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from manyhands.launch.recordings.run import read_run
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Observation
+
+from .commands import MANYHANDS, run
+
+TICKS = 250  # no multiple of the ticks between two telemetry messages
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "run.mcap"
+    run("launch", "example1-operator", "--clock", "simulated", "--duration", f"{TICKS / 1000}", "--record", path)
+    return path
+
+
+def told(code: int, *arguments: str | Path) -> str:
+    """What a command says that ends with ``code``."""
+    command = [*MANYHANDS, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_recorded_session_is_the_same_again_and_holds(recording: Path) -> None:
+    # x, f_v of three axes and a ledger; p, f_v and a ledger of three couplings; x_e, q and a ledger
+    numbers = TICKS * (7 + 9 + 5)
+    assert (
+        run("replay", recording).strip() == f"{recording}: identical: {numbers} numbers of {TICKS} ticks, bit for bit"
+    )
+    audit = json.loads(run("audit", recording, "--json"))
+    assert (audit["holds"], audit["ticks"], audit["clock"], audit["damage"]) == (True, TICKS, "simulated", [])
+    assert {check["verdict"] for check in audit["checks"]} == {"holds"}
+    ledgers = {check["party"]: check["numbers"] for check in audit["checks"] if check["name"] == "ledger"}
+    assert ledgers == dict.fromkeys(("d", "cx", "cy", "cz", "environment"), TICKS)
+
+
+def test_one_changed_byte_is_located(recording: Path, tmp_path: Path) -> None:
+    data = bytearray(recording.read_bytes())
+    at = len(data) // 3
+    data[at] ^= 1
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(data)
+    for command in ("replay", "audit"):
+        first = told(1, command, path).splitlines()[0]
+        assert first.startswith(f"{path}: damaged: bytes ")
+        begin, end = map(int, first.split("bytes ")[1].split(":")[0].split(" to "))
+        assert begin <= at <= end
+
+
+def test_a_forged_ledger_is_found_at_its_tick_and_party(recording: Path, tmp_path: Path) -> None:
+    path = forged(recording, tmp_path / "forged.mcap", "cy", "ledger", 137, 1e-3)
+    out = told(1, "audit", path)
+    (line,) = [line for line in out.splitlines() if line.startswith("broken: ")]
+    assert line.startswith("broken: cy: ledger: differs first at tick 137, E: recorded ")
+    assert "damaged" not in out  # every checksum is right again
+    assert told(1, "replay", path).startswith("cy/ledger differs first at tick 137, E: recorded ")
+
+
+def forged(source: Path, target: Path, node: str, topic: str, tick: int, by: float) -> Path:
+    """The recording once more, written by a recorder, with one number changed."""
+    run_ = read_run(source)
+    values = run_.traces[node, topic].values
+    values[tick, 0] += by
+    core = RecorderCore(run_.recorded, run_.attachments, 10**18)
+    for name in run_.recorded.roles:
+        begin = 0
+        for until, figures in run_.figures[name]:
+            rows = {
+                trace.topic.trace: trace.values[begin:until] for (of, _), trace in run_.traces.items() if of == name
+            }
+            core.take(encode(Observation(name, until, figures, rows)), 10**18)
+            begin = until
+    assert core.refused == 0
+    target.write_bytes(core.cut() + core.end())
+    return target
