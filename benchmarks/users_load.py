@@ -127,7 +127,7 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
         transport = ZmqTransport.ipc(folder)
         try:
             hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
-            bundle = cut(prepared, Run(REALTIME, folder, endpoint, False))[ENVIRONMENT]
+            bundle = cut(prepared, Run(REALTIME, folder, endpoint))[ENVIRONMENT]
             if not isinstance(bundle, EnvironmentBundle):
                 raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
             save(bundle, folder / "environment.bundle")

@@ -35,7 +35,7 @@ def running_sessions() -> list[Running]:
             found.append(Running(directory, About.load(directory)))
         except AboutError:
             continue  # not yet begun, over since, or another version's
-    return sorted(found, key=lambda running: running.about.started)
+    return sorted(found, key=lambda running: (running.about.started, running.about.session, running.about.pid))
 
 
 def find_session(name: str | None) -> Running:

@@ -67,13 +67,11 @@ def figures_agree(run: Run, node: str) -> Check:
     return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, told)
 
 
-def bounded(run: Run, node: str, active: bool) -> Check:
-    """A ledger is never below 0.
+def bounded(run: Run, node: str) -> Check:
+    """A ledger of ``node`` is never below 0; what a hand intended, a person's at a browser too, is in it.
 
-    Args:
-        run: the recording.
-        node: whose ledger.
-        active: whether a person put in work that no ledger knows of.
+    Returns:
+        The finding; nothing was checked where no ledger was kept.
     """
     trace = rows_of(run, node, names.LEDGER)
     total = trace[np.isfinite(trace)]
@@ -83,11 +81,6 @@ def bounded(run: Run, node: str, active: bool) -> Check:
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     wrong = trace < -tolerance
     first = first_of(wrong, ("E",), trace, np.zeros_like(trace))
-    if active:
-        text = "" if not len(total) else f"least {total.min():.6g} J"
-        why = "a person's own work is in no ledger: below 0 would break no promise of the device"
-        gaps = (Gap(0, len(trace), why),)
-        return Check("bound", node, what, Verdict.UNCHECKED, gaps=gaps, tolerance=tolerance, source=source, told=text)
     verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if len(total) else Verdict.UNCHECKED
     told = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
     return Check(

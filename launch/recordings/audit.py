@@ -30,7 +30,7 @@ from manyhands.launch.recordings import agreement
 from manyhands.launch.recordings.coupling_again import recompute_coupling
 from manyhands.launch.recordings.device_again import recompute_device
 from manyhands.launch.recordings.findings import Check, Verdict, compare
-from manyhands.launch.recordings.hands import given_devices, hand_of
+from manyhands.launch.recordings.hands import hand_of
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.recomputed import Recomputed
 from manyhands.launch.recordings.recording import RecordingError
@@ -177,10 +177,9 @@ class _Auditing:
         blocks = Blocks(blocks.bundles, blocks.ports, blocks.p, blocks.f, shifts)
         out += agreement.forces_agree(self._run, blocks, f)
         out += self._environment(blocks)
-        active = given_devices(self._session, self._run.recorded.clock)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [agreement.figures_agree(self._run, name) for name in ledgers]
-        out += [agreement.bounded(self._run, name, name in active) for name in ledgers]
+        out += [agreement.bounded(self._run, name) for name in ledgers]
         for name, device in devices.items():
             out += agreement.limits_kept(self._run, name, device)
             taus = {0: device.rungs[0].tau} | {

@@ -27,7 +27,7 @@ from manyhands.launch.simulation import Silence
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
 from manyhands.protocol.topics import LEDGER, TAU
 
@@ -207,7 +207,7 @@ def played_device(
     bundle: DeviceBundle, f: list[float], free: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x, f and ledger of a device that ran free for so many periods before those ticks."""
-    driver, core = simulated_driver(bundle), DeviceCore(bundle.level, bundle.K, bundle.common.period)
+    driver, core = driver_of(bundle), DeviceCore(bundle.level, bundle.K, bundle.common.period)
     turn, x, energy = 0, [], []
     for k, force in enumerate(f):
         for _ in range(free.get(k, 0)):
@@ -237,12 +237,12 @@ def test_a_device_that_ran_free_is_followed(prepared: Prepared, free: Mapping[in
         (tick, {"released": float(sum(n for k, n in free.items() if k < tick))})
         for tick in (*range(50, TICKS, 50), TICKS)
     ]
-    again = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, figures)
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, figures)
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     assert again.gaps == []
     # without a word of it in its figures it is another motion
-    blind = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, [])
+    blind = recompute_device(bundle, lambda: driver_of(bundle), x, force, [])
     assert not compare("signal", "dx", "", ("dx",), x, blind.signal).holds
 
 
@@ -252,7 +252,7 @@ def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> 
     x, force, _ = played_device(bundle, [0.1] * TICKS, {})
     x[200:] += 1e-3
     x[190:200] = np.nan
-    again = recompute_device(bundle, lambda: simulated_driver(bundle), x, force, [])
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, [])
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(200, TICKS)]
     assert np.isnan(again.ledger[190:]).all()
     np.testing.assert_array_equal(again.signal[:190], x[:190])
@@ -298,13 +298,14 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
 
 def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:
     run = read_run(recording)
-    assert bounded(run, "dx", active=False).verdict is Verdict.HOLDS
+    assert bounded(run, "dx").verdict is Verdict.HOLDS
     run.traces["dx", "ledger"].values[AT] = -1e-9
-    check = bounded(run, "dx", active=False)
+    check = bounded(run, "dx")
     assert check.verdict is Verdict.BROKEN
     assert check.first is not None
     assert (check.first.tick, check.first.recorded) == (AT, -1e-9)
-    assert bounded(run, "dx", active=True).verdict is Verdict.UNCHECKED  # a person's own work is in no ledger
+    run.traces["dx", "ledger"].values[:] = np.nan
+    assert bounded(run, "dx").verdict is Verdict.UNCHECKED
 
 
 def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:

@@ -78,7 +78,8 @@ def test_private_keys_are_in_files_of_their_owners_and_nowhere_else(kept: bool, 
     seen["certificate"] = (tmp_path / "certificate.json").read_bytes()
 
     assert {f"{node}.log" for node in graph.nodes} | {f"{node}.bundle" for node in graph.nodes} <= seen.keys()
-    assert len(seen) == 4 * len(graph.nodes) + 2 + 3  # two of each process and its two files; the supervisor; the rest
+    assert {"about.json", "session.yaml", "certificate.json"} <= seen.keys()
+    assert len(seen) == 4 * len(graph.nodes) + 2 + 6  # two of each process and its two files; the supervisor; the rest
     told = [place for place, content in seen.items() if any(secret in content for secret in secrets)]
     assert told == []
     assert modes["directory"] == 0o700
