@@ -195,12 +195,11 @@ class Places:
         if told == awaited - 1 and joint.tick == told:
             joint.send_again()  # it was answered, and the answer was lost
             return False
-        if self.last and awaited + LEAD >= self.last:
-            return False  # it is told at the end
         if not self.seated:
             place.attendance.pardon()
         if self._event(place, Event.BEHIND, awaited):
-            place.due = awaited + LEAD
+            # not beyond the last tick: those who are seated may wait for a device that waits for this one
+            place.due = min(awaited + LEAD, self.last - 1) if self.last else awaited + LEAD
         if place.attendance.seat is Seat.EXPECTED:
             joint.send_zero(Reaction, max(place.due, awaited) - 1)
         return False

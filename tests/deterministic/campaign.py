@@ -64,9 +64,12 @@ def prepared(name: str) -> Prepared:
     return prepare(load_session(path, [*overrides, chaos_kinds.ENDURING]))
 
 
-def run(name: str, clock: str, faults: int, seed: int, frames: bool = False) -> Outcome:
-    """Run one session with so many faults; with ``frames`` the account tells of every frame."""
-    world = World(prepared(name), clock, seed, frames)
+def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, ticks: int = 0) -> Outcome:
+    """Run one session with so many faults; with ``frames`` the account tells of every frame.
+
+    With ``ticks`` the session ends by itself, and all that happens is that processes stand still for a while.
+    """
+    world = World(prepared(name), clock, seed, frames, ticks)
     chaos = Faults(world, faults)
     ticks, told = 0, ""
     began = world.scheduler.now
@@ -122,6 +125,7 @@ def main() -> int:
     parser.add_argument("--clock", choices=["simulated", "realtime"], action="append")
     parser.add_argument("--session", choices=list(SESSIONS), action="append")
     parser.add_argument("--again", type=int, help="only the run of this seed, with --session and --clock")
+    parser.add_argument("--ticks", type=int, default=0, help="of the session, which then ends by itself")
     parser.add_argument("--frames", action="store_true", help="the account tells of every frame between nodes, too")
     parser.add_argument("--quiet", action="store_true", help="no account of the runs that fail")
     given = parser.parse_args()
@@ -132,7 +136,7 @@ def main() -> int:
     failing = []
     for name, clock, faults, seed in runs:
         began = time.monotonic()
-        one = run(name, clock, faults, seed, given.frames)
+        one = run(name, clock, faults, seed, given.frames, given.ticks)
         print(  # noqa: T201 -- what a campaign is for
             f"seed {seed}: {name}, {clock}, {one.faults} faults, {one.ticks} ticks, {one.restarts} restarts, "
             f"{one.steps} steps, {one.virtual:.1f} s, calm after {one.slowest:.2f} s, took "

@@ -37,7 +37,7 @@ class Faults:
 
     Attributes:
         world: the session.
-        count: how many faults.
+        count: how many faults; with a session that has an end, as many as come before that, and nobody is killed.
         done: the kinds so far.
         stalled: why the run was given up; empty for none.
         slowest: the longest from a fault to calm, ns.
@@ -78,7 +78,7 @@ class Faults:
         self._watch_calm()
         calm = self._calm >= 0 and world.tick >= self._calm + self._gap
         if self.done.total() >= self.count:
-            if calm:
+            if calm and not world.conductor.ticks:
                 self._ended = True
                 self._go_on()
                 world.interrupt()
@@ -135,6 +135,11 @@ class Faults:
         """Do the next fault."""
         world, random = self.world, self.world.random
         kind, victims = draw(world.graph, list(world.processes), random)
+        while world.conductor.ticks and kind not in (
+            Kind.STOPPED,
+            Kind.SLOW,
+        ):  # a death near the end is the supervisor's
+            kind, victims = draw(world.graph, list(world.processes), random)
         if not victims:
             return  # dead already; another time
         self.done[kind] += 1

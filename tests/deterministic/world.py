@@ -58,7 +58,7 @@ class World:
         restarts: processes that were started anew.
     """
 
-    def __init__(self, prepared: Prepared, clock: str, seed: int, frames: bool = False) -> None:
+    def __init__(self, prepared: Prepared, clock: str, seed: int, frames: bool = False, ticks: int = 0) -> None:
         """Start every process of a session; nothing goes on before :meth:`Scheduler.run`.
 
         Args:
@@ -66,13 +66,14 @@ class World:
             clock: of the product: "simulated" or "realtime".
             seed: of all that happens.
             frames: whether every frame between nodes is noted, too.
+            ticks: of the session; 0 for one that goes on until it is ended.
         """
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
         self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
-        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, 0, budget=budget)
+        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, budget=budget)
         self.processes: dict[str, Process] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)

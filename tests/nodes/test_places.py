@@ -343,13 +343,17 @@ def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: World) -> No
     assert world.cy.attendance.seat is Seat.SEATED
 
 
-def test_after_the_last_ticks_nobody_is_invited_any_more(world: World) -> None:
+@pytest.mark.parametrize("left", range(1, LEAD + 1))
+def test_near_the_end_one_is_invited_to_the_last_tick(world: World, left: int) -> None:
+    """Not beyond it: who is seated may wait for a device of several blocks, and that one for this block's force."""
     behind = frozen_for(world, 20)
-    world.places.last = world.tick + LEAD
-    said = len(world.ends["cy"].said)
+    world.places.last = world.tick + left
     world.say("cy", behind)
     world.hear(world.cy)
-    assert (world.cy.attendance.seat, len(world.ends["cy"].said)) == (Seat.FROZEN, said)
+    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, world.places.last - 1)
+    told = world.ends["cy"].said[-1]
+    assert isinstance(told, Reaction)
+    assert (told.tick, told.values.tolist()) == (world.places.last - 2, [0.0])
 
 
 def test_a_flood_ends_the_environment(world: World) -> None:
