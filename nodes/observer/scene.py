@@ -150,9 +150,9 @@ class Scene:
 
     @property
     def frozen(self) -> int:
-        """Couplings that are frozen now, as the environment says; what is no number counts as none."""
+        """Couplings that are frozen now, as the environment says; what is no number of couplings counts as none."""
         told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
-        return round(sum(value for value in told if math.isfinite(value)))
+        return round(sum(value for value in told if 0.0 < value < math.inf))
 
     @property
     def health(self) -> Health:

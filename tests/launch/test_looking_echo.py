@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from manyhands.launch.looking.echoing import Echo
 from manyhands.launch.looking.pacing import Pacing, sentence
 from manyhands.launch.looking.topics_named import NoTopic, find_topic, named_topics, session_of
 from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.layout import Recorded
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 from manyhands.protocol.topics import TOPICS
@@ -172,3 +176,21 @@ class TestPace:
             assert (found["rate"], found["arrival_ms"]) == (None, None)
             assert sentence(found) == "/s/cx/tool: waiting for a second message"
             json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize("name", ["d/sample", "d/tau", "environment/masses", "cx/telemetry", "environment/ledger"])
+def test_a_line_is_what_a_recording_has(name: str, tmp_path: Path) -> None:
+    nodes = ABOUT.nodes
+    roles, ports = {n: node.role for n, node in nodes.items()}, {n: node.ports for n, node in nodes.items()}
+    core = RecorderCore(Recorded(ABOUT.session, ABOUT.id, ABOUT.period, "simulated", roles, ports, tuple(ABOUT.masses)))
+    data, echo = core.cut(), Echo(find_topic(ABOUT, name), ABOUT.period)
+    lines: list[str] = []
+    for tick in (100, 200):
+        frame = telemetry(name.split("/")[0], tick, late=1.0)
+        core.take(frame, 10**18)
+        lines += echo.lines(read(frame), tick)
+    (tmp_path / "r.mcap").write_bytes(data + core.cut() + core.end())
+    with (tmp_path / "r.mcap").open("rb") as file:
+        messages = [json.loads(m.data) for _, _, m in make_reader(file).iter_messages(topics=[f"/s/{name}"])]
+    assert [json.loads(line) for line in lines] == messages
+    assert len(messages) == (2 if name.endswith("telemetry") else 200)

@@ -126,8 +126,10 @@ def test_a_link_is_as_the_worse_of_its_ends_and_a_session_as_its_worst_node() ->
     assert seen.scene.health is Health.OK
 
 
-@pytest.mark.parametrize(("frozen", "health"), [(0.0, Health.OK), (2.0, Health.FROZEN), (math.nan, Health.OK),
-                                                (math.inf, Health.OK)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("frozen", "health"),
+    [(0.0, Health.OK), (2.0, Health.FROZEN), (math.nan, Health.OK), (-1.0, Health.OK), (math.inf, Health.OK)],
+)
 def test_frozen_couplings_are_the_sessions_health(frozen: float, health: Health) -> None:
     seen = Seen()
     seen.condition()
