@@ -22,11 +22,11 @@ types: $(VENV)/.installed
 imports: $(VENV)/.installed
 	$(BIN)/lint-imports
 
-# what starts sessions in real time runs alone; the rest in so many processes at once, and 0 is none beside this one
+# what says something of sessions in real time runs alone; the rest in so many processes, 0 being none beside this one
 WORKERS ?= 2
 pytest: $(VENV)/.installed
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile tests/design tests/protocol tests/nodes tests/deterministic tests/fuzz
-	$(BIN)/pytest tests/launch tests/system
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone"
+	$(BIN)/pytest -m alone
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`
 campaign: $(VENV)/.installed

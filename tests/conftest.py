@@ -25,6 +25,29 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("repeatable")
 
+ALONE = (
+    "launch/test_cli.py",
+    "launch/test_cli_doctor.py",
+    "launch/test_doctor.py",
+    "system/faults/",
+    "system/test_benchmarks.py",
+    "system/test_capture.py",
+    "system/test_drivers.py",
+    "system/test_looking.py",
+    "system/test_page.py",
+    "system/test_record.py",
+    "system/test_rogues.py",
+)
+"""What runs sessions in real time and says something of how they go: nothing else should run meanwhile."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that are to run alone; see the Makefile."""
+    for item in items:
+        place = item.path.relative_to(Path(__file__).parent).as_posix()
+        if place.startswith(ALONE):
+            item.add_marker(pytest.mark.alone)
+
 
 def _descriptors() -> dict[int, str]:
     """This process's open file descriptors and what they lead to."""
