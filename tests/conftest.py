@@ -11,6 +11,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from hypothesis.internal.conjecture import providers
 
 hypothesis.settings.register_profile(
     "repeatable",
@@ -24,6 +25,12 @@ hypothesis.settings.register_profile(
     "campaign", parent=hypothesis.settings.get_profile("repeatable"), derandomize=False, print_blob=True
 )
 hypothesis.settings.load_profile("repeatable")
+
+# Hypothesis draws constants that stand in whatever local modules happen to be loaded: cases then depend on which tests
+# ran before in the same process, and on numbers in code that has nothing to do with the test. A red run could not be
+# repeated by its test alone.
+if hasattr(providers, "_get_local_constants"):
+    providers._get_local_constants = lambda: providers._local_constants
 
 ALONE = (
     "launch/test_cli.py",
