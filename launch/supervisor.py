@@ -135,8 +135,8 @@ class Supervisor:
         reach = self._reach
         transport = ZmqTransport.of(reach.transport, directory, reach.ring())
         processes = Processes(directory)
-        showing = self._showing = Showing(directory, self._about, kept_files(self._prepared))
         try:
+            self._showing = Showing(directory, self._about, kept_files(self._prepared))
             local = [name for name in self._graph.nodes if name not in reach.remote]
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
             members = (*self._graph.nodes, *self._session.observers)
@@ -160,7 +160,8 @@ class Supervisor:
             self._recorder.close()
             processes.end_all()
             transport.close()
-            showing.close()
+            if self._showing is not None:
+                self._showing.close()
 
     def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
         """The loop: wait for anything, tell the conductor, do as it says."""
