@@ -39,11 +39,15 @@ ALONE = (
     "system/faults/",
     "system/test_benchmarks.py",
     "system/test_capture.py",
+    "system/test_docs.py",
     "system/test_drivers.py",
+    "system/test_join.py",
     "system/test_looking.py",
     "system/test_page.py",
     "system/test_record.py",
     "system/test_rogues.py",
+    "system/test_security_docs.py",
+    "system/test_sessions.py",
 )
 """What runs sessions in real time and says something of how they go: nothing else should run meanwhile."""
 
