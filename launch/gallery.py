@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from manyhands.design.certificate import Certificate
 from manyhands.launch.outcome import Progress
 from manyhands.launch.preparation import Prepared
@@ -95,7 +97,7 @@ def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbo
         tau=certificate.tau,
         margins=dict(certificate.margins),
         gamma=None if certificate.transparency is None else certificate.transparency.gamma,
-        delta_D={name: min(session.osp_level(name).diagonal().tolist()) for name in session.devices},
+        delta_D={name: float(np.linalg.eigvalsh(session.osp_level(name))[0]) for name in session.devices},
         ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
         enforced=tuple(prepared.loop.enforced),
     )
