@@ -173,3 +173,15 @@ def test_a_run_under_a_certificate_of_0_5_0_keeps_it_and_is_audited_with_it(tmp_
     assert manyhands_command("replay", path).exit_code == 0
     done = manyhands_command("audit", path)
     assert (done.exit_code, f"certificate {first.id}: proved again, and this session's" in done.stdout) == (0, True)
+
+
+def test_a_file_that_would_not_keep_its_id_is_not_run_under(feasible: Path, tmp_path: Path) -> None:
+    """Another order of keys, with the id of that order, is proved as it is, but a recording would write it anew."""
+    data = dict(reversed(json.loads(feasible.read_text()).items()))
+    data["id"] = identity(data)
+    path = tmp_path / "turned.json"
+    path.write_text(json.dumps(data))
+    assert manyhands_command("verify", path).exit_code == 0
+    done = manyhands_command("simulate", "example1.yaml", "--certificate", path, "--duration", "0.01")
+    assert done.exit_code == 3
+    assert "found another order of keys, or other forms of numbers, than manyhands writes" in done.stderr
