@@ -1,9 +1,12 @@
 """The certificate: one readable JSON file that says which loop is stable with which coupling, and why.
 
-It holds the physical data of the loop, the coupling, the levels each party promises, the storage matrices
-that prove them where physics does not, the margins, and a SHA-256 id over all of it. Every fact stands in it once:
-what follows from the physical data (E_hat, V_hat, the realisation of springs and dampers) is rebuilt by whoever checks.
-Floats are written by their shortest exact representation, so that the file round-trips bit by bit.
+It holds the physical data of the loop, what was asked of the coupling, the coupling, the levels each party promises,
+the storage matrices that prove them where physics does not, the margins, and a SHA-256 id over all of it. Every fact
+stands in it once: what follows from the physical data (E_hat, V_hat, the realisation of springs and dampers) is rebuilt
+by whoever checks. Floats are written by their shortest exact representation, so that the file round-trips bit by bit.
+
+A file of version 2 lacks what was asked, and its id does not cover the order of keys. It is read, proved and written
+again as what it is (docs/decisions/0027-certificate-format-3.md).
 """
 
 from __future__ import annotations
@@ -37,9 +40,12 @@ from manyhands.design.statespace import Matrix, StateSpace, matrix
 from manyhands.design.weighted_loop import Transparency
 
 FORMAT = "manyhands-certificate"
-VERSION = 2
+VERSION = 3
+WITHOUT_ASKED = 2
+"""The version that does not record what was asked, and whose id is over the content with its keys sorted."""
 MAX_FILE_BYTES = 256 * 2**20
 _KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
+_ASKED = {"coupling", "objective", "weights", "algorithm", "iterations", "order", "poles"}
 _KEYS |= {"coupling", "levels", "storage", "transparency", "margins", "method"}
 
 
@@ -70,6 +76,8 @@ class Certificate:
         transparency: the claim on transparency, where the session aims at one.
         margins: by condition, how far it is from failing.
         method: how the coupling was found: algorithm, iterations, solver.
+        asked: what was asked of the coupling, as plain data; not a claim, and nothing proves it. None for a file of
+            version 2, which does not record it.
         id: SHA-256 (hex) over the content; empty until :func:`seal`.
     """
 
@@ -79,7 +87,13 @@ class Certificate:
     transparency: TransparencyClaim | None
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
+    asked: Mapping[str, Any] | None
     id: str = ""
+
+    @property
+    def version(self) -> int:
+        """The file format's version that holds exactly this."""
+        return WITHOUT_ASKED if self.asked is None else VERSION
 
     @property
     def tau(self) -> float:
@@ -111,7 +125,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
     claim = certificate.transparency
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": certificate.version,
         "session": loop.session,
         "period": loop.period,
         "tau": loop.tau,
@@ -121,6 +135,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
         "environment": describe_environment(loop.environment),
+        **({} if certificate.asked is None else {"asked": dict(certificate.asked)}),
         "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
             "kappa": levels.device.kappa,
@@ -147,10 +162,13 @@ def _by_block(partition: Partition, parts: tuple[Matrix, ...]) -> dict[str, list
 
 
 def identity(data: Mapping[str, Any]) -> str:
-    """SHA-256 (hex) over the content's canonical JSON: sorted keys, no spaces, shortest exact floats."""
+    """SHA-256 (hex) over the content's canonical JSON: keys in their order, no spaces, shortest exact floats.
+
+    The order counts: that of ``devices``, ``structure`` and the ports follows from it. In version 2 keys are sorted.
+    """
     canonical = json.dumps(
         {key: value for key, value in data.items() if key != "id"},
-        sort_keys=True,
+        sort_keys=data.get("version") == WITHOUT_ASKED,
         separators=(",", ":"),
         allow_nan=False,
     )
@@ -203,7 +221,7 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
         return from_content(data), data
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise CertificateError(f"{path}: not a certificate of this version: {what}") from error
+        raise CertificateError(f"{path}: not a certificate of a known version: {what}") from error
 
 
 def from_content(data: Mapping[str, Any]) -> Certificate:
@@ -213,10 +231,18 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         KeyError, TypeError, ValueError, AttributeError, OverflowError: something is missing, of another type, shape
             or size.
     """
-    if data["format"] != FORMAT or data["version"] != VERSION:
-        raise ValueError(f"expected {FORMAT} version {VERSION}, found {data['format']!r} {data['version']!r}")
-    if unknown := set(data) - _KEYS:
-        raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(_KEYS)}")
+    form, version = data["format"], data["version"]
+    if form != FORMAT or type(version) is not int or version not in (WITHOUT_ASKED, VERSION):
+        expected = f"{FORMAT} version {WITHOUT_ASKED} or {VERSION}"
+        raise ValueError(f"expected {expected}, found {form!r} {version!r}")
+    keys = _KEYS if version == WITHOUT_ASKED else _KEYS | {"asked"}
+    if unknown := set(data) - keys:
+        raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(keys)}")
+    asked = None if version == WITHOUT_ASKED else data["asked"]
+    if version == VERSION and not isinstance(asked, Mapping):
+        raise ValueError("expected asked to be an object")
+    if unknown := set(asked or ()) - _ASKED:
+        raise ValueError(f"asked: found the keys {sorted(unknown)}, expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
         raise ValueError("expected session to be a text, and every value of method a text or a whole number")
     ports = tuple(str(p) for p in data["ports"])
@@ -257,6 +283,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         else TransparencyClaim(aim_of(claim), float(claim["gamma"]), square(claim["P"])),
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
+        asked=asked,
         id=str(data["id"]),
     )
 

@@ -1,4 +1,7 @@
-"""The parts of a certificate that come in several kinds, as JSON values and back: environments, couplings, aims."""
+"""The parts of a certificate that come in several kinds, as JSON values: requests, environments, couplings, aims.
+
+All but the requests are read back.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,49 @@ from manyhands.design.environment import (
 from manyhands.design.network import Link, Network
 from manyhands.design.operators import Rational
 from manyhands.design.partition import Partition
+from manyhands.design.problem import (
+    CouplingRequest,
+    LinearGiven,
+    LinearWanted,
+    SpringDamperGiven,
+    SpringDamperWanted,
+    Wish,
+)
 from manyhands.design.statespace import Matrix, StateSpace, matrix
 from manyhands.design.weighted_loop import Transparency
 from manyhands.design.weights import Filter
 
 MOST_DELAY = 64  # ticks: what is built grows with it
+
+
+def describe_request(wanted: CouplingRequest, names: Sequence[str]) -> dict[str, Any]:
+    """What is asked of a coupling, by the keys that a session's ``design:`` has for it.
+
+    Left out is what a certificate has elsewhere: the delay, and a given coupling's numbers. Weights are in z.
+
+    Args:
+        wanted: the request.
+        names: of the blocks of V, in the partition's order.
+    """
+    match wanted:
+        case SpringDamperWanted(wish):
+            return {"coupling": "spring-damper", **_describe_wish(wish)}
+        case LinearWanted(orders, wish, poles):
+            order = {"order": dict(zip(names, orders, strict=True))}
+            fixed = [{"frequency": pole.frequency, "damping": pole.damping} for pole in poles or ()]
+            return {"coupling": "linear", **_describe_wish(wish), **order} | ({"poles": fixed} if fixed else {})
+        case SpringDamperGiven(_, aim) | LinearGiven(_, aim):
+            return {"coupling": "given", **_describe_objective("feasible", aim)}
+    return {"coupling": "none", **_describe_objective("feasible", None)}
+
+
+def _describe_wish(wish: Wish) -> dict[str, Any]:
+    out = {**_describe_objective(wish.objective, wish.aim), "algorithm": wish.algorithm}
+    return out | ({"iterations": wish.iterations} if wish.algorithm == "complementarity" else {})
+
+
+def _describe_objective(objective: str, aim: Transparency | None) -> dict[str, Any]:
+    return {"objective": objective} if aim is None else {"objective": aim.objective, "weights": _weights(aim)}
 
 
 def describe_environment(environment: Environment) -> dict[str, Any]:
@@ -194,8 +235,11 @@ def matrices_by_block(data: Mapping[str, Any], partition: Partition) -> tuple[Ma
 
 def describe_aim(aim: Transparency) -> dict[str, Any]:
     """The transparency problem with its weights in z."""
-    weights = {name: {"num": list(W.num), "den": list(W.den)} for name, W in (("W1", aim.W1), ("W2", aim.W2))}
-    return {"objective": aim.objective, **weights}
+    return {"objective": aim.objective, **_weights(aim)}
+
+
+def _weights(aim: Transparency) -> dict[str, Any]:
+    return {name: {"num": list(W.num), "den": list(W.den)} for name, W in (("W1", aim.W1), ("W2", aim.W2))}
 
 
 def aim_of(data: Mapping[str, Any]) -> Transparency:

@@ -15,7 +15,8 @@ best coupling is K = k Delta_D, B = b Delta_D with two numbers for all blocks: a
 | loop-shaping or closed-loop, any class | springs and dampers by the same aim, searched at the rung's tau |
 | a given coupling | itself while it can be certified, then as for feasible |
 
-Rungs of linear couplings are springs and dampers too: their searches take long, and a rung is there to be safe.
+Rungs of linear couplings are springs and dampers too: their searches take long, and a rung is there to be safe. Every
+rung records what the session asked, as rung 0 does; its method says how it was found, and of which rung 0 it is a rung.
 
 **Mixing.** Blocks change one by one, so that a loop may be at several rungs at once. That every mixture is certified is
 proved by :mod:`manyhands.design.proof.ladder`.
@@ -152,13 +153,13 @@ def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificat
         try:
             found = find()
             method = {**found.method, "rung of": first.id}
-            return certificate_of(loop, replace(found, method=method), environment=first.levels)
+            return certificate_of(loop, wanted, replace(found, method=method), environment=first.levels)
         except DesignError as error:
             reason = error
     need = _need(first)
     if need > 0.0:  # another level of the environment may ask for less
         found = _softened(loop, environment_need(loop), stiff=False)
-        return certificate_of(loop, replace(found, method={**found.method, "rung of": first.id}))
+        return certificate_of(loop, wanted, replace(found, method={**found.method, "rung of": first.id}))
     raise reason or AssertionError("there is always a way to look for a rung")
 
 

@@ -58,7 +58,8 @@ Storage = Matrix | Literal["energy", "enforced"]
 def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
     """The certificate of those who remain, sealed; it is claimed, not yet proved.
 
-    Of transparency it claims nothing: that storage is in another realisation.
+    Of transparency it claims nothing: that storage is in another realisation. What was asked stays what was asked of
+    the whole loop.
 
     Args:
         certificate: of the whole loop.
@@ -107,6 +108,7 @@ def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
             transparency=None,
             margins={"(10)": margin(remaining, parts)},
             method={"algorithm": "reduction", "of": certificate.id, "frozen": names},
+            asked=certificate.asked,
         )
     )
 

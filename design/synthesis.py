@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manyhands.design.certificate import Certificate, TransparencyClaim, content, identity
+from manyhands.design.certificate_parts import describe_request
 from manyhands.design.contract import Levels, margin
 from manyhands.design.coupling import CouplingBlock, realisations
 from manyhands.design.declared import DeclaredEnvironment
@@ -60,17 +61,22 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     """
     check_environment(loop.environment)
     found = _take(loop, wanted) or search(loop, wanted, progress)
-    certificate = certificate_of(loop, found, progress)
+    certificate = certificate_of(loop, wanted, found, progress)
     return Designed(certificate, found.history, found.watched, found.interrupted)
 
 
 def certificate_of(
-    loop: HapticLoop, found: Found, progress: Progress | None = None, environment: Levels | None = None
+    loop: HapticLoop,
+    wanted: CouplingRequest,
+    found: Found,
+    progress: Progress | None = None,
+    environment: Levels | None = None,
 ) -> Certificate:
     """Certify a coupling and prove the certificate.
 
     Args:
         loop: the haptic loop.
+        wanted: what was asked of the coupling, for the record.
         found: the coupling.
         progress: told what is being done.
         environment: levels whose Phi_E and storage are to be used instead of looking for better ones.
@@ -88,7 +94,8 @@ def certificate_of(
     else:
         levels = certify_beside(loop, found.coupling, environment, found.device)
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim)
-    draft = Certificate(loop, found.coupling, levels, claim, {}, found.method)
+    asked = describe_request(wanted, loop.partition.names)
+    draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
     draft = replace(draft, margins={"(10)": margin(loop.partition, levels)})
     data = content(draft)
     data["id"] = identity(data)

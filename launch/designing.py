@@ -14,8 +14,8 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from manyhands.design.certificate import load, save
-from manyhands.design.differences import differences
+from manyhands.design.certificate import Certificate, load, save
+from manyhands.design.differences import asked_text, differences, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.weights import Filter
 from manyhands.launch.display import say, status
@@ -143,6 +143,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
         print_findings(out, findings)
+        _say_what_was_asked(out, file, certificate, session)
     for finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
@@ -153,6 +154,17 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
         say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
+
+
+def _say_what_was_asked(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
+    """Beside what is proved: what is only recorded, or not even that."""
+    if certificate.asked is not None:
+        say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
+        return
+    say(out, f"{file}: {unrecorded(certificate)}")
+    if session is not None:
+        objective = session.design.objective
+        say(out, f"{file}: not compared with the session's design.objective={objective}: its own is not recorded")
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:

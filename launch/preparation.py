@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, load
+from manyhands.design.certificate import Certificate, content, identity, load
 from manyhands.design.differences import differences
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.problem import HapticLoop, LinearGiven, NoCoupling, SpringDamperGiven
@@ -76,7 +76,7 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
 
     Raises:
         CertificateError: the file is not a certificate.
-        NotCertified: it does not hold, or is another session's.
+        NotCertified: it does not hold, is another session's, or would not keep its id when it is written again.
     """
     from manyhands.design.proof import ProofInputError, prove  # what only runs need not import
 
@@ -90,6 +90,11 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
         raise NotCertified(
             f"{path}: not proved: {first.condition}: found {first.value:.6g}, bound {first.bound:.3g}; "
             "design the session anew"
+        )
+    if (written := identity(content(certificate))) != certificate.id:
+        raise NotCertified(
+            f"{path}: found another order of keys, or other forms of numbers, than manyhands writes; written again, as "
+            f"in a recording, its id would be {written[:16]} instead of {certificate.id[:16]}; design the session anew"
         )
     if session is not None and (found := _foreign(certificate, session)):
         raise NotCertified(f"{path}: a certificate of another session: {found}; design this session anew")

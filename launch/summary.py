@@ -11,6 +11,7 @@ from rich.table import Table
 
 from manyhands.design.certificate import Certificate
 from manyhands.design.coupling import SpringDamper
+from manyhands.design.differences import asked_text
 from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix
 
@@ -36,6 +37,8 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
     return {
         "status": CERTIFIED if proved else INFEASIBLE,
         "id": certificate.id,
+        "version": certificate.version,
+        "asked": certificate.asked,
         "margin": certificate.margins.get(CONDITION_10),
         "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
         "coupling": coupling,
@@ -59,6 +62,8 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
     return {
         "status": INFEASIBLE,
         "id": None,
+        "version": None,
+        "asked": None,
         "margin": None,
         "gamma": None,
         "coupling": None,
@@ -80,6 +85,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column()
+    if certificate.asked is not None:
+        table.add_row("asked for", _escaped(asked_text(certificate.asked)))
     table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
     table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
     table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s")

@@ -1,7 +1,7 @@
 """What a certificate claims, as read from its plain data: every name resolved, every number exact, nothing believed.
 
-The format is version 2 of the certificate file. Matrices keep the paper's letters; indices count ports from 0 in the
-certificate's order, masses after them.
+The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Matrices keep the paper's letters;
+indices count ports from 0 in the certificate's order, masses after them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from manyhands.design.proof.reading import MAX_DEGREE, MAX_DENSE, MAX_PORTS, Ite
 from manyhands.design.proof.sparse import Sparse, add
 
 FORMAT = "manyhands-certificate"
-VERSION = 2
+VERSION = 3
+WITHOUT_ASKED = 2
 _KEYS: tuple[str, ...] = (
     "id",
     "format",
@@ -32,6 +33,9 @@ _KEYS: tuple[str, ...] = (
     "environment",
 )
 _KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
+_ASKED = "asked"
+_MOST_ASKED = 50_000  # values in it: a state's count for each of MAX_PORTS blocks, and room
+_DEEPEST_ASKED = 8
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,7 @@ class Claim:
 
     Attributes:
         data: the plain data, for the id.
+        version: of the format, which says how the id is computed.
         id: the stated SHA-256.
         period: T, s.
         tau: greatest delay inside the tick, s.
@@ -129,6 +134,7 @@ class Claim:
     """
 
     data: Mapping[str, Any]
+    version: int
     id: str
     period: fmpq
     tau: fmpq
@@ -155,9 +161,13 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing, unknown, or not of its type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS)
+    fields = Item(data, "").fields(_KEYS, (_ASKED,))
     fields["format"].text(FORMAT)
-    fields["version"].whole(VERSION, VERSION)
+    version = fields["version"].whole(WITHOUT_ASKED, VERSION)
+    if (_ASKED in fields) != (version == VERSION):
+        raise ProofInputError(f"{_ASKED}: expected it in version {VERSION}, and not in version {WITHOUT_ASKED}")
+    if _ASKED in fields:
+        _require_plain(fields[_ASKED])
     fields["session"].text()
     for item in fields["method"].entries(1_000).values():
         if not isinstance(item.value, str):
@@ -179,6 +189,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     environment = read_environment(fields["environment"], ports)
     return Claim(
         data=data,
+        version=version,
         id=fields["id"].text(),
         period=exact(fields["period"].number()),
         tau=exact(fields["tau"].number()),
@@ -198,6 +209,30 @@ def read(data: Mapping[str, Any]) -> Claim:
         transparency=_transparency(fields["transparency"]),
         margins={name: exact(item.number()) for name, item in fields["margins"].entries(100).items()},
     )
+
+
+def _require_plain(item: Item) -> None:
+    """Refuse what is no object of plain data of bounded size. Nothing else is asked of it: it is no claim."""
+    item.entries(_MOST_ASKED)
+    count, level = 0, [item.value]
+    for _ in range(_DEEPEST_ASKED):
+        count += len(level)
+        if count > _MOST_ASKED:
+            raise ProofInputError(f"{item.path}: found more than {_MOST_ASKED} values, expected at most so many")
+        deeper: list[object] = []
+        for value in level:
+            here = Item(value, item.path)
+            if isinstance(value, Mapping):
+                deeper += [inner.value for inner in here.entries(_MOST_ASKED).values()]
+            elif isinstance(value, list | tuple):
+                deeper += value
+            elif isinstance(value, str):
+                here.text()
+            elif value is not None and not isinstance(value, bool):
+                here.number()
+        level = deeper
+    if level:
+        raise ProofInputError(f"{item.path}: found objects or lists deeper than {_DEEPEST_ASKED} levels, expected none")
 
 
 def _indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from manyhands.design.proof import contract, environment, transparency
-from manyhands.design.proof.claim import Claim, SpringDamper, read
+from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, SpringDamper, read
 from manyhands.design.proof.device import device_form
 from manyhands.design.proof.finding import Finding
 from manyhands.design.proof.linear import linear
@@ -27,10 +27,10 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     Returns:
         Every finding; the certificate is proved when all of them hold, but for what is said to be enforced at run
         time. What follows from a condition that does not hold is left out, so that the first one that fails is the
-        reason.
+        reason. Of what was asked nothing is claimed, and nothing found.
 
     Raises:
-        ProofInputError: the data are no certificate of this version; names the key.
+        ProofInputError: the data are no certificate of a known version; names the key.
     """
     tell = progress if progress is not None else _silent
     tell("reading the certificate")
@@ -64,11 +64,16 @@ def _silent(text: str) -> None:
 
 
 def _identity(claim: Claim) -> Finding:
-    """The id is the SHA-256 over the content's canonical JSON: sorted keys, no spaces, shortest exact floats."""
+    """The id is the SHA-256 over the content's canonical JSON: keys in their order, no spaces, shortest exact floats.
+
+    In version 2 the keys are sorted.
+    """
     content = {key: value for key, value in claim.data.items() if key != "id"}
-    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    in_any_order = claim.version == WITHOUT_ASKED
+    canonical = json.dumps(content, sort_keys=in_any_order, separators=(",", ":"), allow_nan=False)
     holds = hashlib.sha256(canonical.encode()).hexdigest() == claim.id
-    return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument="computed again")
+    argument = "computed again; by version 2 in any order of keys" if in_any_order else "computed again"
+    return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument=argument)
 
 
 def _block(claim: Claim, i: int) -> Finding:

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from manyhands.design.differences import unrecorded
 from manyhands.design.errors import CertificateError, DesignError
 from manyhands.launch.cli.completing import running_names, session_files
 from manyhands.launch.display import say
@@ -94,11 +95,14 @@ def unwind(signum: int, _frame: FrameType | None) -> None:
 
 
 def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
-    """Settle the coupling of a run, telling what the design is doing."""
+    """Settle the coupling of a run, telling what the design is doing and what a certificate's file does not record."""
     from manyhands.launch.designing import telling
 
     with telling(err, "designing the coupling") as progress:
-        return prepare(session, certificate, uncertified, progress)
+        prepared = prepare(session, certificate, uncertified, progress)
+    if prepared.certificate is not None and (lack := unrecorded(prepared.certificate)):
+        say(err, f"{certificate}: {lack}")
+    return prepared
 
 
 def ticks_of(session: Session, duration: float) -> int:

@@ -1,6 +1,7 @@
 """The certificate file: exact, tamper-evident, and refused with the file's name when it is not one."""
 
 import copy
+import hashlib
 import json
 import math
 from collections.abc import Iterator
@@ -81,9 +82,61 @@ def test_the_file_round_trips_bit_for_bit(certificate, path: Path) -> None:
 
 
 def test_the_id_is_the_same_for_the_same_content(certificate, data: dict[str, Any]) -> None:
-    shuffled = dict(sorted(data.items(), reverse=True))
-    assert identity(shuffled) == certificate.id == seal(certificate).id
+    assert identity(copy.deepcopy(data)) == certificate.id == seal(certificate).id
     assert len(certificate.id) == 64
+
+
+def test_the_order_of_every_key_is_in_the_id(certificate, data: dict[str, Any], path: Path) -> None:
+    """A file re-ordered by hand no longer has its id, by the writer's rule and by the proof's own."""
+    objects = [at for at in ((), *sections(data)) if isinstance(get(data, at), dict) and len(get(data, at)) > 1]
+    assert {(), ("devices",), ("environment",), ("asked",), ("levels",)} <= {*objects}
+    for at in objects:
+        turned = dict(reversed(get(data, at).items()))
+        other = put(data, at, turned) if at else turned
+        assert other == data  # as objects they are equal
+        assert identity(other) != certificate.id, at
+        path.write_text(json.dumps(other))
+        found = [finding.condition for finding in prove(load(path)[1]) if not finding.holds]
+        assert found == ["the id is the SHA-256 of the content"], at
+
+
+def without_asked(data: dict[str, Any]) -> dict[str, Any]:
+    """The same claims as a file of version 2, with the id by its rule."""
+    old = {key: value for key, value in data.items() if key != "asked"} | {"version": 2}
+    return old | {"id": identity(old)}
+
+
+def test_version_2_has_its_own_rule_and_stays_what_it_is(data: dict[str, Any], path: Path) -> None:
+    """Its keys are sorted for the id; written again, it is the same file, and nothing of version 3 is added."""
+    old = without_asked(data)
+    turned = old | {"devices": dict(reversed(old["devices"].items()))}
+    canonical = json.dumps({k: v for k, v in old.items() if k != "id"}, sort_keys=True, separators=(",", ":"))
+    assert identity(turned) == old["id"] == hashlib.sha256(canonical.encode()).hexdigest()
+    assert all_hold(turned)
+    path.write_text(json.dumps(old))
+    read, _ = load(path)
+    assert (read.version, read.asked) == (2, None)
+    assert json.loads(to_json(read)) == old
+    assert list(json.loads(to_json(read))) == list(old)
+    assert seal(read).id == old["id"]
+
+
+def test_what_was_asked_is_recorded_and_no_claim(certificate, data: dict[str, Any], path: Path) -> None:
+    """A change of it is found by the id; with a new id everything holds, for the proof says nothing of it."""
+    aimed = aim()
+    weights = {name: {"num": list(W.num), "den": list(W.den)} for name, W in (("W1", aimed.W1), ("W2", aimed.W2))}
+    assert data["asked"] == {"coupling": "given", "objective": "loop-shaping", "weights": weights}
+    forged = put(data, ("asked", "objective"), "stiffest")
+    assert [finding.condition for finding in prove(forged) if not finding.holds] == [
+        "the id is the SHA-256 of the content"
+    ]
+    forged["id"] = identity(forged)
+    assert forged["id"] != certificate.id
+    path.write_text(json.dumps(forged))
+    read, read_data = load(path)
+    assert all_hold(read_data)
+    assert read.asked == forged["asked"]
+    assert json.loads(to_json(read)) == forged
 
 
 @given(st.data())
@@ -116,8 +169,9 @@ BROKEN_TEXTS = {
     "17": "not a certificate",
     '"certificate"': "not a certificate",
     "{}": "key 'format' is missing",
-    '{"format": "manyhands-certificate", "version": 1}': "expected manyhands-certificate version 2, found",
-    '{"format": "other", "version": 2}': "found 'other' 2",
+    '{"format": "manyhands-certificate", "version": 1}': "expected manyhands-certificate version 2 or 3, found",
+    '{"format": "other", "version": 3}': "found 'other' 3",
+    '{"format": "manyhands-certificate", "version": 2.0}': "found 'manyhands-certificate' 2.0",
     '{"a": 1, "a": 2}': "every key once",
     '{"a": NaN}': "expected finite numbers, found NaN",
     '{"a": -Infinity}': "expected finite numbers, found -Infinity",
@@ -154,7 +208,11 @@ def test_a_file_too_large_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("at", "value", "words"),
     [
-        (("version",), 1, "version 2, found 'manyhands-certificate' 1"),
+        (("version",), 1, "version 2 or 3, found 'manyhands-certificate' 1"),
+        (("version",), 2, "found the keys ['asked']"),
+        (("asked",), None, "expected asked to be an object"),
+        (("asked",), ["stiffest"], "expected asked to be an object"),
+        (("asked", "colour"), "red", "asked: found the keys ['colour'], expected some of"),
         (("session",), 3, "session to be a text"),
         (("environment", "type"), "engine", "environment.type: found 'engine'"),
         (("environment", "delay"), -1, "environment.delay: found -1"),
@@ -190,7 +248,7 @@ def test_a_certificate_with_a_wrong_part_is_refused(data, path: Path, at, value:
     path.write_text(json.dumps(put(data, at, value)))
     with pytest.raises(CertificateError) as error:
         load(path)
-    assert str(error.value).startswith(f"{path}: not a certificate of this version: ")
+    assert str(error.value).startswith(f"{path}: not a certificate of a known version: ")
     assert words in str(error.value)
 
 
@@ -210,7 +268,7 @@ SYSTEM = {"type": "state-space", "A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": 
 )
 def test_an_environment_of_matrices_that_is_none_is_refused(data, path: Path, change, words: str) -> None:
     path.write_text(json.dumps(put(data, ("environment",), SYSTEM | change)))
-    with pytest.raises(CertificateError, match="not a certificate of this version") as error:
+    with pytest.raises(CertificateError, match="not a certificate of a known version") as error:
         load(path)
     assert words in str(error.value)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import content, load, save, seal, to_json
+from manyhands.design.certificate_parts import describe_request
 from manyhands.design.contract import ENERGY
 from manyhands.design.environment import (
     DelayedNetwork,
@@ -16,6 +17,7 @@ from manyhands.design.environment import (
     TransferEnvironment,
 )
 from manyhands.design.network import GROUND, Link, Network
+from manyhands.design.partition import Partition
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, SpringDamperGiven
 from manyhands.design.proof import prove
 from manyhands.design.statespace import StateSpace
@@ -112,11 +114,30 @@ def test_every_kind_round_trips_and_is_proved_from_its_file(problems, path: Path
     assert (read.loop.tau, read.tau) == (loop.tau, loop.tau)
     assert (read.spring_damper is None) == isinstance(wanted, LinearGiven)
     assert (read.transparency is None) == (wanted.aim is None)
+    assert read.asked == certificate.asked == describe_request(wanted, loop.partition.names)
     if read.transparency is not None:
         assert read.transparency.aim == wanted.aim
     assert isinstance(read.levels.P_E, str) == (kind in ("drifting", "box"))
     for one, other in zip(read.blocks, certificate.blocks, strict=True):
         np.testing.assert_array_equal(one.D, other.D)
+
+
+def test_certificates_that_differ_in_the_order_of_blocks_or_devices_have_other_ids(problems, path: Path) -> None:
+    loop, wanted = problems.example_1(), SpringDamperGiven(problems.uniform(800.0, 0.3))
+    names, blocks = loop.partition.names, loop.partition.blocks
+    turned = (
+        loop,
+        dataclasses.replace(loop, devices=loop.devices[::-1]),
+        dataclasses.replace(loop, partition=Partition(names[::-1], blocks[::-1])),
+    )
+    certificates = [design(one, wanted).certificate for one in turned]
+    assert len({certificate.id for certificate in certificates}) == 3
+    for certificate in certificates:
+        save(certificate, path)
+        read, data = load(path)
+        assert all_hold(data)
+        assert (read.id, read.loop.partition) == (certificate.id, certificate.loop.partition)
+        assert [d.name for d in read.loop.devices] == [d.name for d in certificate.loop.devices]
 
 
 def test_phi_with_the_structure_is_written_by_block_and_without_it_whole(problems, path: Path) -> None:

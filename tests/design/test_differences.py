@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import Certificate
-from manyhands.design.differences import differences
+from manyhands.design.certificate_parts import describe_request
+from manyhands.design.differences import asked_text, differences, unrecorded
 from manyhands.design.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.network import Link, Network
 from manyhands.design.problem import (
+    CouplingRequest,
     HapticLoop,
     LinearGiven,
     LinearWanted,
     NoCoupling,
+    Pole,
     SpringDamperGiven,
     SpringDamperWanted,
     Wish,
@@ -24,6 +27,7 @@ from manyhands.design.transparency import Transparency
 from manyhands.design.weights import Filter
 
 NOT_GIVEN = "the coupling is not the one that the session gives"
+NOT_ASKED = "design.coupling differs: the certificate has given, the session asks for "
 OTHER_AIM = "the transparency problem differs, in its objective or its weights"
 
 
@@ -56,15 +60,95 @@ def linear(problems) -> Certificate:
     return design(loop, LinearGiven(problems.blocks(loop, problems.C26))).certificate
 
 
+def of_version_2(certificate: Certificate) -> Certificate:
+    """As its file of version 2 is read: nothing is known of what was asked."""
+    return dataclasses.replace(certificate, asked=None)
+
+
+def asking(certificate: Certificate, wanted: CouplingRequest) -> Certificate:
+    """The same claims, as if the coupling had been found for this wish."""
+    return dataclasses.replace(certificate, asked=describe_request(wanted, certificate.loop.partition.names))
+
+
 def test_what_fits(problems, proved: Certificate, shaped: Certificate, linear: Certificate) -> None:
     loop = problems.example_1()
     assert differences(proved, loop, SpringDamperGiven(problems.C26)) == []
-    assert differences(proved, loop, SpringDamperWanted()) == []
-    assert differences(proved, loop, SpringDamperWanted(Wish("stiffest"))) == []  # how it was found is not at issue
     assert differences(shaped, loop, SpringDamperGiven(problems.C26, aim())) == []
-    assert differences(shaped, loop, SpringDamperWanted(Wish("loop-shaping", aim()))) == []
     assert differences(linear, loop, LinearGiven(linear.blocks)) == []
-    assert differences(linear, loop, LinearWanted((1, 1, 1))) == []
+    for wanted in (SpringDamperWanted(), SpringDamperWanted(Wish("stiffest"))):
+        found = design(loop, wanted).certificate
+        assert differences(found, loop, wanted) == []
+        assert unrecorded(found) == ""
+
+
+def test_a_feasible_certificate_is_not_the_stiffest(problems) -> None:
+    loop = problems.example_1()
+    feasible, stiffest = SpringDamperWanted(), SpringDamperWanted(Wish("stiffest"))
+    assert differences(design(loop, feasible).certificate, loop, stiffest) == [
+        "design.objective differs: the certificate has feasible, the session asks for stiffest"
+    ]
+    assert differences(design(loop, stiffest).certificate, loop, feasible) == [
+        "design.objective differs: the certificate has stiffest, the session asks for feasible"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted", "keys"),
+    [
+        (SpringDamperWanted(), SpringDamperWanted(Wish(algorithm="complementarity")), ["algorithm", "iterations"]),
+        (
+            SpringDamperWanted(Wish(algorithm="complementarity", iterations=7)),
+            SpringDamperWanted(Wish(algorithm="complementarity")),
+            ["iterations"],
+        ),
+        (LinearWanted((1, 1, 1)), LinearWanted((1, 2, 1)), ["order"]),
+        (LinearWanted((2, 2, 2)), LinearWanted((2, 2, 2), poles=(Pole(30.0, 0.7),)), ["poles"]),
+        (LinearWanted((2, 2, 2), poles=(Pole(30.0),)), LinearWanted((2, 2, 2), poles=(Pole(31.0),)), ["poles"]),
+        (LinearWanted((1, 1, 1)), LinearWanted((1, 1, 1), Wish("stiffest")), ["objective"]),
+        (LinearWanted((1, 1, 1), Wish("loop-shaping", aim())), LinearWanted((1, 1, 1)), ["objective", "weights"]),
+        (
+            LinearWanted((1, 1, 1), Wish("loop-shaping", aim())),
+            LinearWanted((1, 1, 1), Wish("loop-shaping", aim(corner=100.0))),
+            ["weights"],
+        ),
+        (SpringDamperWanted(), LinearWanted((1, 1, 1)), ["coupling"]),
+        (SpringDamperWanted(Wish("stiffest")), LinearWanted((1, 1, 1)), ["coupling", "objective"]),
+    ],
+)
+def test_every_key_that_was_asked_counts(problems, linear: Certificate, asked, wanted, keys: list[str]) -> None:
+    certificate, loop = asking(linear, asked), problems.example_1()
+    for one, other in ((asked, wanted), (wanted, asked)):
+        found = [text for text in differences(asking(linear, one), loop, other) if text.startswith("design.")]
+        assert sorted(text.split()[0].removeprefix("design.") for text in found) == keys
+        assert all("differs: the certificate has " in text and "the session asks for " in text for text in found)
+    same = [text for text in differences(certificate, loop, asked) if text.startswith("design.")]
+    assert same == []
+
+
+def test_what_a_message_shows_of_a_foreign_file_is_short_and_plain(problems, proved: Certificate) -> None:
+    asked = {"coupling": "\x1b[2J", "objective": "x" * 1000, "order": [0] * 10_000}
+    foreign = dataclasses.replace(proved, asked=asked)
+    text = "\n".join([asked_text(asked), *differences(foreign, problems.example_1(), SpringDamperGiven(problems.C26))])
+    assert "\\u001b[2J" in text
+    assert "\x1b" not in text
+    assert len(text) < 2000
+
+
+def test_version_2_is_compared_as_far_as_it_records(
+    problems, proved: Certificate, shaped: Certificate, linear: Certificate
+) -> None:
+    """How its coupling was found is not known, and so not at issue; that is what is said of it."""
+    loop = problems.example_1()
+    old = of_version_2(proved)
+    assert differences(old, loop, SpringDamperGiven(problems.C26)) == []
+    assert differences(old, loop, SpringDamperWanted()) == []
+    assert differences(old, loop, SpringDamperWanted(Wish("stiffest"))) == []
+    assert differences(of_version_2(shaped), loop, SpringDamperGiven(problems.C26, aim())) == []
+    assert differences(of_version_2(shaped), loop, SpringDamperWanted(Wish("loop-shaping", aim()))) == []
+    assert differences(of_version_2(linear), loop, LinearWanted((1, 1, 1))) == []
+    assert "format version 2 does not record what was asked" in unrecorded(old)
+    assert "design.objective" in unrecorded(old)
+    assert "order of devices and couplings" in unrecorded(old)
 
 
 def test_another_loop_is_named(problems, proved: Certificate) -> None:
@@ -105,8 +189,9 @@ def test_every_number_of_an_environment_counts(problems, proved: Certificate) ->
         (TransferEnvironment(ports, entries), TransferEnvironment(ports, entries, "tustin")),
     ):
         certificate = dataclasses.replace(proved, loop=on(loop, one))
-        assert differences(certificate, on(loop, one), SpringDamperWanted()) == []
-        assert differences(certificate, on(loop, another), SpringDamperWanted()) == ["the environment differs"]
+        given = SpringDamperGiven(problems.C26)
+        assert differences(certificate, on(loop, one), given) == []
+        assert differences(certificate, on(loop, another), given) == ["the environment differs"]
 
 
 def test_another_coupling_is_named(problems, proved: Certificate, linear: Certificate) -> None:
@@ -117,23 +202,40 @@ def test_another_coupling_is_named(problems, proved: Certificate, linear: Certif
     assert differences(linear, loop, SpringDamperGiven(problems.C26)) == [NOT_GIVEN]
     # the same transfer function in other numbers is another file
     assert differences(proved, loop, LinearGiven(proved.blocks)) == [NOT_GIVEN]
-    assert differences(proved, loop, LinearWanted((1, 1, 1))) == [
-        "the coupling is of the spring-damper class, and the session wants a linear one"
-    ]
-    assert differences(linear, loop, SpringDamperWanted()) == [
-        "the coupling is not of the spring-damper class that the session wants"
-    ]
-    assert differences(proved, loop, NoCoupling()) == ["the session wants no coupling"]
+    for certificate, wanted, word, words in (
+        (
+            proved,
+            LinearWanted((1, 1, 1)),
+            "linear",
+            "is of the spring-damper class, and the session wants a linear one",
+        ),
+        (linear, SpringDamperWanted(), "spring-damper", "is not of the spring-damper class that the session wants"),
+    ):
+        assert differences(of_version_2(certificate), loop, wanted) == [f"the coupling {words}"]
+        # what was asked is no claim: the coupling itself is compared, whatever the file says of its origin
+        assert differences(asking(certificate, wanted), loop, wanted) == [f"the coupling {words}"]
+        found = differences(certificate, loop, wanted)
+        assert (found[0], found[-1]) == (NOT_ASKED + word, f"the coupling {words}")
+    assert differences(proved, loop, NoCoupling()) == [NOT_ASKED + "none", "the session wants no coupling"]
 
 
 def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate) -> None:
     loop, C26 = problems.example_1(), problems.C26
-    assert differences(proved, loop, SpringDamperGiven(C26, aim())) == [OTHER_AIM]
-    for other in (None, aim("closed-loop"), aim(corner=100.0), dataclasses.replace(aim(), W2=aim().W1)):
-        assert differences(shaped, loop, SpringDamperGiven(C26, other)) == [OTHER_AIM]
-    assert differences(shaped, loop, SpringDamperWanted()) == [OTHER_AIM]
+    assert differences(of_version_2(proved), loop, SpringDamperGiven(C26, aim())) == [OTHER_AIM]
+    for other, keys in (
+        (None, ["objective", "weights"]),
+        (aim("closed-loop"), ["objective"]),
+        (aim(corner=100.0), ["weights"]),
+        (dataclasses.replace(aim(), W2=aim().W1), ["weights"]),
+    ):
+        wanted = SpringDamperGiven(C26, other)
+        assert differences(of_version_2(shaped), loop, wanted) == [OTHER_AIM]
+        assert differences(asking(shaped, wanted), loop, wanted) == [OTHER_AIM]  # what is claimed is compared, too
+        *asked, last = differences(shaped, loop, wanted)
+        assert [text.split()[0] for text in asked] == [f"design.{key}" for key in keys]
+        assert last == OTHER_AIM
 
 
 def test_all_that_differs_is_told(problems, proved: Certificate) -> None:
-    found = differences(proved, problems.example_1(T=2e-3, osp=1.4), LinearWanted((1, 1, 1)))
+    found = differences(of_version_2(proved), problems.example_1(T=2e-3, osp=1.4), LinearWanted((1, 1, 1)))
     assert len(found) == 3

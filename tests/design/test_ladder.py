@@ -136,6 +136,11 @@ def test_a_linear_coupling_is_softened_by_springs_and_dampers(problems) -> None:
     assert ladder.rungs[0].spring_damper is None
     assert all(isinstance(part, SpringDamper) for part in ladder.rungs[1].coupling)
     assert ladder.independent
+    asked = {"coupling": "linear", "objective": "feasible", "algorithm": "convex", "order": {"cx": 1, "cy": 1, "cz": 1}}
+    assert [rung.asked for rung in ladder.rungs] == [
+        asked,
+        asked,
+    ]  # the session's wish; method says how it was softened
 
 
 def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:

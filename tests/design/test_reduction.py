@@ -165,6 +165,8 @@ def test_a_reduction_says_what_it_is_of_and_can_be_reduced_again(designed: dict[
     assert at_once.method == {"algorithm": "reduction", "of": whole.id, "frozen": "cx, cz"}
     assert content(once) | {"method": {}} == content(at_once) | {"method": {}}
     assert at_once.id not in ("", whole.id)
+    assert at_once.asked == whole.asked == {"coupling": "given", "objective": "feasible"}
+    assert reduced(dataclasses.replace(whole, asked=None), ["cx"]).version == 2  # what is not recorded stays so
 
 
 def test_a_storage_is_minimised_over_what_is_hidden(designed: dict[str, Certificate]) -> None:

@@ -91,6 +91,7 @@ def test_the_rungs_are_certificates_over_the_one_in_force(prepared: Prepared) ->
     assert prepared.notes == ()
     for rung in prepared.ladder.rungs:
         assert all(finding.holds for finding in prove(content(rung) | {"id": rung.id}))
+        assert rung.asked == {"coupling": "spring-damper", "objective": "feasible", "algorithm": "convex"}
 
 
 def test_a_certificate_from_a_file_is_given_the_same_ladder_anew(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ class Certificates:
     def seal(data: Data) -> Data:
         """With the id of its own content, as a careful forger would have it."""
         content = {key: value for key, value in data.items() if key != "id"}
-        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        text = json.dumps(content, sort_keys=data["version"] == 2, separators=(",", ":"), allow_nan=False)
         return {**data, "id": hashlib.sha256(text.encode()).hexdigest()}
 
     @staticmethod
@@ -97,7 +97,7 @@ class Certificates:
             {
                 "id": "",
                 "format": "manyhands-certificate",
-                "version": 2,
+                "version": 3,
                 "session": "test",
                 "period": T,
                 "tau": tau,
@@ -105,6 +105,7 @@ class Certificates:
                 "devices": {f"d{i}": {"ports": [f"p{i}"], "osp": [[osp]]} for i in range(m)},
                 "structure": {f"c{i}": [f"p{p}" for p in block] for i, block in enumerate(blocks)},
                 "environment": environment,
+                "asked": {"coupling": "spring-damper", "objective": "feasible", "algorithm": "convex"},
                 "coupling": {"class": "spring-damper", "blocks": parts},
                 "levels": levels,
                 "storage": {"E_hat": storage, "V_hat": {}},

@@ -106,6 +106,16 @@ def test_anything_at_all(value: Any) -> None:
         (("storage", "E_hat"), "trust me", "storage.E_hat"),
         (("devices", "d0", "osp"), [[]], "devices.d0.osp[0]"),
         (("method",), {"a": 1.5}, "method.a"),
+        (("version",), 2, "asked"),
+        (("version",), 4, "version"),
+        (("asked",), None, "asked"),
+        (("asked",), "stiffest", "asked"),
+        (("asked", "objective"), "x" * 1001, "asked"),
+        (("asked", "order"), {"x" * 1001: 1}, "asked"),
+        (("asked", "order"), float("inf"), "asked"),
+        (("asked", "order"), 2**1024, "asked"),
+        (("asked", "order"), [[0] * 1000] * 60, "asked"),
+        (("asked", "order"), [[[[[[[[0]]]]]]]], "asked"),
     ],
 )
 def test_the_key_is_named(certificates, path: tuple[Any, ...], value: Any, named: str) -> None:
@@ -124,6 +134,25 @@ def test_a_missing_key(certificates) -> None:
     del data["levels"]["share"]
     with pytest.raises(ProofInputError, match=r"levels: missing keys \['share'\]"):
         prove(data)
+
+
+def test_what_was_asked_is_any_plain_data_of_bounded_size(certificates) -> None:
+    """It is no claim: whatever it says, the rest is proved as it would be without it."""
+    data = bases(certificates)[0]
+    for asked in (
+        {},
+        {"objective": "the moon"},
+        {"order": [None, True, -1, 0.5, {"a": [[]]}]},
+        {"poles": [0] * 49_000},
+    ):
+        assert all(finding.holds for finding in prove(certificates.seal(data | {"asked": asked})))
+    missing = {key: value for key, value in data.items() if key != "asked"}
+    with pytest.raises(ProofInputError, match="asked: expected it in version 3"):
+        prove(missing)
+    old = certificates.seal(missing | {"version": 2})
+    findings = prove(old)
+    assert all(finding.holds for finding in findings)
+    assert findings[0].argument == "computed again; by version 2 in any order of keys"
 
 
 def test_sizes_are_bounded_before_anything_is_built(certificates) -> None:
