@@ -209,7 +209,7 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
     found = transparency.design_spring_damper(
-        _seen_environment(loop),
+        loop.split.environment(loop.period),
         loop.Delta_D,
         device.kappa,
         loop.period,
@@ -239,7 +239,7 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
         E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, nothing is asked of it but its ports
     else:
-        E = _seen_environment(loop)
+        E = loop.split.environment(loop.period)
     least = tuple(
         LEAST_LEVEL * Delta + least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks
@@ -256,17 +256,6 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     method: dict[str, str | int] = {"algorithm": kind, "iterations": len(found.history)}
     levels = tuple(BlockLevel(Delta, P) for Delta, P in zip(least, found.storages, strict=True))
     return Found(found.blocks, method | tools(), wish.aim, found.history, "γ", found.interrupted, device, levels)
-
-
-def _seen_environment(loop: HapticLoop) -> StateSpace:
-    """E with nothing in it that no port feels: frequency responses are asked of it."""
-    network = loop.environment.passive_network
-    if network is not None and (idle := {name for name, _ in network.masses} - dict(network.felt().masses).keys()):
-        raise Infeasible(
-            f"no chain of links joins the masses {', '.join(sorted(idle))} to a port",
-            ("leave them out: nothing ever moves them",),
-        )
-    return loop.split.environment(loop.period)
 
 
 def default_poles(order: int) -> tuple[Pole, ...]:
