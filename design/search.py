@@ -43,7 +43,7 @@ from manyhands.design.weighted_loop import Transparency
 Progress = Callable[[str], None]
 
 SHARE_KEPT = 0.02  # of Delta_D: what the stiffest coupling leaves of the device's level
-LEAST_LEVEL = 1e-3  # of Delta_D: the level of a block that (10) asks nothing of
+LEAST_LEVEL = 1e-3  # of Delta_D, and of what (10) asks of a block: how far the block's level is above that
 _NEED_ROOM = 1e-6  # of Delta_D, above what the environment needs: a storage function has to be strict
 
 
@@ -215,7 +215,7 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
         loop.period,
         loop.partition,
         aim,
-        needed * loop.Delta_D,
+        max(needed, 0.0) * loop.Delta_D,  # with less, V_hat might be output strictly passive at no level
         device.share,
         progress,
     )
@@ -241,7 +241,7 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     else:
         E = loop.split.environment(loop.period)
     least = tuple(
-        LEAST_LEVEL * Delta + least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
+        LEAST_LEVEL * Delta + (1.0 + LEAST_LEVEL) * least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks
     )
     common = (E, loop.Delta_D, device.kappa, T, partition)

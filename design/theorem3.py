@@ -16,6 +16,7 @@ What comes out is a claim: :mod:`manyhands.design.proof` proves it, by other mea
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -60,7 +61,7 @@ def certify_given(
         progress: told what is being done.
         hint: a gain kappa to be tried first, that the coupling was made for.
         known: levels of the blocks at that gain which its synthesis has proved already; used where the search for
-            greater ones fails.
+            greater ones fails, or finds none that (10) holds with.
 
     Returns:
         The levels with the greatest margin of (10) that was found; exact but for rounding and small reserves, save for
@@ -77,7 +78,7 @@ def certify_given(
     for most in _caps(coupling):
         for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
             try:
-                found = _levels(loop, coupling, blocks, device, most, known if device == hint else (), progress)
+                found = _levels(loop, device, _promises(loop, coupling, blocks, device, most), progress)
             except (Infeasible, SolverFailure) as error:
                 first = first or error
                 continue
@@ -86,6 +87,9 @@ def certify_given(
                 best, greatest = found, reached
         if best is not None:
             return best
+    if hint is not None and known:
+        with suppress(Infeasible, SolverFailure):  # the first failure says more: it is about the greatest levels
+            return _levels(loop, hint, known, progress)
     raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
 
 
@@ -115,7 +119,7 @@ def certify_beside(
     for most in _caps(coupling):
         for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
             try:
-                own = _promises(loop, coupling, blocks, device, most, ())
+                own = _promises(loop, coupling, blocks, device, most)
             except (Infeasible, SolverFailure) as error:
                 first = first or error
                 continue
@@ -148,17 +152,8 @@ def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
     return tuple(sorted(out, key=lambda device: -device.share))
 
 
-def _levels(
-    loop: HapticLoop,
-    coupling: tuple[CouplingBlock, ...],
-    blocks: tuple[StateSpace, ...],
-    device: DeviceShare,
-    most: float,
-    known: tuple[BlockLevel, ...],
-    progress: Progress | None,
-) -> Levels:
-    """The levels for one gain kappa, those of linear blocks up to ``most``."""
-    own = _promises(loop, coupling, blocks, device, most, known)
+def _levels(loop: HapticLoop, device: DeviceShare, own: tuple[BlockLevel, ...], progress: Progress | None) -> Levels:
+    """The levels for one gain kappa, with what the blocks promise there."""
     Delta_V = tuple(level.Delta for level in own)
     Phi_E, P_E = _environment(loop, device, Delta_V, progress)
     return Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, P_E, tuple(level.P for level in own))
@@ -170,33 +165,16 @@ def _promises(
     blocks: tuple[StateSpace, ...],
     device: DeviceShare,
     most: float,
-    known: tuple[BlockLevel, ...],
 ) -> tuple[BlockLevel, ...]:
-    """What each block promises for one gain kappa."""
+    """What each block promises for one gain kappa; linear ones levels up to ``most``."""
     gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa)
         else:
             check_block(name, part, K, loop.period, device.kappa)
-    try:
-        return _block_levels(loop, coupling, blocks, device, most)
-    except SolverFailure:
-        if not known:
-            raise
-        return known
-
-
-def _block_levels(
-    loop: HapticLoop,
-    coupling: tuple[CouplingBlock, ...],
-    blocks: tuple[StateSpace, ...],
-    device: DeviceShare,
-    most: float,
-) -> tuple[BlockLevel, ...]:
-    """The greatest level of each block, or levels that go together where they are not comparable."""
+    # the greatest level of each block, or levels that go together where they are not comparable
     own: list[BlockLevel] = []
-    gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period), None))
