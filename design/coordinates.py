@@ -14,6 +14,9 @@ from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 
 _HIDDEN = 1e-14  # of the greatest Hankel singular value: below, a direction is not seen at all and keeps its scale
 
+_MOST_DOUBLINGS = 60  # 2^60 ticks
+_CONVERGED = 1e-14  # relative change of a Gramian in one doubling
+
 
 def scale_ports(system: StateSpace, left: Matrix, right: Matrix) -> StateSpace:
     """The system left * Sigma * right, for square matrices on its outputs and inputs."""
@@ -40,6 +43,18 @@ def balancing(system: StateSpace) -> Matrix:
     U, h, _ = svd(R @ L)
     h = np.maximum(h, _HIDDEN * max(float(h[0]), 1e-300))
     return np.asarray((U / np.sqrt(h)).T @ R, dtype=np.float64)
+
+
+def reachability(A: Matrix, B: Matrix) -> Matrix:
+    """The Gramian, the sum over k of A^k B B^T A^kT, n x n, of a stable A by doubling: no state's share is lost."""
+    total, power = B @ B.T, A
+    for _ in range(_MOST_DOUBLINGS):
+        more = power @ total @ power.T
+        total = total + more
+        if float(np.max(np.abs(more), initial=0.0)) <= _CONVERGED * float(np.max(np.abs(total), initial=0.0)):
+            break
+        power = power @ power
+    return total
 
 
 def _factor(W: Matrix) -> Matrix:

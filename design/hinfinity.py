@@ -13,8 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_lyapunov
 
+from manyhands.design.coordinates import reachability
 from manyhands.design.errors import SolverFailure
 from manyhands.design.statespace import Matrix, StateSpace, frequency_response, symmetric_part
 
@@ -22,8 +23,10 @@ ComplexArray = NDArray[np.complex128]
 
 _TOLERANCE = 1e-7  # relative height that a peak between grid points must have to be looked for
 _ON_AXIS = 1e-5  # eigenvalues this close to the axis are tried: a false one costs an evaluation, a missed one the peak
-_UNREACHED = 1e-7  # relative reachability below which a state is scaled as if it were reached
+_UNREACHED = 1e-14  # of the farthest: a state that inputs take less far is reached by rounding alone
+_HARDLY_REACHED = 1e-10  # of the greatest variance: directions below are scaled as if they had that much
 _SLACKS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # parts of gamma tried for strictness, the greatest that leaves a solution
+_KEPT_SLACK = 0.1  # of a slack squared, which the equation of the worst input leaves: the rest is for rounding
 _LYAPUNOV = "bilinear"  # the direct method squares the order and the condition number
 _MOST_POLICIES = 60
 _MOST_ROUNDS = 20
@@ -95,7 +98,7 @@ def hinf_norm(system: StateSpace, T: float = 1.0) -> tuple[float, float]:
     radius = float(np.max(np.abs(poles), initial=0.0))
     if not radius < 1.0:
         raise ValueError(f"found a pole of modulus {radius:.9g}: only a stable system has an H-infinity norm")
-    system, _ = _balanced(system)
+    system = _balanced(system)
 
     def height(angles: Matrix) -> Matrix:
         return np.asarray(np.linalg.norm(frequency_response(system, angles), 2, axis=(1, 2)), dtype=np.float64)
@@ -132,19 +135,20 @@ def bounded_real_storage(system: StateSpace, gamma: float) -> Matrix:
         SolverFailure: no such P was found; gamma is not above the norm, or too little.
     """
     n, p = system.order, system.inputs
-    balanced, units = _balanced(system)
-    scaled, inverse = _input_balanced(balanced)
-    inverse = inverse / units
+    scaled, X, inverse = _input_balanced(system)
     left, out = np.hstack([scaled.A, scaled.B]), np.hstack([scaled.C, scaled.D]) / gamma
     for slack in _SLACKS:
-        P = _worst_input_storage(scaled, gamma, slack)
-        if P is None:
+        found = _worst_input_storage(scaled, gamma, slack)
+        if found is None:
             continue  # no room left for this slack
-        M = left.T @ P @ left + out.T @ out
-        M[:n, :n] -= P
+        P = symmetric_part(gamma**2 * inverse.T @ found @ inverse)
+        found = symmetric_part(X.T @ P @ X) / gamma**2  # what rounding has left of it
+        M = left.T @ found @ left + out.T @ out
+        M[:n, :n] -= found
         M[n:, n:] -= np.eye(p)
-        if np.linalg.eigvalsh(symmetric_part(M))[-1] < 0.0 and (n == 0 or np.linalg.eigvalsh(P)[0] > 0.0):
-            return symmetric_part(gamma**2 * inverse.T @ P @ inverse)
+        least = -_KEPT_SLACK * slack**2
+        if np.linalg.eigvalsh(symmetric_part(M))[-1] < least and np.all(np.linalg.eigvalsh(found) > -least):
+            return P
     raise SolverFailure(f"bounded real lemma: found no storage function for gamma = {gamma:.9g}; is the norm below it?")
 
 
@@ -174,31 +178,32 @@ def _worst_input_storage(system: StateSpace, gamma: float, slack: float) -> Matr
     return P
 
 
-def _balanced(system: StateSpace) -> tuple[StateSpace, Matrix]:
-    """The same system in states z, x = scale z, with A's rows and columns alike in size, and scale (powers of two)."""
-    if system.order == 0:
-        return system, np.zeros(0)
-    _, (scale, _) = matrix_balance(system.A, permute=False, separate=True)
+def _balanced(system: StateSpace) -> StateSpace:
+    """The same system in multiples of its states that inputs reach alike."""
+    scale = _units(system, reachability(system.A, system.B))
     A, B, C = system.A * scale[None, :] / scale[:, None], system.B / scale[:, None], system.C * scale[None, :]
-    return StateSpace(A, B, C, system.D), np.asarray(scale, dtype=np.float64)
+    return StateSpace(A, B, C, system.D)
 
 
-def _input_balanced(system: StateSpace) -> tuple[StateSpace, Matrix]:
-    """The system in states X z with reachability Gramian about I, and X^{-1}.
+def _input_balanced(system: StateSpace) -> tuple[StateSpace, Matrix, Matrix]:
+    """The system in states z, x = X z, with reachability Gramian about I; X, and its inverse."""
+    gramian = reachability(system.A, system.B)
+    unit = _units(system, gramian)
+    values, vectors = np.linalg.eigh(gramian / np.outer(unit, unit))
+    root = np.sqrt(np.maximum(values, _HARDLY_REACHED * max(float(np.max(values, initial=0.0)), 1e-300)))
+    X = unit[:, None] * vectors * root
+    inverse = (vectors / root).T / unit
+    return StateSpace(inverse @ system.A @ X, inverse @ system.B, system.C @ X, system.D), X, inverse
 
-    States that no input reaches keep a scale of their own, a little below what the others have.
-    """
-    n = system.order
-    if n == 0:
-        return system, np.zeros((0, 0))
-    gramian = symmetric_part(solve_discrete_lyapunov(system.A, system.B @ system.B.T, method=_LYAPUNOV))
-    size = np.sqrt(np.diag(gramian))
-    size = np.where(size > _UNREACHED * np.max(size), size, max(float(np.max(size)), 1.0))
-    values, vectors = np.linalg.eigh(gramian / np.outer(size, size))
-    root = np.sqrt(np.maximum(values, _UNREACHED * values[-1]))
-    X = size[:, None] * vectors * root
-    inverse = (vectors / root).T / size
-    return StateSpace(inverse @ system.A @ X, inverse @ system.B, system.C @ X, system.D), inverse
+
+def _units(system: StateSpace, gramian: Matrix) -> Matrix:
+    """How far unit inputs take each state, n entries; of one that they do not reach, what shows as much as an input."""
+    reached = np.sqrt(np.diag(gramian))
+    seen = np.sqrt(np.diag(reachability(system.A.T, system.C.T)))
+    most = float(np.max(reached, initial=0.0))
+    gain = max(float(np.max(reached * seen, initial=0.0)), 1e-300)
+    shown = np.divide(gain, seen, out=np.full_like(seen, most if most > 0.0 else 1.0), where=seen > 0.0)
+    return np.where(reached > _UNREACHED * most, reached, shown)
 
 
 def _crossings(system: StateSpace, gamma: float) -> Matrix:

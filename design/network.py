@@ -119,24 +119,29 @@ class Network:
 
     @property
     def order(self) -> int:
-        """The order of Rest, 2n; less where masses float freely."""
-        return 2 * len(self.masses)
+        """The order of Rest: two for each mass that a port moves; less where masses float freely."""
+        return 2 * len(self.felt().masses)
 
     def felt(self) -> Network:
-        """The network without the masses that no chain of links joins to a port: they are never moved."""
-        joined = set(self.ports)
-        links = [link for link in self.links if GROUND not in link.ends and (link.stiffness or link.damping)]
-        while links:
-            touching = [link for link in links if joined & set(link.ends)]
-            if not touching:
-                break
-            joined.update(end for link in touching for end in link.ends)
-            links = [link for link in links if not joined >= set(link.ends)]
-        kept = joined | {GROUND}
+        """The network without the masses that no chain of links joins to a port: no port ever moves them.
+
+        A link without stiffness and damping joins nothing, and the ground passes no motion on.
+        """
+        links = [link for link in self.links if link.stiffness or link.damping]
+        beside: dict[str, list[str]] = {}
+        for link in links:
+            for end, other in (link.ends, link.ends[::-1]):
+                beside.setdefault(end, []).append(other)
+        joined = {*self.ports, GROUND}
+        waiting = list(self.ports)
+        while waiting:
+            found = [end for end in beside.get(waiting.pop(), ()) if end not in joined]
+            joined.update(found)
+            waiting += found
         return Network(
             self.ports,
             tuple((name, mass) for name, mass in self.masses if name in joined),
-            tuple(link for link in self.links if kept >= set(link.ends)),
+            tuple(link for link in self.links if joined >= set(link.ends)),
         )
 
     def split(self, T: float) -> Split:

@@ -21,6 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from manyhands.design.coordinates import reachability
 from manyhands.design.environment_level import LevelFound, best_level
 from manyhands.design.errors import SolverFailure
 from manyhands.design.frequency import Dissipation
@@ -104,7 +105,7 @@ def storage(
     radius = float(np.max(np.abs(np.linalg.eigvals(A))))
     if not radius < 1.0:
         raise SolverFailure(f"the environment has a mode that does not decay: a pole of modulus {radius:.9g}")
-    reached = np.diag(_reachability(A, B))
+    reached = np.diag(reachability(A, B))
     most = float(np.max(reached, initial=0.0))
     unit = np.sqrt(np.where(reached > _UNREACHED * most, reached, most if most > 0.0 else 1.0))
     A, B, C = A / unit[:, None] * unit, B / unit[:, None], C * unit
@@ -162,18 +163,6 @@ def _scaled_least(M: Matrix) -> float:
         return -np.inf
     scale = 1.0 / np.sqrt(diagonal)
     return float(np.linalg.eigvalsh(scale[:, None] * M * scale)[0])
-
-
-def _reachability(A: Matrix, B: Matrix) -> Matrix:
-    """Sum over k of A^k B B^T A^kT, by doubling."""
-    total, power = B @ B.T, A
-    for _ in range(_MOST_DOUBLINGS):
-        more = power @ total @ power.T
-        total = total + more
-        if float(np.max(np.abs(more))) <= _CONVERGED * float(np.max(np.abs(total))):
-            break
-        power = power @ power
-    return total
 
 
 def _available_storage(A: Matrix, B: Matrix, C: Matrix, loss: float) -> Matrix | None:

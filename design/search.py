@@ -43,7 +43,7 @@ from manyhands.design.weighted_loop import Transparency
 Progress = Callable[[str], None]
 
 SHARE_KEPT = 0.02  # of Delta_D: what the stiffest coupling leaves of the device's level
-LEAST_LEVEL = 1e-3  # of Delta_D: the level of a block that (10) asks nothing of
+LEAST_LEVEL = 1e-3  # of Delta_D, and of what (10) asks of a block: how far the block's level is above that
 _NEED_ROOM = 1e-6  # of Delta_D, above what the environment needs: a storage function has to be strict
 
 
@@ -209,13 +209,13 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
     found = transparency.design_spring_damper(
-        _seen_environment(loop),
+        loop.split.environment(loop.period),
         loop.Delta_D,
         device.kappa,
         loop.period,
         loop.partition,
         aim,
-        needed * loop.Delta_D,
+        max(needed, 0.0) * loop.Delta_D,  # with less, V_hat might be output strictly passive at no level
         device.share,
         progress,
     )
@@ -239,9 +239,9 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
         E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, nothing is asked of it but its ports
     else:
-        E = _seen_environment(loop)
+        E = loop.split.environment(loop.period)
     least = tuple(
-        LEAST_LEVEL * Delta + least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
+        LEAST_LEVEL * Delta + (1.0 + LEAST_LEVEL) * least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks
     )
     common = (E, loop.Delta_D, device.kappa, T, partition)
@@ -256,17 +256,6 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     method: dict[str, str | int] = {"algorithm": kind, "iterations": len(found.history)}
     levels = tuple(BlockLevel(Delta, P) for Delta, P in zip(least, found.storages, strict=True))
     return Found(found.blocks, method | tools(), wish.aim, found.history, "γ", found.interrupted, device, levels)
-
-
-def _seen_environment(loop: HapticLoop) -> StateSpace:
-    """E with nothing in it that no port feels: frequency responses are asked of it."""
-    network = loop.environment.passive_network
-    if network is not None and (idle := {name for name, _ in network.masses} - dict(network.felt().masses).keys()):
-        raise Infeasible(
-            f"no chain of links joins the masses {', '.join(sorted(idle))} to a port",
-            ("leave them out: nothing ever moves them",),
-        )
-    return loop.split.environment(loop.period)
 
 
 def default_poles(order: int) -> tuple[Pole, ...]:

@@ -16,6 +16,7 @@ What comes out is a claim: :mod:`manyhands.design.proof` proves it, by other mea
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ from manyhands.design.problem import HapticLoop
 from manyhands.design.riccati import level_and_storage
 from manyhands.design.spring_damper import greatest_level
 from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.design.theorem3_program import RELAX, BlockLevel, block_level, joint_levels
+from manyhands.design.theorem3_program import GREATEST_LEVELS, RELAX, BlockLevel, block_level, joint_levels
 
 Progress = Callable[[str], None]
 
@@ -60,7 +61,7 @@ def certify_given(
         progress: told what is being done.
         hint: a gain kappa to be tried first, that the coupling was made for.
         known: levels of the blocks at that gain which its synthesis has proved already; used where the search for
-            greater ones fails.
+            greater ones fails, or finds none that (10) holds with.
 
     Returns:
         The levels with the greatest margin of (10) that was found; exact but for rounding and small reserves, save for
@@ -74,18 +75,22 @@ def certify_given(
     best: Levels | None = None
     greatest = 0.0
     first: Infeasible | SolverFailure | None = None
-    for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
-        try:
-            found = _levels(loop, coupling, blocks, device, known if device == hint else (), progress)
-        except (Infeasible, SolverFailure) as error:
-            first = first or error
-            continue
-        reached = margin(loop.partition, found)
-        if best is None or reached > greatest:
-            best, greatest = found, reached
-    if best is None:
-        raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
-    return best
+    for most in _caps(coupling):
+        for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
+            try:
+                found = _levels(loop, device, _promises(loop, coupling, blocks, device, most), progress)
+            except (Infeasible, SolverFailure) as error:
+                first = first or error
+                continue
+            reached = margin(loop.partition, found)
+            if best is None or reached > greatest:
+                best, greatest = found, reached
+        if best is not None:
+            return best
+    if hint is not None and known:
+        with suppress(Infeasible, SolverFailure):  # the first failure says more: it is about the greatest levels
+            return _levels(loop, hint, known, progress)
+    raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
 
 
 def certify_beside(
@@ -111,17 +116,24 @@ def certify_beside(
     """
     blocks = realisations(coupling, loop.period)
     first: Infeasible | SolverFailure | None = None
-    for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
-        try:
-            own = _promises(loop, coupling, blocks, device, ())
-        except (Infeasible, SolverFailure) as error:
-            first = first or error
-            continue
-        Delta_V, P_V = tuple(level.Delta for level in own), tuple(level.P for level in own)
-        found = Levels(device, loop.Delta_D_blocks, Delta_V, environment.Phi_E, environment.P_E, P_V)
-        if margin(loop.partition, found) > 0.0:
-            return found
+    for most in _caps(coupling):
+        for device in dict.fromkeys((*((hint,) if hint is not None else ()), *devices(loop))):
+            try:
+                own = _promises(loop, coupling, blocks, device, most)
+            except (Infeasible, SolverFailure) as error:
+                first = first or error
+                continue
+            Delta_V, P_V = tuple(level.Delta for level in own), tuple(level.P for level in own)
+            found = Levels(device, loop.Delta_D_blocks, Delta_V, environment.Phi_E, environment.P_E, P_V)
+            if margin(loop.partition, found) > 0.0:
+                return found
     raise first or Infeasible("condition (10) fails beside the environment's level", RELAX)
+
+
+def _caps(coupling: tuple[CouplingBlock, ...]) -> tuple[float, ...]:
+    """The caps on the blocks' levels to be tried in turn: one where every level is in closed form, which has none."""
+    closed = all(isinstance(part, SpringDamper) for part in coupling)
+    return GREATEST_LEVELS[:1] if closed else GREATEST_LEVELS
 
 
 def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
@@ -140,16 +152,8 @@ def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
     return tuple(sorted(out, key=lambda device: -device.share))
 
 
-def _levels(
-    loop: HapticLoop,
-    coupling: tuple[CouplingBlock, ...],
-    blocks: tuple[StateSpace, ...],
-    device: DeviceShare,
-    known: tuple[BlockLevel, ...],
-    progress: Progress | None,
-) -> Levels:
-    """The levels for one gain kappa."""
-    own = _promises(loop, coupling, blocks, device, known)
+def _levels(loop: HapticLoop, device: DeviceShare, own: tuple[BlockLevel, ...], progress: Progress | None) -> Levels:
+    """The levels for one gain kappa, with what the blocks promise there."""
     Delta_V = tuple(level.Delta for level in own)
     Phi_E, P_E = _environment(loop, device, Delta_V, progress)
     return Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, P_E, tuple(level.P for level in own))
@@ -160,37 +164,25 @@ def _promises(
     coupling: tuple[CouplingBlock, ...],
     blocks: tuple[StateSpace, ...],
     device: DeviceShare,
-    known: tuple[BlockLevel, ...],
+    most: float,
 ) -> tuple[BlockLevel, ...]:
-    """What each block promises for one gain kappa."""
+    """What each block promises for one gain kappa; linear ones levels up to ``most``."""
     gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa)
         else:
             check_block(name, part, K, loop.period, device.kappa)
-    try:
-        return _block_levels(loop, coupling, blocks, device)
-    except SolverFailure:
-        if not known:
-            raise
-        return known
-
-
-def _block_levels(
-    loop: HapticLoop, coupling: tuple[CouplingBlock, ...], blocks: tuple[StateSpace, ...], device: DeviceShare
-) -> tuple[BlockLevel, ...]:
-    """The greatest level of each block, or levels that go together where they are not comparable."""
+    # the greatest level of each block, or levels that go together where they are not comparable
     own: list[BlockLevel] = []
-    gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period), None))
         elif part.inputs == 1 or not _small(loop) or isinstance(loop.environment, DeclaredEnvironment):
-            own.append(block_level(name, part, K, Delta_D, loop.period))
+            own.append(block_level(name, part, K, Delta_D, loop.period, most))
     if len(own) == len(blocks):
         return tuple(own)
-    joint = joint_levels(loop, blocks, loop.split, device)
+    joint = joint_levels(loop, blocks, loop.split, device, most)
     return tuple(BlockLevel(Delta, P) for Delta, P in zip(joint.Delta_V, joint.P_V, strict=True))
 
 

@@ -39,7 +39,7 @@ from manyhands.design.solver import (
 from manyhands.design.split import Split
 from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, symmetric_part
 
-GREATEST_LEVEL = 100.0  # of Delta_D: (10) gains nothing from more, and storage matrices grow with it
+GREATEST_LEVELS = (100.0, 1e4)  # of Delta_D, the first that leaves (10) a margin: storage matrices grow with it
 _T_KEPT = (0.9999, 0.995, 0.9, 0.5)  # parts of the best t that the second program keeps, the first with enough room
 _ENOUGH_ROOM = 1e-7  # ten times what the solver leaves open
 _LEAST_STORAGE = 1e-9
@@ -126,7 +126,9 @@ class BlockLevel:
     P: Matrix | None
 
 
-def block_level(name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: float) -> BlockLevel:
+def block_level(
+    name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: float, greatest: float = GREATEST_LEVELS[0]
+) -> BlockLevel:
     """The greatest multiple of Delta_D that is an OSP level of one block's V_hat: on one port, its greatest level.
 
     Args:
@@ -135,6 +137,8 @@ def block_level(name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: flo
         K: loop gain, m_i x m_i, m/N.
         Delta_D: m_i x m_i, N*s/m.
         T: period, s.
+        greatest: cap on the multiple. (10) asks for about need/(share - need), with the parts of Delta_D that the
+            environment needs and that the devices have.
 
     Raises:
         Infeasible: V_hat,i is OSP at no level.
@@ -149,7 +153,7 @@ def block_level(name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: flo
     constraints = [
         symmetric(form.inequality(P, level * I)) << -room * np.eye(n + m),
         symmetric(form.storage(P)) >> (_LEAST_STORAGE + room) * np.eye(n + m),
-        level <= GREATEST_LEVEL,
+        level <= greatest,
         room <= _MOST_ROOM,
     ]
     what = f"level of coupling {name}"
@@ -167,7 +171,13 @@ def block_level(name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: flo
     )
 
 
-def joint_levels(loop: HapticLoop, blocks: tuple[StateSpace, ...], split: Split, device: DeviceShare) -> JointLevels:
+def joint_levels(
+    loop: HapticLoop,
+    blocks: tuple[StateSpace, ...],
+    split: Split,
+    device: DeviceShare,
+    greatest: float = GREATEST_LEVELS[0],
+) -> JointLevels:
     """Find the levels with the greatest margin of (10), or a little less where that leaves no room to prove them.
 
     Args:
@@ -175,6 +185,7 @@ def joint_levels(loop: HapticLoop, blocks: tuple[StateSpace, ...], split: Split,
         blocks: realisations of V's blocks, in the partition's order; ports in the block's order.
         split: the environment's E_hat without integrators.
         device: kappa and share.
+        greatest: cap on the blocks' levels, as for :func:`block_level`.
 
     Raises:
         Infeasible: no levels exist; the coupling is not certified.
@@ -204,7 +215,7 @@ def joint_levels(loop: HapticLoop, blocks: tuple[StateSpace, ...], split: Split,
         constraints += [
             symmetric(form.inequality(P, Delta)) << -room * np.eye(n + m_i),
             symmetric(form.storage(P)) >> _LEAST_STORAGE * np.eye(n + m_i),
-            Delta << GREATEST_LEVEL * np.eye(m_i),
+            Delta << greatest * np.eye(m_i),
             Delta >> _LEAST_LEVEL * np.eye(m_i),
         ]
         Delta_V.append(Delta)

@@ -135,8 +135,25 @@ def dominant(matrix: Sparse, group: list[int]) -> Verdict:
     return Verdict(holds, 0.0 if holds else -1.0, "exactly, by diagonal dominance with weights")
 
 
+def moved(network: NetworkData) -> list[int]:
+    """The masses that a chain of links joins to a port: the others influence no port, and Rest does not have them.
+
+    A link whose stiffness and damping are zero at both ends of their intervals joins nothing. Neither does the ground:
+    it stands still. K and B then have no entry between the masses that are left out and anything else, and E is the
+    same without them, exactly.
+    """
+    m = network.ports
+    joined: Sparse = {}
+    for link in network.links:
+        a, b = link.ends
+        if a is not None and b is not None and any((*link.stiffness, *link.damping)):
+            joined[a, b] = fmpq(1)
+    groups = sparse.groups(m + len(network.masses), [joined])
+    return sorted(i - m for group in groups if group[0] < m for i in group if i >= m)
+
+
 def carriers(network: NetworkData) -> list[int]:
-    """The masses whose deflections Rest has as states: all but the last of each group that no spring holds.
+    """The masses whose deflections Rest has as states: of :func:`moved`, all but one of each group no spring holds.
 
     K_II of these is regular and of the rank of K_qq: a group of masses joined by springs, none of which
     leads to a port or the ground, moves freely, and has one deflection less than masses.
@@ -151,22 +168,22 @@ def carriers(network: NetworkData) -> list[int]:
         (a - m, b - m): one for (a, b), one in springs.items() if a is not None and b is not None and min(a, b) >= m
     }
     held = {end for ends in springs for end in ends if any(other is None or other < m for other in ends)}
-    out = []
+    out: set[int] = set()
     for group in sparse.groups(n, [inner]):
-        out += group if any(m + i in held for i in group) else group[:-1]
-    return sorted(out)
+        out.update(group if any(m + i in held for i in group) else group[:-1])
+    return sorted(out.intersection(moved(network)))
 
 
 def order(network: NetworkData) -> int:
     """Number of states of Rest without the delay's."""
-    return len(carriers(network)) + len(network.masses)
+    return len(carriers(network)) + len(moved(network))
 
 
 def split(network: NetworkData, T: fmpq) -> Split:
     """E_hat = T/(z-1) E1 + Rest, in balls, for the network in the middle of its intervals.
 
-    With I = :func:`carriers` and R = K_II^-1 K_I:, the states are e in R^r, deflections of the masses in I from static
-    equilibrium (m), and v in R^n, the velocities (m/s):
+    Of the n masses q that :func:`moved` names, with I = :func:`carriers` and R = K_II^-1 K_I:, the states are e in R^r,
+    deflections of the masses in I from static equilibrium (m), and v in R^n, the velocities (m/s):
 
         (M/T + B_qq + T K_qq) v+ = M v/T - K_qI e - (B_qu + T K_qu) w
         e+ = e + T (R v+ + K_II^-1 K_Iu w)
@@ -175,10 +192,9 @@ def split(network: NetworkData, T: fmpq) -> Split:
     Raises:
         ZeroDivisionError: a matrix is singular, which a physical network's are not.
     """
-    m, n = network.ports, len(network.masses)
-    ports, masses = list(range(m)), list(range(m, m + n))
-    I = [m + i for i in carriers(network)]
-    r = len(I)
+    m, of_masses = network.ports, moved(network)
+    ports, masses, I = list(range(m)), [m + i for i in of_masses], [m + i for i in carriers(network)]
+    n, r = len(masses), len(I)
     K = laplacian(network.links, [_middle(link.stiffness) for link in network.links])
     B = laplacian(network.links, [_middle(link.damping) for link in network.links])
 
@@ -191,8 +207,8 @@ def split(network: NetworkData, T: fmpq) -> Split:
         return out
 
     M = arb_mat(n, n)
-    for i, mass in enumerate(network.masses):
-        M[i, i] = _middle(mass)
+    for k, i in enumerate(of_masses):
+        M[k, k] = _middle(network.masses[i])
     K_uI, K_qI = part(K, ports, I), part(K, masses, I)
     coupled = part(B, masses, ports) + part(K, masses, ports) * T
     # columns over (e, v, w)
