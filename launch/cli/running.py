@@ -142,7 +142,7 @@ def launch(
             require_suffix(record, RUN_SUFFIXES)
         if report is not None:
             require_target(report)
-        require_runnable(topology(loaded))
+        require_runnable(topology(loaded), len(loaded.observers))
         ways = reach(
             loaded,
             transport,
@@ -176,6 +176,7 @@ def demo(
         require_one_of("--clock", clock, CLOCKS)
         require_folder(output)
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        require_runnable(topology(shipped["example1"]))
         code = run_demo(shipped, out, err, output, kept_ticks(shipped["example1"], duration), clock)
         end(code)
 
