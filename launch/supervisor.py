@@ -80,6 +80,7 @@ class Supervisor:
         record: bool,
         recorder: Recorder | None = None,
         logs: Path | None = None,
+        together: bool = False,
         show: Callable[[Progress], str | None] | None = None,
     ) -> None:
         """Prepare a run; nothing is started yet.
@@ -92,6 +93,7 @@ class Supervisor:
             record: whether to keep every x and f_v in memory, for the outcome.
             recorder: who writes the run down while it goes on; nobody by default.
             logs: the folder that the processes' logs go to; by default they go with the run.
+            together: whether a guest that leaves ends the session.
             show: told about the progress a few times a second; returns an incident of the display, if there is one.
         """
         session = prepared.session
@@ -103,7 +105,9 @@ class Supervisor:
         self._show = show
         self._graph = topology(session)
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
-        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget)
+        self._conductor = Conductor(
+            self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
+        )
         self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
@@ -355,7 +359,7 @@ class Supervisor:
                 self._clock_name,
                 ticks * self._session.period,
                 self._graph.nodes,
-                conductor.reports,
+                {**conductor.left, **conductor.reports},
                 self._refused,
                 conductor.incidents,
                 self._prepared.loop.enforced,

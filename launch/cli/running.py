@@ -104,6 +104,9 @@ def launch(
     remote: Annotated[
         list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
     ] = [],  # noqa: B006
+    together: Annotated[
+        bool, typer.Option("--together", help="End the session when a remote node leaves; by default the others go on.")
+    ] = False,
     insecure: Insecure = False,
     record: Annotated[
         Path | None,
@@ -157,7 +160,15 @@ def launch(
         warn_of_model(err, loaded)
         kept = None if directory is None else SessionDirectory(directory)
         outcome = run_session(
-            prepared, err, clock=clock, reach=ways, ticks=ticks, record=record, report=report, directory=kept
+            prepared,
+            err,
+            clock=clock,
+            reach=ways,
+            ticks=ticks,
+            record=record,
+            report=report,
+            directory=kept,
+            together=together,
         )
         print_report(out, outcome.report)
         end(outcome.code)
