@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, noted rather than raised, and a file descriptor that wakes a poll.
+"""Ctrl-C, SIGTERM and what else a terminal sends, noted rather than raised, and a file descriptor that wakes a poll.
 
 An exception out of a signal handler can surface between any two instructions, a process just started and not
 yet written down among them. While processes run, the request is a flag.
@@ -12,11 +12,16 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Self
 
+from manyhands.nodes.life import terminal_signals
+
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
 
 class Interrupt:
-    """While entered, SIGINT, SIGTERM and SIGHUP set :attr:`signal` and make :attr:`fd` readable."""
+    """While entered, SIGINT, SIGTERM, SIGHUP and SIGQUIT set :attr:`signal` and make :attr:`fd` readable.
+
+    SIGHUP stays ignored where it was, as under nohup.
+    """
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
@@ -26,7 +31,7 @@ class Interrupt:
 
     def __enter__(self) -> Self:
         self._fd_before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
-        for which in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for which in (signal.SIGINT, signal.SIGTERM, *terminal_signals()):
             self._before[which] = signal.signal(which, self._note)
         return self
 

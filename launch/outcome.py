@@ -45,8 +45,8 @@ class Outcome:
     """How a run went.
 
     Attributes:
-        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP). A process that failed
-            and came back, or was on its way back at the end, is no failure of the run: it is an incident.
+        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP, 131 on SIGQUIT). A process
+            that failed and came back, or was on its way back at the end, is no failure of the run: it is an incident.
         faults: what went wrong, empty for a good run.
         notices: assumptions of the certificate that the run broke.
         report: the report's object.

@@ -6,7 +6,7 @@ can be missed before it is asked for, the parent's id is compared as well whenev
 Ctrl-C is the supervisor's business: nodes ignore it, so that the order of ending stays in one hand.
 
 A node on another machine than its supervisor has no such parent. It looks at its line to the supervisor instead, and
-Ctrl-C in its own terminal ends it.
+Ctrl-C or Ctrl-backslash in its own terminal, or that terminal's end, ends it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,11 @@ from manyhands.protocol.clock import Instant, from_seconds
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOOK_EVERY = from_seconds(0.1)
+
+
+def terminal_signals() -> tuple[signal.Signals, ...]:
+    """What a terminal sends besides Ctrl-C (SIGHUP, SIGQUIT), but for what is ignored, as SIGHUP is under nohup."""
+    return tuple(which for which in (signal.SIGHUP, signal.SIGQUIT) if signal.getsignal(which) != signal.SIG_IGN)
 
 
 class Stopped(Exception):
@@ -63,7 +68,8 @@ class Life:
         self._due = Instant(0)
         signal.signal(signal.SIGTERM, self._asked_to_stop)
         if parent is None:
-            signal.signal(signal.SIGINT, self._asked_to_stop)
+            for which in (signal.SIGINT, *terminal_signals()):
+                signal.signal(which, self._asked_to_stop)
             return
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         prctl = getattr(ctypes.CDLL(None), "prctl", None)

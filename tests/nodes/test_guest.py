@@ -53,8 +53,9 @@ def machine(invitations: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def own_signals() -> Iterator[None]:
-    """A guest takes over SIGINT and SIGTERM, as befits a process of its own."""
-    before = {which: signal.getsignal(which) for which in (signal.SIGINT, signal.SIGTERM)}
+    """A guest takes over the signals that end it, as befits a process of its own."""
+    ends = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+    before = {which: signal.getsignal(which) for which in ends}
     yield
     for which, handler in before.items():
         signal.signal(which, handler)
