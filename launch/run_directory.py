@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from manyhands.design.certificate import to_json
-from manyhands.launch.files import TargetError, replacing
+from manyhands.design.files import replacing
+from manyhands.launch.files import TargetError
 from manyhands.launch.report import save_json
 from manyhands.nodes.log import LOG_FOLDER
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
@@ -138,8 +139,8 @@ class SessionDirectory:
             OSError: they cannot be written.
         """
         for name, data in kept_files(prepared).items():
-            with replacing(self.path / name) as partial:
-                partial.write_bytes(data)
+            with replacing(self.path / name) as file:
+                file.write(data)
 
     def keep_report(self, report: Mapping[str, Any]) -> None:
         """Write the report.

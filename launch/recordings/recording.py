@@ -11,12 +11,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import TextIOWrapper
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.files import replacing, require_target
+from manyhands.design.files import replacing
+from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
 
 Array = NDArray[np.float64]
@@ -75,10 +78,10 @@ class Recording:
         """
         require_suffix(path)
         try:
-            with replacing(path) as partial:
+            with replacing(path) as file:
                 if path.suffix == ".npz":
                     np.savez(
-                        partial,
+                        file,
                         x=self.x,
                         f_v=self.f_v,
                         ports=np.array(self.ports),
@@ -87,18 +90,17 @@ class Recording:
                         certificate=self.certificate,
                     )
                 else:
-                    self._save_csv(partial)
+                    self._save_csv(file)
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def _save_csv(self, path: Path) -> None:
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(
-                ["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)]
-            )
-            for k, t in enumerate(self.time):
-                writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+    def _save_csv(self, file: BinaryIO) -> None:
+        text = TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text)
+        writer.writerow(["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)])
+        for k, t in enumerate(self.time):
+            writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+        text.detach()  # flushes it, and leaves the file open
 
 
 def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:

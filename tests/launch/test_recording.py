@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -53,8 +54,8 @@ def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
 ) -> None:
     """The disk is full in the middle of it."""
 
-    def full(path: Path, **arrays: object) -> None:
-        path.write_bytes(b"half")
+    def full(file: BinaryIO, **arrays: object) -> None:
+        file.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
