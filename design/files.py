@@ -43,7 +43,7 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
         status = os.fstat(descriptor)  # the name may lead elsewhere meanwhile
         _require_regular(path, status)
         if most is not None and status.st_size > most:
-            raise OSError(errno.EFBIG, f"found {status.st_size} bytes; expected at most {most}", str(path))
+            raise OSError(errno.EFBIG, f"Is longer than {most} bytes", str(path))
         return os.fdopen(descriptor, "rb")
     except OSError:
         os.close(descriptor)
@@ -59,7 +59,7 @@ def read_regular(path: Path, most: int) -> bytes:
     with open_regular(path, most) as file:
         content = file.read(most + 1)
     if len(content) > most:  # it grew, or it is one of those files in /proc that have no size
-        raise OSError(errno.EFBIG, f"found more than {most} bytes; expected at most that", str(path))
+        raise OSError(errno.EFBIG, f"Is longer than {most} bytes", str(path))
     return content
 
 
@@ -122,4 +122,4 @@ def _require_regular(path: Path, status: os.stat_result) -> None:
     if stat.S_ISREG(status.st_mode):
         return
     found = next((text for fits, text in _KINDS if fits(status.st_mode)), "something else")
-    raise OSError(errno.EINVAL, f"found {found}; expected a regular file", str(path))
+    raise OSError(errno.EINVAL, f"Is {found}, not a regular file", str(path))

@@ -91,9 +91,9 @@ def test_what_is_no_regular_file_is_never_replaced(tmp_path: Path) -> None:
     os.mkfifo(path)
     with pytest.raises(TargetError, match="found something other than a file; expected a file, or nothing"):
         require_target(path)
-    with pytest.raises(OSError, match="found a pipe; expected a regular file"):
+    with pytest.raises(OSError, match="Is a pipe, not a regular file"):
         RecordingFile(path, b"")
-    with pytest.raises(OSError, match="found a pipe; expected a regular file"), replacing(path):
+    with pytest.raises(OSError, match="Is a pipe, not a regular file"), replacing(path):
         pass
     assert path.is_fifo()
 
