@@ -135,7 +135,7 @@ def npz_with(header: dict[str, Any], path: Path, content: bytes = b"") -> None:
         ({"shape": (10**11, 1)}, "an array of 800000000000 bytes by its header"),
         ({"shape": (10**30,)}, "bytes by its header"),
         ({"shape": (2, 1)}, "an array of 16 bytes by its header and"),
-        ({"shape": (1, 1), "descr": "|O"}, "bytes by its header"),
+        ({"shape": (1, 1), "descr": "|O"}, "which holds Python's objects"),
     ],
 )
 def test_an_array_is_held_against_its_file_before_room_is_made_for_it(
