@@ -34,6 +34,7 @@ from manyhands.design.certificate_parts import (
 from manyhands.design.contract import DeviceShare, Levels
 from manyhands.design.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.errors import CertificateError
+from manyhands.design.files import read_regular, replacing
 from manyhands.design.partition import Partition
 from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.statespace import Matrix, StateSpace, matrix
@@ -188,12 +189,8 @@ def to_json(certificate: Certificate) -> str:
 
 def save(certificate: Certificate, path: Path) -> None:
     """Write the file whole or not at all."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(to_json(certificate))
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as file:
+        file.write(to_json(certificate).encode())
 
 
 def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
@@ -206,16 +203,15 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
         CertificateError: not readable, not a certificate, or not of this version; names file and key.
     """
     try:
-        with path.open("rb") as file:
-            text = file.read(MAX_FILE_BYTES + 1)
-        if len(text) > MAX_FILE_BYTES:
-            raise CertificateError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
+        text = read_regular(path, MAX_FILE_BYTES)
         data = json.loads(
             text.decode(), parse_float=_finite, parse_constant=_finite, object_pairs_hook=_without_duplicates
         )
     except json.JSONDecodeError as error:
         raise CertificateError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise CertificateError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
         raise CertificateError(f"{path}: cannot be read: {error}") from error
     try:
         return from_content(data), data

@@ -20,9 +20,10 @@ from rich.table import Table
 
 from manyhands.design.budget import Stiffness, environment_share, stiffest
 from manyhands.design.environment import StateSpaceEnvironment
+from manyhands.design.files import replacing
 from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix
-from manyhands.launch.files import TargetError, replacing, require_target
+from manyhands.launch.files import TargetError, require_target
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # of a period: the delays shown, besides the session's own
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: shown besides the session's own
@@ -229,8 +230,8 @@ def plot_budget(found: Budget, path: Path) -> None:
     ]
     figure.legend(handles=keys, loc="outside lower center", ncols=4, fontsize="small", frameon=False)
     figure.suptitle(f"{loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=130)
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=130)
 
 
 def require_picture(path: Path) -> None:

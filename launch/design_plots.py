@@ -20,9 +20,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from manyhands.design.files import replacing
 from manyhands.design.partition import Partition
 from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.launch.files import replacing
 from manyhands.launch.responses import (
     Complex,
     Filter,
@@ -320,6 +320,6 @@ def _finish(axes: Axes) -> None:
 
 def _save(figure: Figure, path: Path) -> Path:
     """Write a picture whole or not at all."""
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=_DPI)
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=_DPI)
     return path

@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from manyhands.design.certificate import Certificate
+from manyhands.design.files import open_new
 from manyhands.launch.outcome import Progress
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.session import Interval, NetworkEnvironment, Session
@@ -132,9 +133,8 @@ class Showing:
         self._gallery = Gallery(directory)
         try:
             for name, data in files.items():
-                path = directory / name
-                path.touch(mode=0o600)
-                path.write_bytes(data)
+                with open_new(directory / name, mode=0o600) as file:
+                    file.write(data)
             about.save(directory)
         except OSError:
             self._gallery.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from manyhands.design.files import replacing
 from manyhands.launch.bundles import Run, bundle_of
 from manyhands.launch.files import require_target
 from manyhands.launch.keys import Keys
@@ -37,6 +38,6 @@ def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: P
     ways = reach(session, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
     # what only the guest knows is filled in when it joins; traces, for it cannot be told later that they are wanted
     bundle = bundle_of(prepared, Run(clock, None, "", reach=ways), name)
-    path.unlink(missing_ok=True)
-    bundle_files.save(bundle, path)
+    with replacing(path, mode=0o600) as file:
+        file.write(bundle_files.encoded(bundle))
     return bundle

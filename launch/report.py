@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from manyhands.launch.files import replacing
+from manyhands.design.files import replacing
 from manyhands.launch.incidents import Incidents
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.distribution import PERCENTILES
@@ -116,5 +116,5 @@ def save_json(data: Mapping[str, Any], path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    with replacing(path) as partial:
-        partial.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
+    with replacing(path) as file:
+        file.write(json.dumps(data, indent=2, allow_nan=False).encode() + b"\n")

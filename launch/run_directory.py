@@ -7,18 +7,21 @@ was killed.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
 from manyhands.design.certificate import to_json
-from manyhands.launch.files import TargetError, naming, replacing
+from manyhands.design.files import naming, replacing
+from manyhands.launch.files import TargetError
 from manyhands.launch.report import save_json
 from manyhands.nodes.log import LOG_FOLDER
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from manyhands.launch.preparation import Prepared
 
 _PREFIX = "manyhands-"
+_FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 REPORT: Final = "report.json"
 
@@ -35,7 +39,7 @@ REPORT: Final = "report.json"
 def run_directory(logs: Path | None = None) -> Iterator[Path]:
     """A new directory that is gone afterwards; the logs in its folder ``log`` stay if ``logs`` is where they go."""
     sweep_directories()
-    directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-"))
+    directory, lock = _new_directory()
     try:
         if logs is None:
             (directory / LOG_FOLDER).mkdir(mode=0o700)
@@ -45,33 +49,73 @@ def run_directory(logs: Path | None = None) -> Iterator[Path]:
             yield directory
     finally:
         shutil.rmtree(directory)  # a link is removed, not what it leads to
+        os.close(lock)
+
+
+def _new_directory() -> tuple[Path, int]:
+    """A new directory, and the descriptor that holds the lock on it: for as long as its supervisor lives."""
+    while True:
+        directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-"))
+        descriptor = os.open(directory, _FOLDER)
+        try:
+            if _lock(descriptor) is not Lock.HELD and os.path.samestat(os.fstat(descriptor), os.stat(directory)):
+                return directory, descriptor
+        except FileNotFoundError:
+            pass  # somebody swept it between its making and its locking
+        os.close(descriptor)
 
 
 def sweep_directories() -> None:
     """Remove what runs whose supervisor was killed have left in the temporary directory.
 
-    A run's directory bears its supervisor's process id; it is ours and nobody's when that process is gone.
+    A supervisor holds a lock on its directory, which the kernel takes from it when it ends. Its process id, which the
+    directory's name bears, does not show whether it lives: containers that share a temporary directory and a user have
+    process ids of their own. A directory is removed when its lock can be taken and no process here has that id (a
+    supervisor of version 0.5.0 or before holds no lock).
     """
-    for path, alive in _ours():
-        if not alive:
+    for path, descriptor in _ours():
+        pid = path.name.removeprefix(_PREFIX).split("-")[0]
+        if not Path(f"/proc/{pid}").exists() and _lock(descriptor) is Lock.TAKEN:
             shutil.rmtree(path, ignore_errors=True)  # another supervisor may be sweeping too
 
 
 def run_directories() -> list[Path]:
     """The directories of the runs of this user whose supervisors live."""
-    return [path for path, alive in _ours() if alive]
+    return [path for path, descriptor in _ours() if _lock(descriptor, fcntl.LOCK_SH) is not Lock.TAKEN]
 
 
-def _ours() -> Iterator[tuple[Path, bool]]:
-    """This user's directories of runs, and whether their supervisors live."""
+class Lock(Enum):
+    """What came of asking for the lock of a run's directory."""
+
+    TAKEN = "taken"  # by us: its supervisor is gone
+    HELD = "held"  # by its supervisor
+    NONE = "none"  # the file system has no locks: nobody can say, and nothing is removed
+
+
+def _lock(descriptor: int, how: int = fcntl.LOCK_EX) -> Lock:
+    try:
+        fcntl.flock(descriptor, how | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return Lock.HELD
+    except OSError:
+        return Lock.NONE
+    return Lock.TAKEN
+
+
+def _ours() -> Iterator[tuple[Path, int]]:
+    """This user's directories of runs, each with a descriptor that is open until the next one is asked for."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
-        pid = path.name.removeprefix(_PREFIX).split("-")[0]
-        try:
-            ours = pid.isdigit() and path.is_dir() and path.stat().st_uid == os.getuid()
-        except FileNotFoundError:  # it went meanwhile
+        if not path.name.removeprefix(_PREFIX).split("-")[0].isdigit():
             continue
-        if ours:
-            yield path, Path(f"/proc/{pid}").exists()
+        try:
+            descriptor = os.open(path, _FOLDER)
+        except OSError:  # it went meanwhile, is another user's, a link or a file
+            continue
+        try:
+            if os.fstat(descriptor).st_uid == os.getuid():
+                yield path, descriptor
+        finally:
+            os.close(descriptor)
 
 
 def require_new(path: Path) -> None:
@@ -139,8 +183,8 @@ class SessionDirectory:
             OSError: they cannot be written.
         """
         for name, data in kept_files(prepared).items():
-            with replacing(self.path / name) as partial:
-                partial.write_bytes(data)
+            with replacing(self.path / name) as file:
+                file.write(data)
 
     def keep_report(self, report: Mapping[str, Any]) -> None:
         """Write the report.

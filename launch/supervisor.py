@@ -7,6 +7,7 @@ poll over all of them, and no waiting for time to pass.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Mapping
@@ -64,6 +65,9 @@ READING_TIME = from_seconds(0.05)  # at most, before there is a look at processe
 CLOSING_TIME = from_seconds(10.0)  # for those who are not done, since the last that was
 REMOTE_SILENCE = from_seconds(3.0)  # a node says something every second
 TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetries; who is silent is told, and nothing else is done about it
+HEARD_BEFORE = 1.0  # s; what is heard in the turn in which the session begins is of ticks before we noted the beginning
+CLOCKS_DIFFER = 0.01  # of the time; a hundred times what a quartz is off
+FASTEST_TICK = 1e-5  # s; under the simulated clock, in which every tick still crosses borders of processes
 FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest one sends a telemetry in a hundred ticks
 
 
@@ -117,6 +121,7 @@ class Supervisor:
         self._places: Mapping[str, int] = {}
         self._to_start: set[str] = set()
         self._refused: Mapping[str, int] = {}
+        self._untimely = 0  # telemetry of ticks that cannot have run
         self._telemetry: dict[str, Telemetry] = {}
         self._began: Instant | None = None
         devices = {name: self._graph.ports[name] for name, role in self._graph.nodes.items() if role is Role.DEVICE}
@@ -253,13 +258,16 @@ class Supervisor:
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
         counts = {**transport.refused(), **hub.dropped, "out_of_turn": self._conductor.ignored}
-        counts["telemetry_that_does_not_fit"] = self._collector.refused
+        counts["telemetry_that_does_not_fit"] = self._collector.refused + self._untimely
         self._refused = {kind: count for kind, count in counts.items() if count > 0}
 
     def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
         if sender in self._reach.remote:
             self._heard.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
+        if isinstance(message, Telemetry) and message.tick > self._most_ticks():
+            self._untimely += 1
+            return
         self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
@@ -278,6 +286,11 @@ class Supervisor:
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
+
+    def _most_ticks(self) -> int:
+        now = self._clock.now()
+        elapsed = Duration(now - (now if self._began is None else self._began))
+        return most_ticks(elapsed, self._session.period, self._clock_name, self._conductor.ticks)
 
     def _carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
         for instruction in instructions:
@@ -345,7 +358,7 @@ class Supervisor:
         code = EXIT_FAILED if conductor.faults else EXIT_OK
         if conductor.interrupted and ended_by is not None:
             code = 128 + int(ended_by)
-        ticks = max((report.ticks for report in conductor.reports.values()), default=0)
+        ticks = min(max((report.ticks for report in conductor.reports.values()), default=0), self._most_ticks())
         recording = None
         if self._record:
             recording = self._collector.recording(self._session.name, conductor.certificate, self._session.period)
@@ -366,10 +379,27 @@ class Supervisor:
             )
             | recorder.as_plain(),
             recording,
-            {**{device: n for device, n in self._collector.lost.items() if n > 0}, **recorder.missing},
+            {**self._collector.missing, **recorder.missing},
             self._refused,
             conductor.incidents.sentences,
         )
+
+
+def most_ticks(elapsed: Duration, period: float, clock: str, ticks: int) -> int:
+    """The most ticks that can have run: a node that claims more is not believed.
+
+    Args:
+        elapsed: since the first tick, by the supervisor's own clock.
+        period: T, s.
+        clock: "realtime", where a node's clock may be ahead by :data:`CLOCKS_DIFFER` and by :data:`HEARD_BEFORE`; or
+            "simulated", where a tick takes :data:`FASTEST_TICK` at least.
+        ticks: of the whole session; 0: no end.
+    """
+    if clock == SIMULATED:
+        most = (seconds(elapsed) + HEARD_BEFORE) / FASTEST_TICK
+    else:
+        most = ((1.0 + CLOCKS_DIFFER) * seconds(elapsed) + HEARD_BEFORE) / period
+    return min(math.ceil(most), ticks) if ticks else math.ceil(most)
 
 
 def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:

@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
+from manyhands.design.files import open_new, read_regular
 from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.nodes.bundle_parts import (
     MOST_RUNGS,
@@ -51,6 +52,7 @@ __all__ = [
     "RecordedMotion",
     "SimulatedHand",
     "Source",
+    "encoded",
     "load",
     "role_of",
     "save",
@@ -199,15 +201,20 @@ _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBund
 
 
 def save(bundle: Bundle, path: Path) -> None:
-    """Write a bundle for its owner's eyes only (mode 0600)."""
-    path.touch(mode=0o600, exist_ok=False)
-    path.write_text(json.dumps(_written(bundle), allow_nan=False))
+    """Write a bundle as a new file, for its owner's eyes only (mode 0600).
+
+    Raises:
+        OSError: there is something of that name, or it cannot be written.
+    """
+    with open_new(path, mode=0o600) as file:
+        file.write(encoded(bundle))
 
 
-def _written(bundle: Bundle) -> dict[str, Any]:
-    """A bundle as its file has it."""
+def encoded(bundle: Bundle) -> bytes:
+    """What is in a bundle's file."""
     fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
-    return {name: plain_source(value) if name == "source" else plain(value) for name, value in fields.items()}
+    written = {name: plain_source(value) if name == "source" else plain(value) for name, value in fields.items()}
+    return json.dumps(written, allow_nan=False).encode()
 
 
 def role_of(path: Path) -> Role:
@@ -226,9 +233,7 @@ def load(path: Path, kind: type[_B]) -> _B:
         BundleError: not readable, or not such a bundle.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise BundleError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
-        data = json.loads(path.read_text())
+        data = json.loads(read_regular(path, MAX_FILE_BYTES))
         return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
     except OSError as error:
         raise BundleError(f"{path}: cannot be read: {error.strerror}") from error

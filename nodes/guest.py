@@ -91,4 +91,5 @@ def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | No
     others = common.peers
     if host is not None:
         others = tuple(dataclasses.replace(p, address=f"{host}:*") if p.binds else p for p in others)
-    return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others)
+    # no directory, whatever the bundle says: who made it must not choose where the guest's machine is written to
+    return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others, directory="")

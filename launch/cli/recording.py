@@ -13,7 +13,7 @@ import typer
 from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of
 from manyhands.launch.display import say, status
 from manyhands.launch.exits import EXIT_FAILED
-from manyhands.launch.files import require_target
+from manyhands.launch.files import claimed, require_target
 from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def record(
             refuse(f"found both {directory} and --session {session}; expected one of them")
         running = find_session(session) if directory is None else session_in(directory)
         name, said = running.about.session, False
-        with Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
+        with claimed(output), Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
 
             def show(core: AttachedCore) -> None:
                 nonlocal said

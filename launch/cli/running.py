@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,7 @@ from manyhands.launch.cli.common import (
     warn_of_model,
 )
 from manyhands.launch.display import say
-from manyhands.launch.files import require_target
+from manyhands.launch.files import claimed, require_target
 from manyhands.launch.keys import load_folder
 from manyhands.launch.reach import Listen, reach
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
@@ -58,7 +59,7 @@ def simulate(
 
     No hand is shaken by a simulation: a session that cannot be certified is simulated with a warning.
     """
-    with errors():
+    with errors(), ExitStack() as claims:
         from rich.progress import Progress
 
         from manyhands.launch.simulation import Simulation
@@ -67,6 +68,7 @@ def simulate(
         ticks = kept_ticks(loaded, duration)
         if output is not None:
             require_suffix(output)
+            claims.enter_context(claimed(output))
         prepared = prepare_session(loaded, certificate, uncertified=True)
         if prepared.certificate is None and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
@@ -129,7 +131,7 @@ def launch(
     uncertified: Uncertified = False,
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
-    with errors():
+    with errors(), ExitStack() as claims:
         from manyhands.launch.running import run_session
 
         require_one_of("--clock", clock, CLOCKS)
@@ -143,8 +145,10 @@ def launch(
             require_format(record, RUN_SUFFIXES)
         elif record is not None:
             require_suffix(record, RUN_SUFFIXES)
+            claims.enter_context(claimed(record))
         if report is not None:
             require_target(report)
+            claims.enter_context(claimed(report))
         require_runnable(topology(loaded), len(loaded.observers))
         ways = reach(
             loaded,

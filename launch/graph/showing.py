@@ -11,8 +11,9 @@ from typing import Any, Final
 import typer
 from rich.console import Console
 
+from manyhands.design.files import replacing
 from manyhands.launch.exits import EXIT_OK
-from manyhands.launch.files import TargetError, replacing
+from manyhands.launch.files import TargetError
 from manyhands.launch.graph.mermaid import mermaid
 from manyhands.launch.graph.objects import access_object, graph_object, scene_object
 from manyhands.launch.graph.parts import Drawing, drawing_of_scene, drawing_of_session
@@ -111,6 +112,6 @@ def _put(text: str, output: Path | None) -> int:
     if output is None:
         typer.echo(text, nl=False)
     else:
-        with replacing(output) as partial:
-            partial.write_text(text, encoding="utf-8")
+        with replacing(output) as file:
+            file.write(text.encode())
     return EXIT_OK

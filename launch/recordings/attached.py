@@ -16,6 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from manyhands.design.files import open_regular
 from manyhands.launch.conductor import Phase
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.looking.sessions import NoSession, Running
@@ -170,7 +171,7 @@ def attachments_in(directory: Path) -> dict[str, bytes]:
     found = {}
     for name in MEDIA_TYPES:
         try:
-            with (directory / name).open("rb") as file:
+            with open_regular(directory / name) as file:
                 data = file.read(MOST_ATTACHED_BYTES + 1)
         except FileNotFoundError:  # an uncertified session has no certificate
             continue

@@ -15,7 +15,7 @@ from mcap.records import Attachment, AttachmentIndex, Chunk, ChunkIndex, DataEnd
 from mcap.writer import MCAP0_MAGIC
 
 from manyhands.launch.recordings.records import FRAME, Content, content_in, record_of
-from manyhands.launch.recordings.stream import MOST_RECORD_BYTES
+from manyhands.launch.recordings.stream import MOST_RECORD_BYTES, Unpacking
 from manyhands.nodes.recorder.layout import METADATA, Recorded
 
 _OF_DATA: Final = {
@@ -88,6 +88,7 @@ class Walk:
         """
         self._file, self._limit, self._ask = file, limit, known
         self._out = DataSection()
+        self._unpacking = Unpacking()
         self._awaited: deque[bytes] | None = deque()  # message indexes to come; None where that is not known
 
     def run(self, progress: Callable[[float], None]) -> DataSection:
@@ -218,7 +219,7 @@ class Walk:
 
     def _chunk(self, at: int, chunk: Chunk, length: int) -> None:
         try:
-            content = content_in(chunk)
+            content = content_in(chunk, self._unpacking, at + length)
         except ValueError as error:
             raise _Wrong(str(error)) from error
         self._awaited = deque(content.indexes.values())

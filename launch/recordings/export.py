@@ -9,13 +9,14 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.files import replacing
+from manyhands.design.files import replacing
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import Run, Trace
 from manyhands.nodes.recorder.layout import Recorded
@@ -85,8 +86,8 @@ def export(run: Run, path: Path, to: str, patterns: Sequence[str] = (), progress
     traces = chosen(run, patterns)
     write = FORMATS[to]
     try:
-        with replacing(path) as partial:
-            write(run, traces, partial, progress or (lambda _part: None))
+        with replacing(path) as file:
+            write(run, traces, file, progress or (lambda _part: None))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
@@ -94,16 +95,17 @@ def export(run: Run, path: Path, to: str, patterns: Sequence[str] = (), progress
 Traces = Mapping[tuple[str, str], Trace]
 
 
-def _save_csv(run: Run, traces: Traces, path: Path, progress: Progress) -> None:
+def _save_csv(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     time, ticks = run.time, run.ticks
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
-        for begin in range(0, ticks, _ROWS):
-            end = min(begin + _ROWS, ticks)
-            block = np.hstack([time[begin:end, None], *(trace.values[begin:end] for trace in traces.values())])
-            writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
-            progress(end / ticks)
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
+    for begin in range(0, ticks, _ROWS):
+        end = min(begin + _ROWS, ticks)
+        block = np.hstack([time[begin:end, None], *(trace.values[begin:end] for trace in traces.values())])
+        writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
+        progress(end / ticks)
+    text.detach()  # flushes it, and leaves the file open
 
 
 def _columns(run: Run, traces: Traces) -> dict[str, NDArray[Any]]:
@@ -113,7 +115,7 @@ def _columns(run: Run, traces: Traces) -> dict[str, NDArray[Any]]:
     return out
 
 
-def _save_npz(run: Run, traces: Traces, path: Path, progress: Progress) -> None:
+def _save_npz(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     recorded = run.recorded
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
@@ -121,11 +123,11 @@ def _save_npz(run: Run, traces: Traces, path: Path, progress: Progress) -> None:
         every = [t.values for (node, _), t in traces.items() if node in recorded.devices and t.topic.trace == name]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
-    np.savez(path, **arrays | _columns(run, traces))
+    np.savez(file, **arrays | _columns(run, traces))
     progress(1.0)
 
 
-def _save_parquet(run: Run, traces: Traces, path: Path, progress: Progress) -> None:
+def _save_parquet(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     try:
         import pyarrow as pa
         from pyarrow import parquet
@@ -135,11 +137,11 @@ def _save_parquet(run: Run, traces: Traces, path: Path, progress: Progress) -> N
         ) from error
     told = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
     table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in _columns(run, traces).items()})
-    parquet.write_table(table.replace_schema_metadata(told), path)
+    parquet.write_table(table.replace_schema_metadata(told), file)
     progress(1.0)
 
 
-FORMATS: Final[Mapping[str, Callable[[Run, Traces, Path, Progress], None]]] = {
+FORMATS: Final[Mapping[str, Callable[[Run, Traces, BinaryIO, Progress], None]]] = {
     "csv": _save_csv,
     "npz": _save_npz,
     "parquet": _save_parquet,

@@ -20,6 +20,11 @@ MOST_TICK: Final = 2**53
 """Ticks beyond are no ticks of a run."""
 
 
+_ROOM_OF_A_ROW: Final = 200
+_ROOM_OF_A_NUMBER: Final = 32
+"""Bytes that a message's text takes at most, besides and for each number; longer ones are not parsed."""
+
+
 def objects(texts: Sequence[bytes]) -> list[Any]:
     """What each text is in JSON, those that are it: all at once, or one by one where that does not go."""
     try:
@@ -66,7 +71,8 @@ class Gatherer:
 
     def take(self, texts: Sequence[bytes]) -> None:
         """Take in messages; what is none of this topic is passed over, and its tick is missing then."""
-        plain = objects(texts)
+        most = _ROOM_OF_A_ROW + _ROOM_OF_A_NUMBER * len(self.columns)
+        plain = objects([text for text in texts if len(text) <= most])
         piece = self._read(plain)
         if piece is None:
             for one in plain:

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Footer, MetadataIndex
 from mcap.writer import MCAP0_MAGIC
 
+from manyhands.design.files import open_regular
 from manyhands.launch.recordings.data_section import DATA_END_BYTES, Damage, DataSection, Walk, checksum_of
 from manyhands.launch.recordings.implied import SUMMARY_RECORDS, implied, records_in
 from manyhands.launch.recordings.recording import RecordingError
@@ -44,7 +45,7 @@ def findings(path: Path, progress: Callable[[float], None] | None = None) -> lis
         RecordingError: it cannot be read at all.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             found = _Examination(file).run(progress or (lambda _part: None))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error

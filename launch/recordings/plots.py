@@ -17,7 +17,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from manyhands.launch.files import TargetError, replacing, require_target
+from manyhands.design.files import replacing
+from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.recordings.curves import Array, Curve, Panel, alone, band, gaps, thinned
 from manyhands.launch.recordings.pictures import Delays, Mark, Picture
 from manyhands.protocol.messages import presentable
@@ -65,10 +66,11 @@ def save(figure: Figure, path: Path) -> None:
     with (
         rc_context({"svg.fonttype": "none", "svg.hashsalt": "manyhands"}),
         warnings.catch_warnings(),
-        replacing(path) as partial,
+        replacing(path) as file,
     ):
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)  # a box stands for it
-        figure.savefig(partial, dpi=_DPI, metadata={"Date": None} if path.suffix == ".svg" else None)
+        metadata = {"Date": None} if path.suffix == ".svg" else None
+        figure.savefig(file, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
 
 
 def figure_of(picture: Picture) -> Figure:

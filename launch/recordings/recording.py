@@ -11,12 +11,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import TextIOWrapper
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.files import replacing, require_target
+from manyhands.design.files import replacing
+from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
 
 Array = NDArray[np.float64]
@@ -75,10 +78,10 @@ class Recording:
         """
         require_suffix(path)
         try:
-            with replacing(path) as partial:
+            with replacing(path) as file:
                 if path.suffix == ".npz":
                     np.savez(
-                        partial,
+                        file,
                         x=self.x,
                         f_v=self.f_v,
                         ports=np.array(self.ports),
@@ -87,18 +90,17 @@ class Recording:
                         certificate=self.certificate,
                     )
                 else:
-                    self._save_csv(partial)
+                    self._save_csv(file)
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def _save_csv(self, path: Path) -> None:
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(
-                ["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)]
-            )
-            for k, t in enumerate(self.time):
-                writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+    def _save_csv(self, file: BinaryIO) -> None:
+        text = TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text)
+        writer.writerow(["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)])
+        for k, t in enumerate(self.time):
+            writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+        text.detach()  # flushes it, and leaves the file open
 
 
 def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
@@ -123,10 +125,9 @@ def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
 
 
 class Collector:
-    """Puts the traces of the devices' telemetry together again.
+    """Puts the traces of the devices' telemetry together again, those of each device by themselves.
 
     Attributes:
-        lost: ticks that are missing, by device; a realtime run may lose telemetry rather than be disturbed.
         refused: messages whose traces fit no device, its ports, or its ticks so far.
     """
 
@@ -135,7 +136,7 @@ class Collector:
         self._ports, self._most_missing = ports, most_missing
         self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
         self._next = dict.fromkeys(ports, 0)
-        self.lost = dict.fromkeys(ports, 0)
+        self._lost = dict.fromkeys(ports, 0)
         self.refused = 0
 
     def add(self, device: str, tick: int, x: Array, f_v: Array) -> None:
@@ -148,33 +149,31 @@ class Collector:
             self.refused += 1
             return
         gap = tick - x.shape[0] - self._next[device]
-        if not 0 <= gap <= self._most_missing - self.lost[device]:
+        if not 0 <= gap <= self._most_missing - self._lost[device]:
             self.refused += 1
             return
-        self._skip(device, gap)
+        if gap:
+            self._chunks[device].append((self._hole(device, gap),) * 2)
+            self._lost[device] += gap
         self._chunks[device].append((x, f_v))
         self._next[device] = tick
 
-    def _skip(self, device: str, ticks: int) -> None:
-        if ticks > 0:
-            hole = np.full((ticks, len(self._ports[device])), np.nan)
-            self._chunks[device].append((hole, hole))
-            self._next[device] += ticks
-            self.lost[device] += ticks
+    def _hole(self, device: str, ticks: int) -> Array:
+        return np.full((ticks, len(self._ports[device])), np.nan)
 
     @property
-    def tick(self) -> int:
-        """The number of ticks of the device that did most."""
-        return max(self._next.values())
+    def missing(self) -> Mapping[str, int]:
+        """Ticks of the run that a device's telemetry did not tell, by device, those devices that miss some.
 
-    def level(self) -> None:
-        """Make all devices as long as the longest: what the others did not do counts as lost."""
-        for device, done in self._next.items():
-            self._skip(device, min(self.tick - done, self._most_missing - self.lost[device]))
+        A realtime run may lose telemetry rather than be disturbed; a device may also stop telling, or never begin.
+        """
+        ticks = max(self._next.values())
+        missing = {device: self._lost[device] + ticks - told for device, told in self._next.items()}
+        return {device: count for device, count in missing.items() if count > 0}
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
-        """The whole run; devices that did fewer ticks than others are cut to the shortest."""
-        ticks = min(self._next.values())
+        """The whole run: what a device did not tell is NaN, up to the last tick that any device told."""
+        ticks = max(self._next.values())
         columns = [self._column(device, ticks) for device in self._ports]
         return Recording(
             session,
@@ -183,12 +182,10 @@ class Collector:
             tuple(port for ports in self._ports.values() for port in ports),
             np.hstack([x for x, _ in columns]),
             np.hstack([f for _, f in columns]),
-            {device: lost for device, lost in self.lost.items() if lost > 0},
+            self.missing,
         )
 
     def _column(self, device: str, ticks: int) -> tuple[Array, Array]:
-        empty = np.zeros((0, len(self._ports[device])))
+        rest = self._hole(device, ticks - self._next[device])
         chunks = self._chunks[device]
-        x = np.vstack([empty, *(x for x, _ in chunks)])
-        f_v = np.vstack([empty, *(f for _, f in chunks)])
-        return x[:ticks], f_v[:ticks]
+        return np.vstack([*(x for x, _ in chunks), rest]), np.vstack([*(f_v for _, f_v in chunks), rest])

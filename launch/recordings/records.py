@@ -35,7 +35,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from manyhands.launch.recordings.stream import unpacked
+from manyhands.launch.recordings.stream import Unpacking, require_records
 
 FRAME: Final = struct.Struct("<BQ")
 """Opcode, and length of the body that follows."""
@@ -103,8 +103,8 @@ class Content:
     indexes: dict[int, bytes] = field(default_factory=dict)
 
 
-def content_in(chunk: Chunk) -> Content:
-    """What a chunk holds, held against its size, its checksum and its times.
+def content_in(chunk: Chunk, unpacking: Unpacking, end: int) -> Content:
+    """What a chunk that ends before byte ``end`` of its file holds, held against its size, its checksum and its times.
 
     Raises:
         ValueError: it cannot be had, or is another; says what was found.
@@ -112,7 +112,7 @@ def content_in(chunk: Chunk) -> Content:
     if chunk.uncompressed_crc == 0:
         raise ValueError("found a chunk without a checksum; expected one")
     try:
-        content = content_of(unpacked(chunk))
+        content = _content_of(unpacking.data(chunk, end), chunk)
     except zstandard.ZstdError as error:
         raise ValueError(f"found a chunk that cannot be unpacked ({error}); expected zstd") from error
     except ValueError as error:
@@ -123,17 +123,19 @@ def content_in(chunk: Chunk) -> Content:
     return content
 
 
-def content_of(data: bytes) -> Content:
+def _content_of(data: bytes, chunk: Chunk) -> Content:
     """What the uncompressed bytes of a chunk hold.
 
     Raises:
-        ValueError: they are no schemas, channels and messages.
+        ValueError: they are no schemas, channels and messages, or more of them than can be.
     """
     out = Content()
     entries: dict[int, bytearray] = {}
     times: list[int] = []
-    at, size = 0, len(data)
+    at, size, count = 0, len(data), 0
     while at < size:
+        count += 1
+        require_records(count, chunk)
         if size - at < FRAME.size:
             raise ValueError(f"{size - at} bytes behind the chunk's last record")
         opcode, length = FRAME.unpack_from(data, at)

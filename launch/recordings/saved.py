@@ -9,19 +9,22 @@ import csv
 import math
 import os
 import re
-import zipfile
 from array import array
 from collections.abc import Callable
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, TextIO
 
 import numpy as np
 
+from manyhands.design.files import open_regular
 from manyhands.launch.recordings.recording import Array, Recording, RecordingError, require_format
+from manyhands.launch.session.table import read_arrays
 
 MOST_BYTES: Final = 4 * 2**30
 """Longest file (of ``.npz``: of what is packed in it) that is read."""
 
+_ARRAYS: Final = ("x", "f_v", "ports", "period", "session", "certificate")
 _COLUMN = re.compile(r"(x|f_v)\[(.+)\]_(m|N)")
 _LINES_TOLD = 10_000  # lines between two words on how far the reading is
 
@@ -41,7 +44,9 @@ def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> R
         recording = _npz(path) if path.suffix == ".npz" else _csv(path, progress or (lambda _part: None))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+    except MemoryError as error:
+        raise RecordingError(f"{path}: found more than this machine has memory for; expected a smaller file") from error
+    except (ValueError, TypeError) as error:
         raise RecordingError(f"{path}: found no recording: {error}; expected what simulate -o writes") from error
     if len(recording.x) < 1 or not recording.ports:
         raise RecordingError(f"{path}: found no ticks; expected at least one")
@@ -49,14 +54,11 @@ def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> R
 
 
 def _npz(path: Path) -> Recording:
-    with zipfile.ZipFile(path) as packed:
-        if (size := sum(one.file_size for one in packed.infolist())) > MOST_BYTES:
-            raise ValueError(f"{size} bytes unpacked; at most {MOST_BYTES} are read")
-    with np.load(path, allow_pickle=False) as data:
-        x, f_v = (np.asarray(data[name], dtype=np.float64) for name in ("x", "f_v"))
-        ports = tuple(str(port) for port in data["ports"])
-        period = float(data["period"])
-        session, certificate = str(data["session"]), str(data["certificate"])
+    data = read_arrays(path, (_ARRAYS,), MOST_BYTES)
+    x, f_v = (np.asarray(data[name], dtype=np.float64) for name in ("x", "f_v"))
+    ports = tuple(str(port) for port in data["ports"])
+    period = float(data["period"])
+    session, certificate = str(data["session"]), str(data["certificate"])
     if x.ndim != 2 or x.shape != f_v.shape or x.shape[1] != len(ports):
         raise ValueError(f"x of shape {x.shape} and f_v of {f_v.shape} for {len(ports)} ports")
     if not 0.0 < period < math.inf:
@@ -65,10 +67,8 @@ def _npz(path: Path) -> Recording:
 
 
 def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes; at most {MOST_BYTES} are read")
-    with path.open(newline="", encoding="utf-8") as file:
+    with TextIOWrapper(open_regular(path, MOST_BYTES), newline="", encoding="utf-8") as file:
+        size = os.fstat(file.fileno()).st_size
         ports, values = _rows(file, lambda: progress(os.lseek(file.fileno(), 0, os.SEEK_CUR) / max(size, 1)))
     m = len(ports)
     table: Array = np.frombuffer(values, dtype=np.float64).reshape(-1, 2 + 2 * m)

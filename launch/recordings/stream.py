@@ -24,10 +24,15 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from manyhands.design.files import open_regular
 from manyhands.launch.recordings.recording import RecordingError
 
 MOST_RECORD_BYTES: Final = 64 * 2**20
 """Longest record that is read, and most that a chunk may hold unpacked; a recorder's are a mebibyte or a few."""
+
+_UNPACKED_ANYWAY: Final = 16 * 2**20
+_UNPACKED_PER_BYTE: Final = 1000
+"""Bytes that a file's chunks may unpack to; of what a recorder packs, a session of 2048 ports at rest reaches 700."""
 
 _FRAME: Final = struct.Struct("<BQ")  # opcode and length of what follows
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
@@ -81,7 +86,7 @@ def parts(path: Path, progress: Callable[[float], None] | None = None) -> Iterat
         RecordingError: not readable, or not begun as such files are.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 raise RecordingError(f"{path}: found a file that does not begin as MCAP does; expected a recording")
             yield from _parts(file, progress)
@@ -111,6 +116,7 @@ def messages(path: Path, progress: Callable[[float], None] | None = None) -> Ite
 def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator[Part]:
     at, size = file.tell(), os.fstat(file.fileno()).st_size
     checksum = zlib.crc32(MCAP0_MAGIC)
+    unpacking = Unpacking()
     while True:
         head = file.read(_FRAME.size)
         if len(head) < _FRAME.size:
@@ -128,7 +134,7 @@ def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator
         body = file.read(length)
         checksum = zlib.crc32(body, zlib.crc32(head, checksum))
         try:
-            found = _parts_of(opcode, body)
+            found = _parts_of_chunk(body, unpacking, at) if opcode == Opcode.CHUNK else _parts_of(opcode, body)
         except _DAMAGED as error:
             yield End(f"the record that ends at byte {at} of {size} is damaged ({type(error).__name__})")
             return
@@ -163,8 +169,6 @@ def _parts_of(opcode: int, body: bytes) -> list[Part]:
             return [Channel.read(stream)]
         case Opcode.MESSAGE:
             return [Messages([_message(body)])]
-        case Opcode.CHUNK:
-            return _parts_of_chunk(unpacked(Chunk.read(stream)))
         case _:
             return []
 
@@ -177,6 +181,35 @@ def _attachment(body: bytes) -> Attachment:
         raise ValueError("an attachment with another checksum than its own")
     found: Attachment = Attachment.read(ReadDataStream(BytesIO(body)))
     return found
+
+
+class Unpacking:
+    """What the chunks of one file unpack to, so far: kilobytes must not become gigabytes, nor millions of records."""
+
+    def __init__(self) -> None:
+        self._total = 0
+
+    def data(self, chunk: Chunk, at: int) -> bytes:
+        """The records in the next chunk, as bytes; it ends before byte ``at`` of the file.
+
+        Raises:
+            ValueError: as :func:`unpacked`, or the chunks unpack to more than a recorder packs into so many bytes.
+            zstandard.ZstdError: its packing is damaged.
+        """
+        self._total += chunk.uncompressed_size
+        if self._total > _UNPACKED_ANYWAY + _UNPACKED_PER_BYTE * at:
+            raise ValueError(f"chunks of {self._total} bytes in {at}; expected at most {_UNPACKED_PER_BYTE} times more")
+        return unpacked(chunk)
+
+
+def require_records(count: int, chunk: Chunk) -> None:
+    """Refuse more records in a chunk than packed bytes: each has a time of its own, which takes a byte when packed.
+
+    Raises:
+        ValueError: it has more.
+    """
+    if count > len(chunk.data):
+        raise ValueError(f"a chunk of more than {len(chunk.data)} records in as many bytes; expected fewer")
 
 
 def unpacked(chunk: Chunk) -> bytes:
@@ -202,11 +235,15 @@ def unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _parts_of_chunk(data: bytes) -> list[Part]:
+def _parts_of_chunk(body: bytes, unpacking: Unpacking, end: int) -> list[Part]:
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    data = unpacking.data(chunk, end)
     out: list[Part] = []
     run: list[Message] = []
-    at, size = 0, len(data)
+    at, size, count = 0, len(data), 0
     while at < size:
+        count += 1
+        require_records(count, chunk)
         opcode, length = _FRAME.unpack_from(data, at)
         at += _FRAME.size
         if at + length > size:

@@ -5,7 +5,6 @@ for each axis. Either way numbers are what a session keeps, so that a device's p
 author and a session that was written down needs no other file.
 """
 
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,7 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from manyhands.launch.session.error import listed, one_of, show
 from manyhands.launch.session.fields import Problem, Quantity, SessionModel, problems_of, refusal, refuse
-from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_ROWS
+from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_ROWS
 from manyhands.launch.session.port_limits import PortLimits
 from manyhands.launch.session.table import Table, table_of
 from manyhands.nodes.device.intent import IntentError, Trace
@@ -174,7 +173,7 @@ def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -
     name = f"the trace {show(file)}"
     try:
         table = _table(folder / file)
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise refuse(f"{name}, {why[:1].lower() + why[1:]}", _FILES, ("file",)) from None
     x = _columns(table, device, own_name, dof, name)
@@ -215,7 +214,7 @@ def _table(path: Path) -> Table:
     """What a file holds.
 
     Raises:
-        OSError, ValueError, BadZipFile: it cannot be read, or is none of these.
+        OSError, ValueError: it cannot be read, or is none of these.
     """
     if path.suffix == ".mcap":
         # only those who replay need what reads recordings
@@ -227,8 +226,6 @@ def _table(path: Path) -> Table:
         except RecordingError as error:
             raise ValueError(f"which is no recording ({error})") from error
         return Table(recording.time, recording.x, recording.ports)
-    if path.stat().st_size > MAX_TRACE_BYTES:
-        raise ValueError(f"larger than {MAX_TRACE_BYTES} bytes")
     return table_of(path)
 
 

@@ -11,16 +11,17 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import yaml
 from yaml.composer import Composer
 from yaml.events import CollectionStartEvent, ScalarEvent
 from yaml.parser import Parser
-from yaml.reader import Reader, ReaderError
+from yaml.reader import Reader
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
+from manyhands.design.files import read_regular
 from manyhands.launch.session.error import SessionError, key_text, one_of, show
 from manyhands.launch.session.limits import (
     MAX_DEPTH,
@@ -70,13 +71,10 @@ def read_tree(path: Path) -> SessionTree:
     """
     source = str(path)
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE_BYTES + 1)
+        content = read_regular(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
         reason = getattr(error, "strerror", None) or str(error)
         raise SessionError(source, None, "", f"{reason.lower()}", "a session file that can be read") from None
-    if len(content) > MAX_FILE_BYTES:
-        raise SessionError(source, None, "", f"more than {MAX_FILE_BYTES} bytes", f"at most {MAX_FILE_BYTES} bytes")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -102,13 +100,25 @@ def parse_tree(text: str, source: str) -> SessionTree:
     return SessionTree(source, data, {(): Place(source, 1), **builder.places})
 
 
-class _Loader(Reader, Scanner, Parser, Composer, BaseResolver):
+if TYPE_CHECKING or not yaml.__with_libyaml__:
+
+    class _Events(Reader, Scanner, Parser):
+        """From text to events by PyYAML itself."""
+
+        def __init__(self, text: str) -> None:
+            Reader.__init__(self, text)
+            Scanner.__init__(self)
+            Parser.__init__(self)
+
+else:  # libyaml, which PyYAML's wheels have, takes a tenth of the time: the largest file takes PyYAML half a minute
+    from yaml.cyaml import CParser as _Events
+
+
+class _Loader(Composer, _Events, BaseResolver):
     """PyYAML up to the node graph, without its YAML 1.1 scalars; depth, number and tags are checked as nodes come."""
 
     def __init__(self, text: str, builder: "_Builder") -> None:
-        Reader.__init__(self, text)
-        Scanner.__init__(self)
-        Parser.__init__(self)
+        _Events.__init__(self, text)
         Composer.__init__(self)
         BaseResolver.__init__(self)
         self._builder = builder
@@ -134,20 +144,22 @@ class _Loader(Reader, Scanner, Parser, Composer, BaseResolver):
 def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
     """The node graph of one YAML document; ``None`` for an empty one."""
     builder = _Builder(source, has_lines)
-    loader: _Loader | None = None
+    if strange := Reader.NON_PRINTABLE.search(text):
+        line = text.count("\n", 0, strange.start()) + 1 if has_lines else None
+        found = f"the character {strange.group()!r}, which YAML does not allow"
+        raise SessionError(source, line, "", found, _YAML)
     try:
-        loader = _Loader(text, builder)
-        return loader.get_single_node()
+        node: yaml.Node | None = _Loader(text, builder).get_single_node()
+        return node
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else None
         problem = ", ".join(part for part in (error.context, error.problem) if part)
+        if mark is not None and "\t" in "".join(text.split("\n", mark.line + 1)[mark.line : mark.line + 1]):
+            problem += r"; the line has the character '\t'"
         found = f"text that is not YAML ({problem})"
-    except ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        found = f"the character {chr(int(error.character))!r}, which YAML does not allow"
     except (ValueError, OverflowError) as error:  # PyYAML lets these through for numbers in escapes
-        line = loader.line + 1 if loader else None
+        line = None
         found = f"text that is not YAML ({error})"
     raise SessionError(source, line if has_lines else None, "", found, _YAML)
 
@@ -177,7 +189,7 @@ class _Builder:
         if self._count > MAX_NODES:
             raise self.error(node, path, f"more than {MAX_NODES} values", "a smaller file, with fewer aliases")
         if isinstance(node, yaml.ScalarNode):
-            return plain_scalar(node.value) if node.style is None else node.value
+            return node.value if node.style else plain_scalar(node.value)  # a plain one has none
         if id(node) in self._open:
             raise self.error(node, path, "an anchor that holds an alias of itself", "an alias of something else")
         if len(path) >= MAX_DEPTH:

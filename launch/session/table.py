@@ -5,21 +5,28 @@ A recording of this program names its columns by ports; another's has times in i
 
 import csv
 import io
+import math
 import zipfile
-from collections.abc import Iterable
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.session.error import show
+from manyhands.design.files import open_regular
 from manyhands.launch.session.limits import MAX_TRACE_BYTES, MAX_TRACE_ROWS
 
 Array = NDArray[np.float64]
 
 _TIME_COLUMN: Final = "time_s"
 _FIRST, _LAST = "x[", "]_m"  # around a port, in the heading of its column
+_HEADERS: Final[Mapping[int, Callable[[Any], Any]]] = {
+    1: np.lib.format.read_array_header_1_0,
+    2: np.lib.format.read_array_header_2_0,
+}
+"""By an array's version, what reads its header: shape, order and type."""
 
 
 class Table(NamedTuple):
@@ -40,20 +47,13 @@ def table_of(path: Path) -> Table:
     """Read a ``.npz`` or ``.csv`` file.
 
     Raises:
-        OSError, ValueError, BadZipFile: it cannot be read, or holds no table.
+        OSError, ValueError: it cannot be read, or holds no table.
     """
     return _from_npz(path) if path.suffix == ".npz" else _from_csv(path)
 
 
 def _from_npz(path: Path) -> Table:
-    with zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MAX_TRACE_BYTES:
-            raise ValueError(f"larger than {MAX_TRACE_BYTES} bytes when unpacked")
-        names = {name.removesuffix(".npy") for name in archive.namelist()}
-        wanted = ("x", "ports", "period") if {"ports", "period"} <= names else ("x", "t")
-        if not names.issuperset(wanted):
-            raise ValueError(f"which holds {', '.join(sorted(names)) or 'nothing'}, and not {', '.join(wanted)}")
-        arrays = {name: _array(archive.read(f"{name}.npy")) for name in wanted}
+    arrays = read_arrays(path, (("x", "ports", "period"), ("x", "t")), MAX_TRACE_BYTES)
     x = _numbers(arrays["x"])
     x = x[:, None] if x.ndim == 1 else x
     if x.ndim != 2:
@@ -68,8 +68,47 @@ def _from_npz(path: Path) -> Table:
     return Table(times, x, ports)
 
 
-def _array(data: bytes) -> NDArray[np.generic]:
-    array: NDArray[np.generic] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+def read_arrays(path: Path, choices: Sequence[Sequence[str]], most: int) -> dict[str, NDArray[np.generic]]:
+    """The arrays of a ``.npz`` file, those of the first of ``choices`` that it has all of.
+
+    What a member claims of its size is held against the file and the limit before room is made for it.
+
+    Args:
+        path: the file.
+        choices: names of arrays, one list of which is wanted.
+        most: bytes of the file, and of all that is packed in it.
+
+    Raises:
+        OSError, ValueError: it cannot be read, is damaged or larger, or has none of the choices.
+    """
+    try:
+        with open_regular(path, most) as file, zipfile.ZipFile(file) as archive:
+            members = {member.filename: member for member in archive.infolist()}
+            for wanted in choices:
+                files = [f"{name}.npy" for name in wanted]
+                if members.keys() >= {*files}:
+                    if sum(members[one].file_size for one in files) > most:
+                        raise ValueError(f"larger than {most} bytes when unpacked")
+                    return {name: _array(archive, members[one]) for name, one in zip(wanted, files, strict=True)}
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:  # encrypted: RuntimeError
+        raise ValueError(f"which is damaged ({error})") from error
+    raise ValueError(f"which does not hold {', or '.join(', '.join(wanted) for wanted in choices)}")
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
+    """One array, when its header says that it is as large as its file."""
+    with archive.open(member) as file:
+        major, _ = np.lib.format.read_magic(file)
+        if major not in _HEADERS:
+            raise ValueError(f"with an array of version {major}; expected 1 or 2")
+        shape, _, dtype = _HEADERS[major](file)
+        if dtype.hasobject:
+            raise ValueError("which holds Python's objects and not numbers or texts")  # reading them would run code
+        stated = math.prod(shape) * dtype.itemsize
+        if member.file_size - file.tell() != stated:
+            raise ValueError(f"with an array of {stated} bytes by its header and {member.file_size} in its file")
+        file.seek(0)
+        array: NDArray[np.generic] = np.lib.format.read_array(file, allow_pickle=False)
     return array
 
 
@@ -80,7 +119,7 @@ def _numbers(array: NDArray[np.generic]) -> Array:
 
 
 def _from_csv(path: Path) -> Table:
-    with path.open(encoding="utf-8-sig", newline="") as file:
+    with io.TextIOWrapper(open_regular(path, MAX_TRACE_BYTES), encoding="utf-8-sig", newline="") as file:
         rows = csv.reader(file)
         try:
             first = next(rows, [])
@@ -109,7 +148,7 @@ def _rows(rows: Iterable[list[str]], columns: list[int]) -> Array:
         numbers = [None if cell is None else np.nan if cell == "" else _number(cell) for cell in cells]
         kept = [number for number in numbers if number is not None]
         if len(kept) != len(columns):
-            raise ValueError(f"row {len(out) + 1}: {show(','.join(row))}, and not {len(columns)} numbers")
+            raise ValueError(f"row {len(out) + 1}: not {len(columns)} numbers")  # what there is may be a secret
         if len(out) == MAX_TRACE_ROWS:
             raise ValueError(f"more than {MAX_TRACE_ROWS} rows")
         out.append(kept)

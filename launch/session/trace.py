@@ -1,13 +1,15 @@
 """Recorded traces: CSV files of two columns, ``t`` (s) and the value, read under a bound on rows and bytes."""
 
+import io
 from pathlib import Path
 from typing import Final
 
 from pydantic_core import PydanticCustomError
 
+from manyhands.design.files import open_regular
 from manyhands.launch.session.error import show
 from manyhands.launch.session.fields import SessionModel, refuse
-from manyhands.launch.session.limits import MAX_TRACE_LINE, MAX_TRACE_ROWS
+from manyhands.launch.session.limits import MAX_TRACE_BYTES, MAX_TRACE_LINE, MAX_TRACE_ROWS
 from manyhands.nodes.device.intent import IntentError, Trace
 
 _ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"
@@ -59,7 +61,7 @@ def _columns(path: Path, name: str) -> tuple[tuple[float, ...], tuple[float, ...
     times: list[float] = []
     values: list[float] = []
     number = 0
-    with path.open(encoding="utf-8-sig") as file:
+    with io.TextIOWrapper(open_regular(path, MAX_TRACE_BYTES), encoding="utf-8-sig") as file:
         while line := file.readline(MAX_TRACE_LINE + 1):
             number += 1
             if len(line) > MAX_TRACE_LINE:
@@ -76,7 +78,7 @@ def _columns(path: Path, name: str) -> tuple[tuple[float, ...], tuple[float, ...
                 case _ if not line.strip():
                     pass  # a blank line, as editors leave one at the end
                 case _:
-                    raise refuse(f"{name}, line {number}: {show(line.strip())}", _ROW)
+                    raise refuse(f"{name}, line {number}: no two numbers", _ROW)  # what there is may be a secret
     return tuple(times), tuple(values)
 
 

@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from manyhands.design.files import open_regular
+
 HEADERS: Final = (
     (
         b"content-security-policy",
@@ -136,7 +138,7 @@ def read_token(path: Path) -> Token:
         ViewError: the file is not there, is others' to read, or holds no token.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
                 found = f"mode {stat.S_IMODE(about.st_mode):04o} of user {about.st_uid}"

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from manyhands.design.files import read_regular, replacing
 from manyhands.protocol.messages import Role
 
 ABOUT: Final = "about.json"
@@ -128,10 +129,8 @@ class About:
         Raises:
             OSError: it cannot be written.
         """
-        partial = directory / f".{ABOUT}.part"
-        partial.touch(mode=0o600)
-        partial.write_text(json.dumps(self.as_plain(), allow_nan=False))
-        partial.replace(directory / ABOUT)
+        with replacing(directory / ABOUT, mode=0o600) as file:
+            file.write(json.dumps(self.as_plain(), allow_nan=False).encode())
 
     @classmethod
     def load(cls, directory: Path) -> About:
@@ -142,9 +141,7 @@ class About:
         """
         path = directory / ABOUT
         try:
-            if path.stat().st_size > MAX_ABOUT_BYTES:
-                raise AboutError(f"{path}: found more than {MAX_ABOUT_BYTES} bytes; expected a session's description")
-            return _about(json.loads(path.read_text()))
+            return _about(json.loads(read_regular(path, MAX_ABOUT_BYTES)))
         except OSError as error:
             raise AboutError(f"{path}: cannot be read: {error.strerror}") from error
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

@@ -48,7 +48,7 @@ class RecorderCore:
     Attributes:
         over: becomes true when the session has said that nothing more will come.
         tick: the latest tick of any device that was taken.
-        missing: ticks that were never told, by device; its observations were lost on the way.
+        missing: ticks that were never told, by device, before the last that was; observations were lost on the way.
         refused: frames that were no observation, or of nobody's, or did not fit its node's columns and ticks.
     """
 
@@ -159,6 +159,12 @@ class RecorderCore:
             self._tape.message(channel, time, self.tick % SEQUENCES, data)
         else:
             self._add(channel, self.tick, self._start, data)
+
+    @property
+    def missing_in_all(self) -> dict[str, int]:
+        """Ticks that were never told up to the latest of any device, by device, those devices that miss some."""
+        found = {device: lost + self.tick - self._next[device] for device, lost in self.missing.items()}
+        return {device: count for device, count in found.items() if count > 0}
 
     def _count(self, node: str, tick: int, rows: int) -> None:
         gap, self._next[node] = tick - rows - self._next[node], tick

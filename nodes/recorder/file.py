@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from manyhands.design.files import open_beside
+
 
 class RecordingFile:
     """A file that takes the place of an older one when it has its beginning, and grows from then on.
@@ -18,13 +20,13 @@ class RecordingFile:
         Raises:
             OSError: it cannot be written; an older one of that name is still there.
         """
-        partial = path.with_name(f".{path.name}.part")
-        self._fd = os.open(partial, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+        partial, self._file = open_beside(path)
+        self._fd = self._file.fileno()
         self._length = 0
         try:
             self.append(beginning)
-            partial.replace(path)
-        except OSError:
+            os.replace(partial, path)
+        except BaseException:
             self.close()
             partial.unlink(missing_ok=True)
             raise
@@ -42,9 +44,10 @@ class RecordingFile:
             os.fdatasync(self._fd)
         except OSError:
             os.ftruncate(self._fd, self._length)  # needs no room
+            os.lseek(self._fd, self._length, os.SEEK_SET)
             raise
         self._length += len(piece)
 
     def close(self) -> None:
         """Close it."""
-        os.close(self._fd)
+        self._file.close()  # nothing is buffered in it

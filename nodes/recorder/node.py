@@ -102,8 +102,7 @@ class _Recording:
             self._write(core.end())
         except OSError as error:
             return _stopped(self._say, _reason(error), self._tick)
-        missing = {device: ticks for device, ticks in core.missing.items() if ticks > 0}
-        self._say(Closed(missing, core.tick))
+        self._say(Closed(core.missing_in_all, core.tick))
         return EXIT_OK
 
     def _tell(self) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from manyhands.design.files import open_new
 from manyhands.nodes.recorder.layout import Recorded
 
 
@@ -38,7 +39,6 @@ class Plan:
         Raises:
             OSError: the file cannot be written.
         """
-        path.touch(mode=0o600, exist_ok=False)
         plain = {
             "file": str(self.file),
             "directory": str(self.directory),
@@ -46,7 +46,8 @@ class Plan:
             "attachments": {name: data.decode() for name, data in self.attachments.items()},
             "started": self.started,
         }
-        path.write_text(json.dumps(plain))
+        with open_new(path, mode=0o600) as file:
+            file.write(json.dumps(plain).encode())
 
     @classmethod
     def load(cls, path: Path) -> Plan:

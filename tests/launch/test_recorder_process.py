@@ -266,7 +266,7 @@ def test_a_recording_that_cannot_be_begun_is_an_error_before_the_session(prepare
     interrupt, interrupted = os.pipe()
     try:
         recorder.start(tmp_path / "run")
-        with pytest.raises(RecordingError, match=r"r\.mcap: cannot be recorded to: Is a directory"):
+        with pytest.raises(RecordingError, match=r"r\.mcap: cannot be recorded to: Is a folder"):
             recorder.await_ready(interrupt)
     finally:
         recorder.close()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
 
 from manyhands.launch.files import TargetError
 from manyhands.launch.recordings.recording import Collector, Recording, RecordingError, require_suffix
+from manyhands.launch.recordings.saved import read_saved
 
 X = np.array([[0.1, 1 / 3], [0.2, -2.0], [0.3, 1e-300]])
 
@@ -53,8 +55,8 @@ def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
 ) -> None:
     """The disk is full in the middle of it."""
 
-    def full(path: Path, **arrays: object) -> None:
-        path.write_bytes(b"half")
+    def full(file: BinaryIO, **arrays: object) -> None:
+        file.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
@@ -72,11 +74,30 @@ def test_collector_puts_parts_together_and_counts_a_gap() -> None:
     collector.add("b", 1, X[:1, 1:], -X[:1, 1:])
     collector.add("b", 4, X[2:, 1:], -X[2:, 1:])  # ticks 1 and 2 were lost
     out = collector.recording("s", "c", 0.001)
-    assert out.x.shape == (3, 2)
+    assert out.x.shape == (4, 2)
+    np.testing.assert_array_equal(out.x[:, 0], [*X[:, 0], np.nan])
+    np.testing.assert_array_equal(out.x[:, 1], [X[0, 1], np.nan, np.nan, X[2, 1]])
+    np.testing.assert_array_equal(out.f_v[:, 1], [-X[0, 1], np.nan, np.nan, -X[2, 1]])
+    assert collector.missing == out.missing == {"a": 1, "b": 2}
+
+
+def test_who_tells_nothing_empties_nobody_elses_recording(tmp_path: Path) -> None:
+    """A guest whose telemetry never comes, and one whose telemetry ends early."""
+    collector = Collector({"a": ("a",), "silent": ("s.x", "s.y"), "early": ("e",)})
+    collector.add("a", 3, X[:, :1], -X[:, :1])
+    collector.add("early", 1, X[:1, :1], X[:1, :1])
+    out = collector.recording("s", "c", 0.001)
     np.testing.assert_array_equal(out.x[:, 0], X[:, 0])
-    assert np.isnan(out.x[1, 1])
-    assert np.isnan(out.x[2, 1])
-    assert collector.lost == {"a": 0, "b": 2}
+    np.testing.assert_array_equal(out.f_v[:, 0], -X[:, 0])
+    assert np.isnan(out.x[:, 1:3]).all()
+    np.testing.assert_array_equal(out.x[:, 3], [X[0, 0], np.nan, np.nan])
+    assert collector.missing == out.missing == {"silent": 3, "early": 2}
+    for name in ("run.npz", "run.csv"):
+        out.save(tmp_path / name)
+        read = read_saved(tmp_path / name)
+        np.testing.assert_array_equal(read.x, out.x)
+        np.testing.assert_array_equal(read.f_v, out.f_v)
+    assert Collector({"a": ("a",)}).recording("s", "c", 0.001).x.shape == (0, 1)
 
 
 def test_collector_drops_and_counts_what_does_not_fit() -> None:
@@ -88,5 +109,5 @@ def test_collector_drops_and_counts_what_does_not_fit() -> None:
     collector.add("a", 3, X[:, :1], X[:, :1])
     collector.add("a", 4, X[:, :1], X[:, :1])  # repeats two ticks
     assert collector.refused == 5
-    assert collector.lost == {"a": 0}
+    assert collector.missing == {}
     np.testing.assert_array_equal(collector.recording("s", "c", 0.001).x, X[:, :1])

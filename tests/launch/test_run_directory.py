@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import shutil
 import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,7 +19,14 @@ import pytest
 from manyhands.design.certificate import load
 from manyhands.launch.files import TargetError
 from manyhands.launch.preparation import prepare
-from manyhands.launch.run_directory import SessionDirectory, is_bare, require_new, run_directory
+from manyhands.launch.run_directory import (
+    SessionDirectory,
+    is_bare,
+    require_new,
+    run_directories,
+    run_directory,
+    sweep_directories,
+)
 from manyhands.launch.session import load_session
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -97,3 +111,113 @@ def test_a_session_that_nothing_proves_has_no_certificate_to_keep(tmp_path: Path
 )
 def test_a_bare_name_is_one_without_a_folder(file: str, bare: bool) -> None:
     assert is_bare(Path(file)) is bare
+
+
+# --- whose supervisor lives
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A temporary directory of this test's own, in which it may sweep."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+ENTER = "import os, sys, tempfile; tempfile.tempdir = sys.argv[1]; pid = int(sys.argv[2])\n"
+ENTER += "from manyhands.launch import run_directory as d; d.os.getpid = lambda: pid\n"
+ENTER += "with d.run_directory() as path: print(path, flush=True); sys.stdin.read()"
+SWEEP = "import sys, tempfile; tempfile.tempdir = sys.argv[1]\n"
+SWEEP += "from manyhands.launch.run_directory import sweep_directories; sweep_directories()"
+
+
+def no_process() -> int:
+    """A process id that nobody has, as every process of another namespace looks from here."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+@contextmanager
+def supervisor(temporary: Path, pid: int) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """A process that holds a run's directory, known by a process id that is not one here."""
+    with subprocess.Popen(
+        [sys.executable, "-c", ENTER, str(temporary), str(pid)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, Path(process.stdout.readline().strip())
+        finally:
+            process.kill()
+
+
+def test_the_directory_of_a_supervisor_that_is_not_seen_here_is_not_swept(temporary: Path) -> None:
+    """Containers that share /tmp and a user: its process id is nobody's here, and its session goes on."""
+    with supervisor(temporary, no_process()) as (process, directory):
+        sweep_directories()
+        assert directory.is_dir()
+        assert run_directories() == [directory]
+        process.kill()
+        process.wait()
+        assert run_directories() == []
+        sweep_directories()
+        assert not directory.exists()
+
+
+def test_a_sweep_in_another_pid_namespace_leaves_a_live_session_alone(temporary: Path) -> None:
+    apart = [shutil.which("unshare") or "unshare", "--pid", "--fork", "--mount-proc"]
+    if subprocess.run([*apart, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this user may make no pid namespace")
+    with run_directory() as directory:
+        subprocess.run([*apart, sys.executable, "-c", SWEEP, str(temporary)], check=True)
+        assert directory.is_dir()
+
+
+def test_what_bears_a_runs_name_and_is_none_is_left_alone(temporary: Path) -> None:
+    pid, elsewhere = no_process(), temporary / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "ours").write_text("precious")
+    (temporary / f"manyhands-{pid}-link").symlink_to(elsewhere)
+    (temporary / f"manyhands-{pid}-file").write_text("")
+    (temporary / "manyhands-x-y").mkdir()
+    sweep_directories()
+    assert len(list(temporary.iterdir())) == 4
+    assert (elsewhere / "ours").read_text() == "precious"
+
+
+def test_a_directory_that_is_swept_before_it_is_locked_is_made_again(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Path] = []
+    mkdtemp = tempfile.mkdtemp
+
+    def noted(prefix: str) -> str:
+        made.append(Path(mkdtemp(prefix=prefix)))
+        return str(made[-1])
+
+    lock = fcntl.flock
+
+    def too_late(descriptor: int, how: int) -> None:
+        lock(descriptor, how)
+        if len(made) == 1:
+            made[0].rmdir()  # by a sweep that had taken the lock first, and is done by now
+
+    monkeypatch.setattr(tempfile, "mkdtemp", noted)
+    monkeypatch.setattr(fcntl, "flock", too_late)
+    with run_directory() as directory:
+        assert directory == made[1]
+        assert directory.is_dir()
+
+
+def test_without_locks_nothing_is_swept(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_locks(_descriptor: int, _how: int) -> None:
+        raise OSError(9, "Bad file descriptor")
+
+    (temporary / f"manyhands-{no_process()}-left").mkdir()
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    with run_directory() as directory:
+        assert directory.is_dir()
+        assert run_directories() != []
+    assert [path.name.endswith("-left") for path in temporary.iterdir()] == [True]

@@ -17,7 +17,7 @@ TABLE = {
     "text-at-top": (1, "", "'just words' at the top", "session: NAME"),
     "binary": (2, "", "0xff", "UTF-8"),
     "control-character": (2, "", r"'\x01'", "YAML"),
-    "not-yaml": (2, "", "mapping values are not allowed here", "YAML"),
+    "not-yaml": (2, "", "mapping values are not allowed in this context", "YAML"),
     "unclosed": (3, "", "expected ',' or ']'", "YAML"),
     "tab-indentation": (4, "", r"'\t'", "indented by spaces"),
     "two-documents": (17, "", "another document", "YAML"),
@@ -94,7 +94,7 @@ TABLE = {
     "formula-division-by-zero": (4, "devices.dx.hand.motion", "division by zero at t = 3.0 s", "finite"),
     "trace-missing": (4, "devices.dx.hand.force", "'nowhere.csv', no such file", "a CSV file"),
     "trace-backwards": (4, "devices.dx.hand.force", "sample 3 is at 0.1 s, after 0.2 s", "increasing"),
-    "trace-not-numbers": (4, "devices.dx.hand.force", "line 3: '0.1,one'", "two numbers"),
+    "trace-not-numbers": (4, "devices.dx.hand.force", "line 3: no two numbers", "two numbers"),
     "trace-key": (4, "devices.dx.hand.force", "a mapping with file", "{trace: FILE.csv}"),
     # couplings
     "unknown-device": (8, "couplings.cy.devices.0", "unknown device 'dyy'", "one of dx, dy (did you mean 'dy'?)"),

@@ -202,17 +202,19 @@ def test_files_that_hold_no_motion(tmp_path: Path, name: str, content: bytes, fo
 
 def test_an_archive_of_something_else_or_of_too_much_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", y=[1.0])
-    assert "which holds y" in refused(tmp_path, TRACED.format("{file: a.npz}")).found
+    assert "which does not hold x, ports, period, or x, t" in refused(tmp_path, TRACED.format("{file: a.npz}")).found
     np.savez(tmp_path / "b.npz", t=[0.0], x=np.array(["a"]))
     assert "something else than numbers" in refused(tmp_path, TRACED.format("{file: b.npz}")).found
     np.savez(tmp_path / "c.npz", t=np.array([None]), x=[0.0])
-    assert "Object arrays" in refused(tmp_path, TRACED.format("{file: c.npz}")).found.replace("object", "Object")
+    assert "which holds Python's objects" in refused(tmp_path, TRACED.format("{file: c.npz}")).found
     with (
         zipfile.ZipFile(tmp_path / "d.npz", "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("x.npy", "w") as member,
     ):
         for _ in range(65):
             member.write(bytes(1 << 20))
+    with zipfile.ZipFile(tmp_path / "d.npz", "a") as archive:
+        archive.writestr("t.npy", b"")
     assert "when unpacked" in refused(tmp_path, TRACED.format("{file: d.npz}")).found
 
 

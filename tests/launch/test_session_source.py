@@ -108,13 +108,13 @@ def test_many_values_are_refused_before_they_are_all_composed(monkeypatch: pytes
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match=r"nowhere\.yaml: found no such file or directory; expected a session file"):
         read_tree(tmp_path / "nowhere.yaml")
-    with pytest.raises(SessionError, match="found is a directory; expected"):
+    with pytest.raises(SessionError, match="found is a folder, not a regular file; expected"):
         read_tree(tmp_path)
     with pytest.raises(SessionError, match="expected a session file"):
         read_tree(tmp_path / "zero\0byte")
     large = tmp_path / "large.yaml"
     large.write_text("#" * (MAX_FILE_BYTES + 1))
-    with pytest.raises(SessionError, match="found more than 8388608 bytes"):
+    with pytest.raises(SessionError, match="found is longer than 8388608 bytes"):
         read_tree(large)
 
 

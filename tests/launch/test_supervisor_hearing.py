@@ -22,9 +22,11 @@ from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import IPC, Reach
 from manyhands.launch.session import load_session
 from manyhands.launch.summary import print_report
-from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.supervisor import Supervisor, most_ticks
 from manyhands.launch.topology import topology
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME, SIMULATED
+from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import (
@@ -159,3 +161,53 @@ def test_telemetry_out_of_turn_is_not_taken(prepared: Prepared, sender: str) -> 
     assert late.supervisor._telemetry[sender].tick == 1
     for heard in (early, late):
         heard.transport.close()
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "clock", "ticks", "most"),
+    [
+        (0.0, REALTIME, 0, 1000),  # a second's worth is allowed from the first moment on
+        (10.0, REALTIME, 0, 11100),
+        (10.0, REALTIME, 5000, 5000),
+        (10.0, REALTIME, 20000, 11100),
+        (0.0, SIMULATED, 0, 100_000),
+        (1.0, SIMULATED, 0, 200_000),
+        (1.0, SIMULATED, 300, 300),
+    ],
+)
+def test_the_most_ticks_that_can_have_run(elapsed: float, clock: str, ticks: int, most: int) -> None:
+    assert most_ticks(from_seconds(elapsed), 0.001, clock, ticks) == pytest.approx(most, abs=1)
+
+
+def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(prepared: Prepared) -> None:
+    """One frame from one guest with a valid key; its tick is a hundred years of the session's time."""
+    heard = Heard(prepared, run=True)
+    rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
+    for device in ("dx", "dy", "dz"):
+        heard.say(device, Telemetry(10, {"speed": 0.5}, rows))
+    for tick in (10**11, 500_000):
+        for node in ("dy", "environment"):
+            heard.say(node, Telemetry(tick, {"speed": 0.75}, rows if node == "dy" else {}))
+    heard.say("dy", Report(10**11, {}, {}, {}))
+    supervisor = heard.supervisor
+    supervisor._tally(heard.hub, heard.transport)  # type: ignore[arg-type]
+    assert supervisor._refused["telemetry_that_does_not_fit"] == 4
+    assert supervisor._telemetry["dy"].tick == 10
+    outcome = supervisor._outcome(None)
+    assert outcome.recording is not None
+    assert outcome.recording.x.shape == (10, 3)
+    assert outcome.lost == {}
+    assert outcome.report["duration"] <= 1.1
+    heard.transport.close()
+
+
+def test_a_guest_without_telemetry_loses_its_own_rows_alone_and_that_is_reported(prepared: Prepared) -> None:
+    heard = Heard(prepared, run=True)
+    rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
+    for device in ("dx", "dz"):
+        heard.say(device, Telemetry(10, {"speed": 0.5}, rows))
+    outcome = heard.supervisor._outcome(None)
+    assert outcome.recording is not None
+    np.testing.assert_array_equal(outcome.recording.x, [[1.0, np.nan, 1.0]] * 10)
+    assert outcome.lost == outcome.recording.missing == {"dy": 10}
+    heard.transport.close()

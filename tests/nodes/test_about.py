@@ -103,7 +103,7 @@ def test_not_there_not_a_file_not_text_too_long(tmp_path: Path, monkeypatch: pyt
         About.load(tmp_path)
     WHOLE.save(tmp_path)
     monkeypatch.setattr(about_file, "MAX_ABOUT_BYTES", 100)
-    with pytest.raises(AboutError, match="found more than 100 bytes"):
+    with pytest.raises(AboutError, match=r"cannot be read: Is longer than 100 bytes"):
         About.load(tmp_path)
     (tmp_path / ABOUT).unlink()
     (tmp_path / ABOUT).mkdir()

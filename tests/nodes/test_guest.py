@@ -151,7 +151,7 @@ def test_a_key_given_in_place_of_a_bundle_is_not_quoted(
 
 def test_no_bundle_at_all(machine: Path, capsys: pytest.CaptureFixture[str], keys: Keys) -> None:
     assert "none.bundle: cannot be read: No such file" in refusal(machine, capsys, keys, bundle="none.bundle")
-    assert "machine: cannot be read: Is a directory" in refusal(machine, capsys, keys, bundle="")
+    assert "machine: cannot be read: Is a folder" in refusal(machine, capsys, keys, bundle="")
 
 
 def places(data: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -205,3 +205,15 @@ def test_of_others_a_guest_has_the_names_and_public_keys_of_its_peers_alone(mach
     assert held == {"dx", "cx", "supervisor"}
     assert not any(keys.pair(name).secret in text for name in keys.public.keys)
     assert not any(f'"{other}"' in text for other in ("dy", "cy", "environment", "watch"))
+
+
+def test_a_bundle_does_not_choose_where_its_guest_writes(
+    machine: Path, capsys: pytest.CaptureFixture[str], keys: Keys, tmp_path: Path
+) -> None:
+    victim = tmp_path / "victim"
+    (victim / "log").mkdir(parents=True)
+    data = json.loads((machine / "dx.bundle").read_text())
+    data["common"]["directory"] = str(victim)
+    (machine / "dx.bundle").write_text(json.dumps(data))
+    assert "cannot connect" in refusal(machine, capsys, keys, address="tcp://no host:7400")
+    assert [path.name for path in victim.rglob("*")] == ["log"]
