@@ -108,10 +108,9 @@ def certificate_of(
         raise SolverFailure(f"the certificate cannot be proved: {error}") from error
     if failing:
         worst = failing[0]
-        raise SolverFailure(
-            f"the solver's answer does not survive the proof: {worst.condition}: found {worst.value:.3g}, "
-            f"bound {worst.bound:.3g} ({worst.argument})"
-        )
+        figure = "" if np.isnan(worst.value) else f": found {worst.value:.3g}, bound {worst.bound:.3g}"
+        because = f" ({worst.argument})" if worst.argument else ""
+        raise SolverFailure(f"the solver's answer does not survive the proof: {worst.condition}{figure}{because}")
     return replace(draft, id=data["id"])
 
 

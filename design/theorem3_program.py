@@ -19,6 +19,7 @@ several ports a block and general order need.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,6 +113,13 @@ class BlockForm:
         fixed = np.block([[np.zeros_like(A), off], [off.T, B.T @ self.P12 + self.P12.T @ B + self.P22]])
         return storage_inequality_expression(self.system, P, Delta=Delta) + fixed
 
+    def proved(self, P: Any, Delta: Any) -> bool:
+        """Whether the unknowns' present values are strict in numbers: a solver's "optimal" may be a little outside."""
+        P, Delta = symmetric_part(value(P)), symmetric_part(value(Delta))
+        Pi = value(self.storage(P))
+        M = value(self.inequality(P, Delta))
+        return bool(np.linalg.eigvalsh(symmetric_part(M))[-1] < 0.0 < np.linalg.eigvalsh(symmetric_part(Pi))[0])
+
 
 @dataclass(frozen=True, eq=False)
 class BlockLevel:
@@ -161,10 +169,10 @@ def block_level(
         best = solve(cp.Problem(cp.Maximize(level), [*constraints, room >= 0.0]), what)
         if best <= _LEAST_LEVEL:
             raise ProgramInfeasible(what)
-        _make_room(constraints, room, level, best, what)
+        found = _make_room(constraints, room, level, best, what, lambda: form.proved(P, value(level) * I))
     except ProgramInfeasible as error:
         raise Infeasible(f"coupling {name}: V_hat is output strictly passive at no level", RELAX) from error
-    if float(value(room)) <= 0.0:
+    if not found:
         raise SolverFailure(f"{what}: no room is left in the storage inequality, so nothing can be proved")
     return BlockLevel(
         symmetric_part(float(value(level)) * Delta_D), symmetric_part(form.states.T @ value(P) @ form.states)
@@ -232,10 +240,11 @@ def joint_levels(
         best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
         if best <= 0.0:
             raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m, expected > 0", RELAX)
-        _make_room(constraints, room, t, best, what)
+        parts = list(zip(forms, P_V, Delta_V, strict=True))
+        found = _make_room(constraints, room, t, best, what, lambda: all(f.proved(P, D) for f, P, D in parts))
     except ProgramInfeasible as error:
         raise Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX) from error
-    if float(value(room)) <= 0.0:
+    if not found:
         raise SolverFailure(f"{what}: no room is left in the storage inequalities, so nothing can be proved")
     inverse: Matrix = np.asarray(np.linalg.inv(S), dtype=np.float64)
     return JointLevels(
@@ -248,8 +257,15 @@ def joint_levels(
     )
 
 
-def _make_room(constraints: list[cp.Constraint], room: cp.Variable, t: cp.Variable, best: float, what: str) -> None:
-    """The second program, for the greatest part of ``best`` that leaves enough room."""
+def _make_room(
+    constraints: list[cp.Constraint],
+    room: cp.Variable,
+    t: cp.Variable,
+    best: float,
+    what: str,
+    proved: Callable[[], bool],
+) -> bool:
+    """The second program, for the greatest part of ``best`` that leaves enough room; whether its answer is proved."""
     for kept in _T_KEPT:
         try:
             found = solve(cp.Problem(cp.Maximize(room), [*constraints, t >= kept * best]), what)
@@ -257,8 +273,9 @@ def _make_room(constraints: list[cp.Constraint], room: cp.Variable, t: cp.Variab
             if kept == _T_KEPT[-1]:
                 raise
         else:
-            if found >= _ENOUGH_ROOM:
-                return
+            if found >= _ENOUGH_ROOM and proved():
+                return True
+    return float(value(room)) > 0.0 and proved()
 
 
 RELAX = (
