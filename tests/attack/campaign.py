@@ -211,26 +211,32 @@ def main() -> int:
     parser.add_argument("--findings", type=Path, help="write the certificates of all findings here, a JSON line each")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    shown = [0.0]
+    kinds, shown, written = given.kind or [*KINDS, "ladder"], 0.0, 0
+    file = None if given.findings is None else given.findings.open("w", encoding="utf-8")
 
     def progress(tally: Tally, took: float) -> None:
-        if took - shown[0] >= 10.0:
-            shown[0] = took
-            print(f"{took:6.0f} s: {tally.claims} claims, {len(tally.found)} findings", file=sys.stderr, flush=True)  # noqa: T201 -- what a campaign is for
+        nonlocal shown, written
+        for kind, findings, certificates in tally.found[written:] if file is not None else ():
+            file.write(json.dumps({"class": kind, "findings": findings, "certificates": certificates}) + "\n")
+            file.flush()
+        written = len(tally.found)
+        if took - shown >= 10.0:
+            shown = took
+            print(  # noqa: T201 -- what a campaign is for
+                f"{took:6.0f} s: {tally.claims} claims, {len(tally.found)} findings", file=sys.stderr, flush=True
+            )
 
     began = time.monotonic()
-    kinds = given.kind or [*KINDS, "ladder"]
     tally = attack(given.claims, given.seed, given.processes, given.seconds, kinds, progress)
-    print(table(tally, time.monotonic() - began))  # noqa: T201 -- what a campaign is for
+    print(table(tally, time.monotonic() - began))  # noqa: T201
     summary: dict[tuple[str, str], int] = defaultdict(int)
     for kind, findings, _ in tally.found:
-        summary[kind, findings[0].split(",")[0]] += 1
+        for what in {finding.split(", ")[0] for finding in findings}:
+            summary[kind, what] += 1
     for (kind, what), count in sorted(summary.items(), key=lambda item: -item[1]):
-        print(f"found {count} times: {kind}: {what}")  # noqa: T201 -- what a campaign is for
-    if given.findings is not None:
-        with given.findings.open("w", encoding="utf-8") as file:
-            for kind, findings, certificates in tally.found:
-                file.write(json.dumps({"class": kind, "findings": findings, "certificates": certificates}) + "\n")
+        print(f"found {count} times: {kind}: {what}")  # noqa: T201
+    if file is not None:
+        file.close()
     return 1 if tally.found else 0
 
 

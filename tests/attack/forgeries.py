@@ -105,7 +105,7 @@ def _storage(rng: Generator, data: Data) -> None:
 
 
 def _tau(rng: Generator, data: Data) -> None:
-    data["tau"] = float(rng.choice([0.0, data["period"], rng.uniform(0.0, data["period"]), data["tau"] * factor(rng)]))
+    data["tau"] = float(rng.choice([0.0, data["period"], data["period"] * rng.random(), data["tau"] * factor(rng)]))
 
 
 def _period(rng: Generator, data: Data) -> None:
