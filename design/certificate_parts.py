@@ -94,7 +94,7 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
         method = data["method"] if data["time"] == "continuous" else None
         if method is not None and method not in METHODS:
             raise ValueError(f"environment.method: found {method!r}, expected one of {', '.join(METHODS)}")
-        return StateSpaceEnvironment(ports, read_system(data), method, delay)
+        return StateSpaceEnvironment(ports, read_system(data, continuous=method is not None), method, delay)
     if kind == "transfer-function":
         if data["method"] not in ("backward-euler", "tustin"):
             raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
@@ -208,16 +208,22 @@ def aim_of(data: Mapping[str, Any]) -> Transparency:
 
 
 def system_values(system: StateSpace) -> dict[str, Any]:
-    """A, B, C, D as rows."""
-    return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), "D": system.D.tolist()}
+    """A, B, C and D as rows, or the static gain where that was stated instead of D."""
+    last = {"D": system.D.tolist()} if system.static_gain is None else {"static": system.static_gain.tolist()}
+    return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), **last}
 
 
-def read_system(data: Mapping[str, Any]) -> StateSpace:
+def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSpace:
     """The system whose matrices were written; JSON has no shape for a matrix without rows or columns.
 
     Raises:
         KeyError, TypeError, ValueError: a matrix is missing, or is none of that shape.
     """
+    if "static" in data:
+        if "D" in data:
+            raise ValueError("found both D and static, expected one of them")
+        A, B, C = (data[key] if data["A"] else [] for key in "ABC")
+        return StateSpace.with_static_gain(A, B, C, data["static"], continuous=continuous)
     D = matrix(data["D"])
     if not data["A"]:
         if data["B"] or any(data["C"]):

@@ -174,7 +174,8 @@ class StateSpaceEnvironment:
         if not isinstance(other, StateSpaceEnvironment):
             return NotImplemented
         return (self.ports, self.method, self.delay) == (other.ports, other.method, other.delay) and all(
-            np.array_equal(getattr(self.system, name), getattr(other.system, name)) for name in "ABCD"
+            np.array_equal(getattr(self.system, name), getattr(other.system, name))
+            for name in ("A", "B", "C", "D", "static_gain")
         )
 
     __hash__ = None  # type: ignore[assignment]  # matrices have none

@@ -135,7 +135,8 @@ def _held(environment: Environment, P: Storage, ports: Sequence[int]) -> tuple[E
             late = _without_late(P, len(environment.ports), ports, delay)
             return DelayedNetwork(_grounded(network, names), delay), late
         case StateSpaceEnvironment(_, E, method, delay):
-            system = StateSpace(E.A, E.B[:, ports], E.C[ports], E.D[np.ix_(ports, ports)])
+            gain = None if E.static_gain is None else E.static_gain[np.ix_(ports, ports)]
+            system = StateSpace(E.A, E.B[:, ports], E.C[ports], E.D[np.ix_(ports, ports)], gain)
             late = _without_late(P, len(environment.ports), ports, delay)
             return StateSpaceEnvironment(names, system, method, delay), late
         case TransferEnvironment(_, entries, method, delay):

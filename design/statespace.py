@@ -50,6 +50,8 @@ class StateSpace:
         B: n x p.
         C: m x n.
         D: m x p.
+        static_gain: m x p, what the system answers to a constant input; None where D is what was stated. Where it is
+            stated, D is what it leaves, and a proof takes the gain, not D, for exact.
 
     Raises:
         ValueError: shapes that do not fit each other, or an entry that is not finite.
@@ -59,6 +61,7 @@ class StateSpace:
     B: Matrix
     C: Matrix
     D: Matrix
+    static_gain: Matrix | None = None
 
     def __post_init__(self) -> None:
         A = matrix(self.A)
@@ -68,6 +71,29 @@ class StateSpace:
         object.__setattr__(self, "B", matrix(self.B, n, D.shape[1]))
         object.__setattr__(self, "C", matrix(self.C, D.shape[0], n))
         object.__setattr__(self, "D", D)
+        if self.static_gain is not None:
+            object.__setattr__(self, "static_gain", matrix(self.static_gain, *D.shape))
+
+    @classmethod
+    def with_static_gain(
+        cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, gain: ArrayLike, *, continuous: bool = False
+    ) -> StateSpace:
+        """The system whose static gain is exactly ``gain``: D = gain - C (I - A)^-1 B, or gain + C A^-1 B.
+
+        Raises:
+            ValueError: there is no static gain, for there is a pole at z = 1, or at s = 0.
+        """
+        static = matrix(gain)
+        m, p = static.shape
+        n = len(matrix(A)) if np.size(A) else 0
+        states, entering, leaving = (
+            matrix(np.reshape(M, shape)) for M, shape in ((A, (n, n)), (B, (n, p)), (C, (m, n)))
+        )
+        try:
+            steady = np.linalg.solve(-states if continuous else np.eye(n) - states, entering)
+        except np.linalg.LinAlgError:
+            raise ValueError(f"found a pole at {'s = 0' if continuous else 'z = 1'}, expected a static gain") from None
+        return cls(states, entering, leaving, static - leaving @ steady, static)
 
     @classmethod
     def static(cls, D: ArrayLike) -> StateSpace:

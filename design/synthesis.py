@@ -17,6 +17,7 @@ from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, N
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.search import Found, search
 from manyhands.design.statespace import StateSpace
+from manyhands.design.statics import check_block, check_environment
 from manyhands.design.theorem3 import certify_beside, certify_given
 from manyhands.design.weighted_loop import Transparency, weighted
 
@@ -57,6 +58,7 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
         TooLarge: the class's program would not fit the machine.
         ValueError: a given coupling has not the loop's ports or blocks.
     """
+    check_environment(loop.environment)
     found = _take(loop, wanted) or search(loop, wanted, progress)
     certificate = certificate_of(loop, found, progress)
     return Designed(certificate, found.history, found.watched, found.interrupted)
@@ -100,7 +102,7 @@ def certificate_of(
         worst = failing[0]
         raise SolverFailure(
             f"the solver's answer does not survive the proof: {worst.condition}: found {worst.value:.3g}, "
-            f"bound {worst.bound:.3g}"
+            f"bound {worst.bound:.3g} ({worst.argument})"
         )
     return replace(draft, id=data["id"])
 
@@ -118,6 +120,8 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
             sizes = [(len(ports), len(ports)) for ports in loop.partition.blocks]
             if found != sizes:
                 raise ValueError(f"expected blocks of V with {sizes} outputs and inputs, found {found}")
+            for name, block, ports in zip(loop.partition.names, blocks, loop.partition.blocks, strict=True):
+                check_block(name, block, tuple(loop.ports[port] for port in ports))
             return Found(blocks, {"algorithm": "given"}, aim)
         case SpringDamperGiven(coupling, aim):
             m = len(loop.ports)

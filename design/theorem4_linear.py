@@ -23,7 +23,7 @@ from manyhands.design.complementarity import MOST_ITERATIONS, Convergence
 from manyhands.design.errors import TooLarge
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import value
-from manyhands.design.statespace import StateSpace
+from manyhands.design.statespace import StateSpace, symmetric_part
 from manyhands.design.theorem4 import BlockUnknowns, solve_theorem_4
 
 MOST_STATES = 24  # n_i + m_i of one block: (15) has 2 n_i + 4 m_i rows, and its program grows with their sixth power
@@ -36,7 +36,7 @@ class LinearCoupling:
     """A coupling as Theorem 4 finds it, with static compliances made symmetric.
 
     V_hat,i can only be output strictly passive where V_i(1) is symmetric. (15) implies it in the limit, where W Z = I
-    exactly; before that, what is left of the skew part is taken off D_V,i.
+    exactly; before that, what is left of the skew part is taken off: V_i(1) is stated, and D_V,i follows from it.
 
     Attributes:
         blocks: V_i in the partition's order, of the wanted orders, stable, from force (N) to displacement (m).
@@ -121,7 +121,7 @@ def recover_linear(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> LinearC
         compliance = V.response(1.0).real
         left = (compliance - compliance.T) / 2.0
         skew = max(skew, float(np.linalg.norm(left, 2)) / max(float(np.linalg.norm(compliance, 2)), 1e-300))
-        found.append(StateSpace(V.A, V.B, V.C, V.D - left))
+        found.append(StateSpace.with_static_gain(V.A, V.B, V.C, symmetric_part(compliance)))
     return LinearCoupling(tuple(found), skew)
 
 

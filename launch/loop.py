@@ -11,6 +11,7 @@ from manyhands.design.environment import (
     StateSpaceEnvironment,
     TransferEnvironment,
 )
+from manyhands.design.errors import Infeasible
 from manyhands.design.network import Link, Network
 from manyhands.design.partition import Partition
 from manyhands.design.problem import (
@@ -29,7 +30,7 @@ from manyhands.design.problem import (
 from manyhands.design.statespace import StateSpace
 from manyhands.design.weighted_loop import Transparency
 from manyhands.design.weights import Filter
-from manyhands.launch.session import PythonEnvironment, Session
+from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
 from manyhands.launch.session.interval import Interval
@@ -65,9 +66,25 @@ def _environment(session: Session) -> Environment:
             return NetworkBox(low, _network(given, ports, high=True))
         return DelayedNetwork(low, given.delay) if given.delay else low
     if isinstance(given, GivenMatrices):
-        return StateSpaceEnvironment(ports, StateSpace(*given.arrays()), given.method, given.delay)
+        system = _system(given, "the environment", continuous=given.time == "continuous")
+        return StateSpaceEnvironment(ports, system, given.method, given.delay)
     entries = tuple(tuple((entry.num, entry.den) for entry in row) for row in given.entries)
     return TransferEnvironment(ports, entries, given.method, given.delay)
+
+
+def _system(given: GivenMatrices | BlockMatrices, what: str, *, continuous: bool) -> StateSpace:
+    """The matrices, with D as stated or from the static gain that is stated in its place.
+
+    Raises:
+        Infeasible: a static gain is stated, and a pole at s = 0 or z = 1 leaves none.
+    """
+    A, B, C, last = given.arrays()
+    if given.static is None:
+        return StateSpace(A, B, C, last)
+    try:
+        return StateSpace.with_static_gain(A, B, C, last, continuous=continuous)
+    except ValueError as error:
+        raise Infeasible(f"{what}: {error}", ("state D instead", "give every mode a spring that holds it")) from error
 
 
 def _network(given: NetworkEnvironment, ports: tuple[str, ...], high: bool) -> Network:
@@ -92,7 +109,8 @@ def coupling_request(session: Session) -> CouplingRequest:
     aim = _aim(session)
     if design.coupling == "given":
         if design.matrices is not None:
-            blocks = tuple(StateSpace(*design.matrices[name].arrays()) for name in session.couplings)
+            given = design.matrices
+            blocks = tuple(_system(given[name], f"coupling {name}", continuous=False) for name in session.couplings)
             return LinearGiven(blocks, aim)
         stiffness, damping = session.given_stiffness, session.given_damping
         if stiffness is None or damping is None:

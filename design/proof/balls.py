@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
+from flint import arb, arb_mat, ctx, fmpq_mat
 from numpy.typing import NDArray
 
 from manyhands.design.proof.finding import Verdict
@@ -21,9 +21,6 @@ PRECISIONS = (128, 384)  # bits: the second for what the first cannot decide, wh
 _QUICK = 200  # rows
 _STEPS = 5  # factors of factors; each gains about 13 digits of condition
 _EPSILON = float(np.finfo(np.float64).eps)
-
-ROUNDING = fmpq(1, 10**12)
-"""Relative: what the arithmetic that runs a coupling or an environment does not keep."""
 
 Kind = TypeVar("Kind", fmpq_mat, arb_mat)
 """Matrices of rationals or of balls: the proofs' formulas are written once for both."""
@@ -144,14 +141,6 @@ def greatest(M: arb_mat) -> arb:
     most = arb(0)
     for entry in M.entries():
         most = most.max(entry.abs_upper())
-    return most
-
-
-def at_least(M: arb_mat) -> arb:
-    """The greatest absolute value of an entry, as a lower bound; 0 without entries."""
-    most = arb(0)
-    for entry in M.entries():
-        most = most.max(entry.abs_lower())
     return most
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from flint import fmpq
 
 from manyhands.design.proof.finding import ProofInputError
-from manyhands.design.proof.physical import DeclaredData, EnvironmentData, read_environment
+from manyhands.design.proof.physical import DeclaredData, EnvironmentData, feedthrough_or_static, read_environment
 from manyhands.design.proof.reading import MAX_DEGREE, MAX_DENSE, MAX_PORTS, Item, Number, Table, exact
 from manyhands.design.proof.sparse import Sparse, add
 
@@ -65,14 +65,17 @@ class Linear:
     """A block (A, B, C, D), discrete, from force (N) to displacement (m), and its storage matrix.
 
     Attributes:
-        A, B, C, D: n x n, n x m_i, m_i x n, m_i x m_i.
+        A, B, C: n x n, n x m_i, m_i x n.
+        D: m_i x m_i; None where the static gain is stated instead.
+        static: V(1), m_i x m_i, m/N; None where D is stated.
         P: n x n, the storage matrix.
     """
 
     A: Table
     B: Table
     C: Table
-    D: Table
+    D: Table | None
+    static: Table | None
     P: Table
 
 
@@ -267,7 +270,7 @@ def _coupling(item: Item, storage: Item, blocks: tuple[Part, ...]) -> tuple[Spri
 
 
 def _linear(item: Item, storage: Item, m: int) -> Linear:
-    parts = item.fields(("A", "B", "C", "D"))
+    parts = item.fields(("A", "B", "C"), ("D", "static"))
     n = parts["A"].length()
     if n > MAX_DENSE:
         raise ProofInputError(f"{item.path}.A: found {n} rows, expected at most {MAX_DENSE}")
@@ -275,7 +278,7 @@ def _linear(item: Item, storage: Item, m: int) -> Linear:
         parts["A"].table(n, n),
         parts["B"].table(n, m),
         parts["C"].table(m, n),
-        parts["D"].table(m, m),
+        *feedthrough_or_static(item, parts, m),
         storage.table(n, n),
     )
 

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from flint import arb_mat, fmpq
 
-from manyhands.design.proof import balls, network, sparse
+from manyhands.design.proof import balls, network, sparse, statics
 from manyhands.design.proof.finding import Finding, Verdict
 from manyhands.design.proof.physical import DeclaredData, DynamicsData, EnvironmentData, NetworkData, SystemData
 from manyhands.design.proof.reading import MAX_DENSE, Table
 from manyhands.design.proof.sparse import Sparse
 from manyhands.design.proof.split import Split, delayed, dissipation, split_system
+from manyhands.design.proof.statics import Undecided
 from manyhands.design.proof.system import NotDiscretised, discrete, realised, transfer_order
 
-_SEEN = fmpq(1, 2**80)  # of E: an asymmetry below it may be the balls' own radius
 _ISP = "E_hat is (-Phi_E)-ISP, (14)"
 
 
@@ -37,14 +37,15 @@ def split(data: DynamicsData, T: fmpq) -> Split:
     Raises:
         ZeroDivisionError: a matrix is not proved regular.
         NotDiscretised: the discrete environment does not exist.
+        Undecided: it has no static stiffness.
     """
     match data:
         case NetworkData():
             own = network.split(data, T)
         case SystemData():
-            own = split_system(*discrete(data, T), T)
+            own = split_system(*discrete(data, T), arb_mat(statics.of_environment(data)), T)
         case _:
-            own = split_system(*realised(data, T), T)
+            own = split_system(*realised(data, T), arb_mat(statics.of_environment(data)), T)
     return delayed(own, data.delay, T)
 
 
@@ -90,22 +91,26 @@ def _refused(argument: str) -> Finding:
 
 
 def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
-    conditions = {
-        "E1": "the static stiffness E1 = E(1) is symmetric and >= 0",
-        "P": "E_hat's storage matrix is positive",
-        "M_E": _ISP,
-    }
+    condition = "the static stiffness E1 = E(1) is symmetric and >= 0"
+    if isinstance(data, NetworkData):
+        static = Verdict(True, 0.0, "as a Schur complement of the network's K >= 0")
+    else:
+        try:
+            static = statics.semidefinite(statics.of_environment(data))
+        except Undecided as error:
+            static = Verdict(False, float("nan"), str(error))
+    if not static.holds:
+        return [static.finding(condition)]
+    conditions = {"P": "E_hat's storage matrix is positive", "M_E": _ISP}
 
     def test() -> dict[str, Verdict]:
         try:
             rest = split(data, T)
         except NotDiscretised as error:
             return {"": Verdict(False, float("nan"), str(error))}
-        P = balls.symmetrised(stated.balls())
+        P = balls.symmetrised(stated.witness())
         level = arb_mat(sparse.dense(Phi_E, range(m)))
-        physical = Verdict(True, 0.0, "as a Schur complement of the network's K >= 0")
         return {
-            "E1": physical if isinstance(data, NetworkData) else static(rest),
             "P": balls.definite(P),
             "M_E": balls.definite(dissipation(rest, P, level, T)),
         }
@@ -114,18 +119,5 @@ def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T
     if "" in found:
         return [_refused(found[""].argument)]
     because = {"M_E": "M_E < 0: a storage matrix for E_hat less its integrators; E is stable with it"}
-    return [verdict.finding(conditions[name], because.get(name, "")) for name, verdict in found.items()]
-
-
-def static(rest: Split) -> Verdict:
-    """E1 = E1' >= 0, with what was corrected no more than rounding; a network's E1 is a Schur complement of K >= 0."""
-    if not rest.asymmetry <= rest.scale * balls.ROUNDING:
-        return Verdict(False, -float(rest.asymmetry), "E1 is not proved symmetric")
-    if balls.greatest(rest.stiffness) == 0:
-        return Verdict(True, 0.0, "E1 = 0")
-    verdict = balls.definite(rest.stiffness)
-    if not verdict.holds:
-        return verdict
-    text = "; with D less E1's asymmetry, below 1e-12 of E: rounding" if rest.asymmetry > rest.scale * _SEEN else ""
-    text += "; with 1e-12 of E added to D: rounding" if rest.shift > 0 else ""
-    return Verdict(True, verdict.least, verdict.argument + text)
+    proved = [verdict.finding(conditions[name], because.get(name, "")) for name, verdict in found.items()]
+    return [static.finding(condition), *proved]

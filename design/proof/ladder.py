@@ -7,6 +7,10 @@ own. Let Phi_E be a level of E_hat that one of them proves. Whatever rung r(i) e
     [ D - Phi_E    -Phi_E    ]
     [ -Phi_E       V - Phi_E ]  > 0,    D = blockdiag(share_r(i) Delta_D,i),   V = blockdiag(Delta_V,i of rung r(i)).
 
+A rung proves its own Delta_D <= the devices' levels as a whole, and where two blocks share a device, a block of one
+rung's Delta_D beside a block of another's may exceed what the device promises. So mixtures are proved for rungs that
+state one and the same Delta_D, as every ladder that is designed does.
+
 There are as many mixtures as rungs to the power of the blocks, and two arguments that spare them. Where Phi_E joins no
 two blocks, (10) is, in another order of its rows, one condition for each block, and a block's condition at its rung is
 a part of (10) of that rung taken whole: as many proofs as rungs are enough. Where Phi_E <= 0, (10) is
@@ -74,7 +78,7 @@ def prove_ladder(rungs: Sequence[Mapping[str, Any]], common: int) -> LadderProof
     return LadderProof(
         one_loop,
         together.finding(_TOGETHER),
-        _in_every_mixture(claims[common], Phi_E, together).finding(_INDEPENDENT),
+        _in_every_mixture(claims, claims[common], Phi_E, together).finding(_INDEPENDENT),
     )
 
 
@@ -106,10 +110,15 @@ def _at_every_rung(claims: Sequence[Claim], Phi_E: Sparse) -> Verdict:
     )
 
 
-def _in_every_mixture(claim: Claim, Phi_E: Sparse, together: Verdict) -> Verdict:
-    """From (10) at every rung to every mixture, by the structure of Phi_E or by its sign."""
+def _in_every_mixture(claims: Sequence[Claim], claim: Claim, Phi_E: Sparse, together: Verdict) -> Verdict:
+    """From (10) at every rung to every mixture, by the structure of Phi_E or by its sign; Delta_D must be one."""
     if not together.holds:
         return together
+    promised = contract.Delta_D(claims[0])
+    for number, other in enumerate(claims[1:], 1):
+        if contract.Delta_D(other) != promised:
+            text = f"rung {number} states another Delta_D than rung 0: a mixture could exceed what the devices promise"
+            return Verdict(False, float("nan"), text)
     block_of = {port: number for number, block in enumerate(claim.blocks) for port in block.ports}
     if all(block_of[i] == block_of[j] for i, j in Phi_E):
         return Verdict(True, together.least, f"{_STRUCTURED}; {together.argument}")

@@ -60,7 +60,9 @@ class SystemData:
     """A state space from displacement (m) to force (N).
 
     Attributes:
-        A, B, C, D: n x n, n x m, m x n, m x m.
+        A, B, C: n x n, n x m, m x n.
+        D: m x m; None where the static gain is stated instead.
+        static: E(1), m x m, N/m; None where D is stated.
         method: how the continuous system is discretised; None for one that is discrete.
         delay: whole ticks by which its forces are late.
     """
@@ -68,7 +70,8 @@ class SystemData:
     A: Table
     B: Table
     C: Table
-    D: Table
+    D: Table | None
+    static: Table | None
     method: str | None
     delay: int
 
@@ -146,7 +149,7 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
 
 
 def _system(item: Item, m: int) -> SystemData:
-    parts = item.fields(("type", "A", "B", "C", "D", "time", "delay"), ("method",))
+    parts = item.fields(("type", "A", "B", "C", "time", "delay"), ("method", "D", "static"))
     n = parts["A"].length()
     if n + m > MAX_DENSE:
         raise ProofInputError(f"{item.path}.A: found {n} states and {m} ports, expected at most {MAX_DENSE} together")
@@ -161,10 +164,23 @@ def _system(item: Item, m: int) -> SystemData:
         parts["A"].table(n, n),
         parts["B"].table(n, m),
         parts["C"].table(m, n),
-        parts["D"].table(m, m),
+        *feedthrough_or_static(item, parts, m),
         method,
         parts["delay"].whole(0, _MAX_DELAY),
     )
+
+
+def feedthrough_or_static(item: Item, parts: dict[str, Item], m: int) -> tuple[Table | None, Table | None]:
+    """D and the static gain of a state space: one of the two is stated.
+
+    Raises:
+        ProofInputError: both are, or none.
+    """
+    if ("D" in parts) == ("static" in parts):
+        found = "both" if "D" in parts else "neither"
+        raise ProofInputError(f"{item.path}: found {found} of the keys D and static, expected one of them")
+    D, static = (parts[key].table(m, m) if key in parts else None for key in ("D", "static"))
+    return D, static
 
 
 def _transfer(item: Item, m: int) -> TransferData:

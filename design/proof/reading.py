@@ -1,7 +1,8 @@
 """Reading plain JSON data: one value and the path of its key, so that every refusal names its place.
 
-Numbers are read as what they are: a float is an exact dyadic rational, and so is a whole number where a float is
-meant. Sizes are bounded before anything is built from them.
+A number is the decimal that is written: 0.1 is one tenth, and not the binary float next to it. For what a file says
+is what its author can read and compare, and what json writes of a float is the shortest decimal that leads back to it.
+Sizes are bounded before anything is built from them.
 """
 
 from __future__ import annotations
@@ -9,25 +10,31 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 
 from flint import arb_mat, fmpq, fmpq_mat
 
 from manyhands.design.proof.finding import ProofInputError
 
 Number = int | float
-"""A number of the file, taken exactly."""
+"""A number of the file: the decimal that json writes of it, exactly."""
 
 MAX_PORTS = 10_000
 MAX_LINKS = 100_000
 MAX_DENSE = 1_200  # rows of a dense matrix: a product of two takes about 5 s in balls
+MAX_STATIC = 512  # states of a system whose static gain is solved for in rationals: about a minute
 MAX_DEGREE = 32  # of a transfer function or a weight
 _MAX_BITS = 1023  # of a whole number: what a float can hold
 _MAX_TEXT = 1_000
 
 
 def exact(number: Number) -> fmpq:
-    """The rational number that ``number`` is."""
-    return fmpq(*number.as_integer_ratio())
+    """The decimal that ``number`` is written as."""
+    return fmpq(*_ratio(number))
+
+
+def _ratio(number: Number) -> tuple[int, int]:
+    return (number, 1) if isinstance(number, int) else Decimal(float.__repr__(number)).as_integer_ratio()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +56,19 @@ class Table:
         return fmpq_mat(self.rows, self.columns, [exact(value) for row in self.values for value in row])
 
     def balls(self) -> arb_mat:
-        """The matrix, exactly (balls of radius zero)."""
+        """Balls around the matrix, at the precision in force."""
+        return arb_mat(self.rational())
+
+    def witness(self) -> arb_mat:
+        """The matrix's floats, as balls of radius zero: for storage matrices, of which any will do.
+
+        A storage matrix makes no claim: a proof says that there is one. So it may be read in the quickest way.
+        """
         return arb_mat(self.rows, self.columns, [value for row in self.values for value in row])
 
     def bits(self) -> int:
         """The longest numerator or denominator, in bits: what exact arithmetic has to carry."""
-        pairs = (value.as_integer_ratio() for row in self.values for value in row)
+        pairs = (_ratio(value) for row in self.values for value in row)
         return max((max(abs(p).bit_length(), q.bit_length()) for p, q in pairs), default=0)
 
 

@@ -11,19 +11,17 @@ T/(z-1) E1 with E1 = E1' >= 0 is lossless but for -T/2 E1, so that E_hat is (-Ph
 
 A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)].
 
-E1 of matrices in floats is symmetric, and singular, up to rounding only. What it has of a skew part and of negative
-eigenvalues is taken off D, when it is below 1e-12 of the terms that cancel in E1: a change below the
-rounding of the arithmetic that runs E.
+Whether E1 is symmetric and >= 0 is decided apart, exactly (:mod:`manyhands.design.proof.statics`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-from flint import arb, arb_mat, fmpq
+from flint import arb_mat, fmpq
 
 from manyhands.design.proof import balls
-from manyhands.design.proof.balls import ROUNDING, assembled, diagonal_blocks, identity
+from manyhands.design.proof.balls import assembled, diagonal_blocks, identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +31,6 @@ class Split:
     Attributes:
         stiffness: E1, m x m symmetric, N/m.
         A, B, C, D: Rest, from velocity (m/s) to force (N).
-        asymmetry: the greatest entry of the skew part that was taken off E1, N/m.
-        scale: of the terms that cancel in E1, N/m; what is below 1e-12 of it is rounding.
-        shift: what was added to the diagonal of E1, N/m.
     """
 
     stiffness: arb_mat
@@ -43,29 +38,17 @@ class Split:
     B: arb_mat
     C: arb_mat
     D: arb_mat
-    asymmetry: arb = field(default_factory=arb)
-    scale: arb = field(default_factory=arb)
-    shift: arb = field(default_factory=arb)
 
 
-def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, T: fmpq) -> Split:
-    """The split of a discrete E = (A, B, C, D), with D corrected as the module says.
+def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, E1: arb_mat, T: fmpq) -> Split:
+    """The split of a discrete E = (A, B, C, D) with the static stiffness E1 = E1'.
 
     Raises:
         ZeroDivisionError: A is not proved to have no eigenvalue 1.
     """
-    n, m = A.nrows(), D.nrows()
+    n = A.nrows()
     steady = (identity(arb_mat, n) - A).solve(B) if n else B
-    E1 = C * steady + D
-    scale = balls.at_least(D).max(balls.at_least(E1))  # of C (I - A)^-1 B too, or half of it
-    skew = (E1 - E1.transpose()) / 2
-    D, E1 = D - skew, balls.symmetrised(E1)
-    shift = arb(0)
-    if not balls.definite(E1).holds:
-        shift = scale * ROUNDING
-        added = identity(arb_mat, m) * shift
-        D, E1 = D + added, E1 + added
-    return Split(E1, A, -(A * steady) * T, C, D * T, balls.greatest(skew), scale, shift)
+    return Split(E1, A, -(A * steady) * T, C, D * T)
 
 
 def delayed(rest: Split, ticks: int, T: fmpq) -> Split:

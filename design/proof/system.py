@@ -20,6 +20,7 @@ from flint import arb, arb_mat, fmpq, fmpq_poly
 from manyhands.design.proof.balls import assembled, columns_cut, greatest, identity
 from manyhands.design.proof.physical import SystemData, TransferData
 from manyhands.design.proof.reading import Number, exact
+from manyhands.design.proof.statics import feedthrough
 
 _SWEEPS = 4
 _MOST_GROWTH = 10_000  # of the norm of T A under a zero-order hold: its exponential has to fit
@@ -37,8 +38,10 @@ def discrete(system: SystemData, T: fmpq) -> Realisation:
     Raises:
         ZeroDivisionError: the method's matrix is not proved regular.
         NotDiscretised: the zero-order hold's exponential is out of bounds.
+        Undecided: the static gain is stated instead of D, and there is none.
     """
-    A, B, C, D = (table.balls() for table in (system.A, system.B, system.C, system.D))
+    A, B, C = (table.balls() for table in (system.A, system.B, system.C))
+    D = arb_mat(feedthrough(system.A, system.B, system.C, system.D, system.static, system.method is None))
     n, m = A.nrows(), D.nrows()
     if system.method is None or n == 0:
         return A, B, C, D

@@ -47,6 +47,7 @@ from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.physical import DeclaredData, DynamicsData, NetworkData
 from manyhands.design.proof.reading import MAX_DENSE, exact
 from manyhands.design.proof.split import environment as environment_of
+from manyhands.design.proof.statics import Undecided, feedthrough
 from manyhands.design.proof.system import NotDiscretised, Realisation, companion
 
 
@@ -72,9 +73,9 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
     def test() -> Verdict:
         try:
             system = weighted(claim, E, stated)
-        except NotDiscretised as error:
+        except (NotDiscretised, Undecided) as error:
             return Verdict(False, float("nan"), str(error))
-        P = balls.symmetrised(stated.P.balls())
+        P = balls.symmetrised(stated.P.witness())
         return weakest(
             {"P > 0": balls.definite(P), "the bounded real lemma": balls.definite(_dissipation(system, P, stated))}
         )
@@ -156,7 +157,7 @@ def coupling(claim: Claim) -> Realisation:
 
 def _block(V: SpringDamper | Linear, T: fmpq) -> Realisation:
     if isinstance(V, Linear):
-        return V.A.balls(), V.B.balls(), V.C.balls(), V.D.balls()
+        return V.A.balls(), V.B.balls(), V.C.balls(), arb_mat(feedthrough(V.A, V.B, V.C, V.D, V.static, discrete=True))
     B = V.damping.balls()
     C = (V.stiffness.balls() * T + B).inv()
     return B * C, B * C * T, C, C * T

@@ -26,7 +26,15 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.interval import Interval, UncertainDamping, UncertainMass, UncertainStiffness
 from manyhands.launch.session.limits import MAX_DELAY, MAX_ENVIRONMENT_ORDER, MAX_LINKS, MAX_MASSES, MAX_PORTS
-from manyhands.launch.session.matrices import Array, MatrixRows, full_arrays, size_problems
+from manyhands.launch.session.matrices import (
+    STATIC_MEANING,
+    Array,
+    MatrixRows,
+    OptionalRows,
+    full_arrays,
+    one_of_two,
+    size_problems,
+)
 from manyhands.launch.session.problems import problems_in
 from manyhands.launch.session.rational import Entry, Rational
 
@@ -140,7 +148,8 @@ class StateSpaceEnvironment(SessionModel):
     A: MatrixRows = Field(description="the n x n matrix A, as rows")
     B: MatrixRows = Field(description="the n x m matrix B, as rows")
     C: MatrixRows = Field(description="the m x n matrix C, as rows")
-    D: MatrixRows = Field(description="the m x m matrix D, as rows")
+    D: OptionalRows = Field(default=None, description="the m x m matrix D, as rows")
+    static: OptionalRows = Field(default=None, description=STATIC_MEANING)
     time: Annotated[Literal["continuous", "discrete"], BeforeValidator(Choice(("continuous", "discrete")))] = Field(
         default="continuous", description="the time of the matrices: continuous or discrete"
     )
@@ -150,13 +159,18 @@ class StateSpaceEnvironment(SessionModel):
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
+    @model_validator(mode="after")
+    def _d_or_static(self) -> Self:
+        one_of_two(self.D, self.static)
+        return self
+
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, each in its full shape also without states."""
-        return full_arrays(self.A, self.B, self.C, self.D)
+        """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+        return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """Which matrices do not fit a session with these ports."""
-        return size_problems(self.A, self.B, self.C, self.D, len(ports), MAX_ENVIRONMENT_ORDER)
+        return size_problems(self.A, self.B, self.C, self.D, self.static, len(ports), MAX_ENVIRONMENT_ORDER)
 
 
 _entry: Final = Entry("N/m")

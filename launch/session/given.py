@@ -1,15 +1,23 @@
 """Couplings that are given: K and B by number, list or matrix, or a state space for each block."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from manyhands.launch.session.error import listed
 from manyhands.launch.session.fields import Items, Problem, Quantity, Rows, SessionModel, optional, unsymmetric
 from manyhands.launch.session.limits import MAX_ORDER, MAX_PORTS
-from manyhands.launch.session.matrices import Array, MatrixRows, full_arrays, size_problems
+from manyhands.launch.session.matrices import (
+    STATIC_MEANING,
+    Array,
+    MatrixRows,
+    OptionalRows,
+    full_arrays,
+    one_of_two,
+    size_problems,
+)
 
 OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
 """A number for all ports, one for each port, or a matrix."""
@@ -38,15 +46,21 @@ class BlockMatrices(SessionModel):
     A: MatrixRows = Field(description="the n x n matrix A, as rows")
     B: MatrixRows = Field(description="the n x m matrix B, as rows")
     C: MatrixRows = Field(description="the m x n matrix C, as rows")
-    D: MatrixRows = Field(description="the m x m matrix D, as rows")
+    D: OptionalRows = Field(default=None, description="the m x m matrix D, as rows")
+    static: OptionalRows = Field(default=None, description=STATIC_MEANING)
 
     def problems(self, ports: int) -> Iterator[Problem]:
         """Which matrices have not the size that a block of ``ports`` ports needs."""
-        return size_problems(self.A, self.B, self.C, self.D, ports, MAX_ORDER)
+        return size_problems(self.A, self.B, self.C, self.D, self.static, ports, MAX_ORDER)
+
+    @model_validator(mode="after")
+    def _d_or_static(self) -> Self:
+        one_of_two(self.D, self.static)
+        return self
 
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, each in its full shape also without states."""
-        return full_arrays(self.A, self.B, self.C, self.D)
+        """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+        return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
 
 
 def given_problems(

@@ -66,7 +66,15 @@ class Problems:
         return SpringDamper(stiffness * np.eye(m), damping * np.eye(m))
 
     def blocks(self, loop: HapticLoop, coupling: SpringDamper) -> tuple[StateSpace, ...]:
-        return tuple(part.realisation(loop.period) for part in coupling.restrict(loop.partition))
+        """The blocks as linear ones; several ports state V(1) = K^-1, which D in floats makes symmetric only nearly."""
+        out = []
+        for part in coupling.restrict(loop.partition):
+            V = part.realisation(loop.period)
+            if V.inputs > 1:
+                gain = np.linalg.inv(part.stiffness)
+                V = StateSpace.with_static_gain(V.A, V.B, V.C, (gain + gain.T) / 2.0)
+            out.append(V)
+        return tuple(out)
 
     def greatest_level(self, Delta_D: Matrix, coupling: SpringDamper, T: float) -> tuple[Matrix, Matrix, Matrix]:
         """J, J - B and Delta_V* = Delta_D J^-1 (J + B) J^-1 Delta_D - Delta_D, in closed form."""

@@ -307,3 +307,38 @@ def test_a_level_that_joins_blocks_is_for_changing_together_unless_it_is_passive
         assert proof.independent.holds is independent
     first["levels"]["Phi_E"] = (-0.01 * np.eye(m) + 0.005 * np.ones((m, m))).tolist()  # one eigenvalue above zero
     assert not prove_ladder((first, second), 0).independent.holds
+
+
+def test_rungs_that_divide_a_device_differently_are_not_mixed() -> None:
+    """Each rung keeps to the device's joint level; a block of one beside a block of the other would exceed it."""
+    osp = np.array([[1.0, 0.9], [0.9, 1.0]])
+    walls = Network(("p0", "p1"), (), tuple(Link((port, GROUND), 1e6, 0.0) for port in ("p0", "p1")))
+    device = (DeviceLevel("d", (0, 1), osp),)
+    partition = Partition(("a", "b"), ((0,), (1,)))
+
+    def rung(shares: tuple[float, float], tau: float) -> dict[str, Any]:
+        loop = HapticLoop("split", T, walls.ports, device, partition, walls, tau)
+        given = SpringDamperGiven(SpringDamper(np.diag([50.0, 50.0]), np.diag([1e-3, 1e-3])))
+        data = content(design(loop, given).certificate)
+        levels = data["levels"]
+        for name, share in zip("ab", shares, strict=True):
+            limit = share / (2.0 * levels["kappa"])
+            K = 0.97 * limit * 2.0 / T
+            J = limit - T / 2.0 * K
+            data["coupling"]["blocks"][name] = {"stiffness": [[K]], "damping": [[0.0]]}
+            levels["Delta_D"][name] = [[share]]
+            levels["Delta_V"][name] = [[0.99 * (limit**2 / J - limit)]]
+        levels["Phi_E"] = {"a": [[-499.0]], "b": [[-499.0]]}
+        return {**data, "margins": {}}
+
+    rungs = (rung((0.147, 0.05), 0.0), rung((0.05, 0.147), 1e-6))
+    for data in rungs:
+        assert [f for f in prove({**data, "id": "0"}) if not f.holds and not f.condition.startswith("the id")] == []
+    proof = prove_ladder([{**data, "id": "0"} for data in rungs], 0)
+    assert proof.together.holds
+    assert not proof.independent.holds
+    assert "another Delta_D" in proof.independent.argument
+    assert np.linalg.eigvalsh(osp - np.diag([0.147, 0.05])).min() > 0.0  # each rung keeps what the device promises
+    assert (
+        np.linalg.eigvalsh(osp - np.diag([0.147, 0.147])).min() < 0.0
+    )  # what block a of one and b of the other count on

@@ -179,8 +179,8 @@ def test_an_ill_posed_algebraic_loop_is_refused() -> None:
 @pytest.mark.parametrize(
     ("environment", "words"),
     [
-        (StateSpaceEnvironment(("dx",), StateSpace.static([[-50.0]])), "negative eigenvalue -50 N/m"),
-        (TransferEnvironment(("dx",), ((((100.0,), (1.0, -50.0)),),)), "not stable"),
+        (StateSpaceEnvironment(("dx",), StateSpace.static([[-50.0]])), r"entry \(dx, dx\) is -50\.0 N/m"),
+        (TransferEnvironment(("dx",), ((((-100.0,), (1.0, -50.0)),),)), "not stable"),
         (DelayedNetwork(Network(("dx",), (), (Link(("dx", GROUND), 1e4, 0.0),)), 2), "lacks passivity"),
     ],
     ids=["negative spring", "unstable", "late and stiff"],

@@ -137,7 +137,7 @@ TABLE = {
     "state-space-time": (15, "environment.time", "'sampled'", "one of continuous, discrete"),
     "state-space-method": (15, "environment.method", "'euler'", "one of backward-euler, tustin, zoh"),
     "state-space-method-of-discrete": (16, "environment.method", "'zoh' with 'time: discrete'", "or no method"),
-    "state-space-links": (15, "environment.links", "unknown key 'links'", "type, A, B, C, D, time, method, delay"),
+    "state-space-links": (15, "environment.links", "unknown key 'links'", "A, B, C, D, static, time, method, delay"),
     "state-space-delay": (15, "environment.delay", "true", "a whole number of ticks"),
     "transfer-function-ports": (12, "environment.entries.0", "a row of 1", "2 entries, one for each port"),
     "transfer-function-rows": (11, "environment.entries", "a list of 1", "2 rows of 2 entries"),

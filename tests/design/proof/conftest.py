@@ -128,7 +128,8 @@ class Certificates:
             J = np.array(out["levels"]["Delta_D"][name]) / (2.0 * kappa) - K * T / 2.0
             C = np.linalg.inv(T * K + B)
             A = B @ C
-            matrices = {"A": A, "B": T * A, "C": C, "D": T * C}
+            gain = np.linalg.inv(K)  # V(1), stated: D = T C in floats would make it symmetric only nearly
+            matrices = {"A": A, "B": T * A, "C": C, "static": (gain + gain.T) / 2.0}
             out["coupling"]["blocks"][name] = {key: M.tolist() for key, M in matrices.items()}
             P = np.linalg.inv(K) / (2.0 * T) + np.linalg.inv(J) / 2.0
             out["storage"]["V_hat"][name] = P.tolist()
@@ -137,6 +138,15 @@ class Certificates:
         out["coupling"]["class"] = "linear"
         out["margins"] = {}
         return self.seal(out)
+
+    @staticmethod
+    def linear_system(block: Data) -> System:
+        """(A, B, C, D) of a linear block, D from the static gain where that is stated."""
+        last = np.array(block["static" if "static" in block else "D"], dtype=float)
+        n = len(block["A"])
+        shapes = ((n, n), (n, len(last)), (len(last), n))
+        A, B, C = (np.array(block[k], dtype=float).reshape(s) for k, s in zip("ABC", shapes, strict=True))
+        return A, B, C, last - C @ np.linalg.solve(np.eye(n) - A, B) if "static" in block else last
 
     # --- environments and their responses
 
@@ -178,6 +188,8 @@ class Certificates:
             state = np.vstack([q_next, (q_next - q) / T, u])
             order = 2 * n + m
             return state[:, :order], state[:, order:], force[:, :order], force[:, order:]
+        if "static" in environment:  # here stated for discrete ones alone
+            return self.linear_system(environment)
         matrices = [np.array(environment[key], dtype=float) for key in "ABCD"]
         A, B, C, D = matrices
         n, m = len(A), len(ports)
@@ -307,7 +319,7 @@ class Certificates:
 
     def _block_refuted(self, block: Data, z: NDArray[np.complex128], T: float, K: Matrix, level: Matrix) -> list[str]:
         if "A" in block:
-            system = linear_system(block)
+            system = self.linear_system(block)
             radius = max(abs(np.linalg.eigvals(system[0])), default=0.0)
             V = respond(system, z)
         else:
@@ -330,7 +342,7 @@ class Certificates:
             at = [ports.index(p) for p in names]
             block = data["coupling"]["blocks"][name]
             if "A" in block:
-                V[:, np.array(at)[:, None], at] = respond(linear_system(block), z)
+                V[:, np.array(at)[:, None], at] = respond(self.linear_system(block), z)
             else:
                 k, b = np.array(block["stiffness"]), np.array(block["damping"])
                 V[:, np.array(at)[:, None], at] = np.linalg.inv(k + b * ((z - 1.0) / (T * z))[:, None, None])
@@ -338,14 +350,6 @@ class Certificates:
         core = E @ V if claim["objective"] == "loop-shaping" else np.linalg.solve(np.eye(m) + E @ V, E) - E
         w = [np.polyval(claim[i]["num"], z) / np.polyval(claim[i]["den"], z) for i in ("W1", "W2")]
         return core * (w[0] * w[1])[:, None, None]
-
-
-def linear_system(block: Data) -> System:
-    D = np.array(block["D"], dtype=float)
-    n = len(block["A"])
-    shapes = ((n, n), (n, len(D)), (len(D), n))
-    A, B, C = (np.array(block[k], dtype=float).reshape(s) for k, s in zip("ABC", shapes, strict=True))
-    return A, B, C, D
 
 
 def respond(system: System, z: NDArray[np.complex128]) -> Any:

@@ -189,10 +189,10 @@ def environment_refuted(certificates, data: Data) -> bool:
     )
 
 
-def block_refuted(data: Data, name: str) -> bool:
+def block_refuted(certificates, data: Data, name: str) -> bool:
     """Pi > 0 and M_V <= 0 of a linear block."""
     T, block = data["period"], data["coupling"]["blocks"][name]
-    A, B, C, D = (np.array(block[key]) for key in "ABCD")
+    A, B, C, D = certificates.linear_system(block)
     P, level = np.array(data["storage"]["V_hat"][name]), np.array(data["levels"]["Delta_V"][name])
     n, m = B.shape
     K = data["levels"]["kappa"] * T * np.linalg.inv(data["levels"]["Delta_D"][name])
@@ -234,7 +234,7 @@ def weighted(certificates, data: Data) -> tuple[Matrix, ...]:
     parts = []
     for block in data["coupling"]["blocks"].values():
         if "A" in block:
-            parts.append([np.array(block[key]) for key in "ABCD"])
+            parts.append(certificates.linear_system(block))
         else:
             C_V = np.linalg.inv(T * np.array(block["stiffness"]) + np.array(block["damping"]))
             A_V = np.array(block["damping"]) @ C_V
@@ -331,7 +331,7 @@ def refuted(certificates, data: Data) -> bool:
     if certificates.refuted(whole) or environment_refuted(certificates, data):
         return True
     linear = data["coupling"]["class"] == "linear"
-    if linear and any(block_refuted(data, name) for name in data["structure"]):
+    if linear and any(block_refuted(certificates, data, name) for name in data["structure"]):
         return True
     return data["transparency"] is not None and transparency_refuted(certificates, data)
 

@@ -43,7 +43,7 @@ def bases(certificates) -> list[Data]:
     second["transparency"] = {"objective": "closed-loop", "W1": weight, "W2": weight, "gamma": 2.0, "P": [[1.0]]}
     third = certificates.as_linear(plain)
     system = {"type": "state-space", "time": "continuous", "method": "zoh", "delay": 0}
-    third["environment"] = system | {"A": [[-1.0]], "B": [[1.0, 0.0, 0.0]], "C": [[1.0]] * 3, "D": np.eye(3).tolist()}
+    third["environment"] = system | {"A": [[-1.0]], "B": [[1.0, 1.0, 1.0]], "C": [[1.0]] * 3, "D": np.eye(3).tolist()}
     return [plain, second, third]
 
 

@@ -140,35 +140,33 @@ def test_a_storage_matrix_that_proves_nothing(certificates) -> None:
 
 
 def test_the_static_stiffness_must_be_symmetric(certificates) -> None:
-    """A static force without energy is passive at no level; what a rounding leaves is told, and no more than that."""
-    for skew, holds in ((0.0, True), (1e-11, True), (1e-6, False)):
+    """A static force without energy is passive at no level, however small it is."""
+    for skew, holds in ((0.0, True), (1e-11, False), (1e-6, False)):
         environment = {"type": "state-space", "time": "discrete", "delay": 0, "A": [], "B": [], "C": []}
         environment["D"] = [[300.0, 50.0 + skew], [50.0, 200.0]]
         coupling = (300.0 * np.eye(2), 8.0 * np.eye(2))
         data = certificates.certificate(environment, coupling, 0.01 * np.eye(2), [], osp=20.0)
         assert proved(data) is holds, skew
-        told = any("asymmetry" in finding.argument for finding in prove(data))
-        assert told is (skew == 1e-11)
+        assert holds or any("50.0 and 50.0000" in finding.argument for finding in prove(data)), skew
 
 
 def test_the_static_stiffness_must_not_be_negative(certificates) -> None:
-    """C (I - A)^-1 B and D cancel in E1; what the rounding of D leaves below 0 is told, and no more than that."""
+    """C (I - A)^-1 B and D cancel in E1, exactly: nothing is left for rounding."""
     coupling = (np.array([[300.0]]), np.array([[8.0]]))
-    for less, holds in ((0.0, True), (1e-13, True), (1e-6, False)):
+    for less, holds in ((0.0, True), (1e-13, False), (1e-6, False)):
         environment = {"type": "state-space", "time": "discrete", "delay": 0}
         environment |= {"A": [[0.5]], "B": [[1.0]], "C": [[-100.0]], "D": [[200.0 * (1.0 - less)]]}
         E1, rest = certificates.rest(certificates.system(environment, ["p0"]))
         P = certificates.storage(E1, rest, np.array([[0.01]]))
         data = certificates.certificate(environment, coupling, np.array([[0.01]]), P.tolist(), osp=20.0)
         assert proved(data) is holds, less
-        assert any("added to D" in finding.argument for finding in prove(data)) is holds
 
 
 def test_the_static_compliance_must_be_symmetric(certificates) -> None:
     data = certificates.as_linear(example(certificates, "27", None))
-    for skew, holds in ((1e-18, True), (1e-9, False)):  # of 1.5e-3 m/N
+    for skew, holds in ((0.0, True), (1e-18, False), (1e-9, False)):  # of 1e-6 m/N, the least of them 1e-12 of it
         mutant = certificates.seal(
-            changed(data, ("coupling", "blocks", "c0", "D", 0, 1), lambda x, skew=skew: x + skew)
+            changed(data, ("coupling", "blocks", "c0", "static", 0, 1), lambda x, skew=skew: x + skew)
         )
         assert proved(mutant) is holds, skew
 

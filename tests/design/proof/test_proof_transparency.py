@@ -42,14 +42,14 @@ def weight(w: Data, m: int):
     return np.kron(A, eye), np.kron(np.eye(n, 1), eye), np.kron((b[1:] - a[1:] * b[0])[None, :], eye), b[0] * eye
 
 
-def coupling(data: Data, m: int):
+def coupling(certificates, data: Data, m: int):
     """V, the states by block, the ports where they belong."""
     parts, order = [], []
     for name, ports in data["structure"].items():
         block = data["coupling"]["blocks"][name]
         order += [data["ports"].index(p) for p in ports]
         if "A" in block:
-            parts.append(tuple(np.array(block[key]) for key in "ABCD"))
+            parts.append(certificates.linear_system(block))
         else:
             K, B = np.array(block["stiffness"]), np.array(block["damping"])
             C = np.linalg.inv(T * K + B)
@@ -91,7 +91,7 @@ def realisation(certificates, data: Data):
     """The system that P is for, in floats, by the documented order of states."""
     claim, m = data["transparency"], len(data["ports"])
     W1, W2 = weight(claim["W1"], m), weight(claim["W2"], m)
-    V, E = coupling(data, m), environment(certificates, data)
+    V, E = coupling(certificates, data, m), environment(certificates, data)
     if claim["objective"] == "loop-shaping":
         return series(W2, V, E, W1)
     (A_V, B_V, C_V, D_V), (A_E, B_E, C_E, D_E) = V, E

@@ -1,0 +1,131 @@
+"""Statics, exactly: what a system answers to a constant input, and whether an energy can stand behind it.
+
+E_hat and V_hat have an integrator for each port. What it integrates is the static gain, E(1) or V(1), and an integrator
+is passive only where its gain is symmetric and >= 0. Both are statements about equality: a skew part or a negative
+eigenvalue of any size makes the loop grow for some hand. So they are decided in rationals, from the decimals of the
+file, and no allowance is made for rounding:
+
+- network: E(1) is a Schur complement of the stiffness matrix, symmetric and >= 0 by the links' signs alone;
+- rational function of s: num(0)/den(0), entry by entry;
+- continuous state space: D - C A^-1 B, which backward Euler, Tustin and a zero-order hold all keep;
+- discrete state space: D + C (I - A)^-1 B.
+
+A state space may state its static gain instead of D, which is then what the gain leaves: so it can be symmetric
+where D would have to be a number without end.
+"""
+
+from __future__ import annotations
+
+from flint import arb_mat, fmpq_mat
+
+from manyhands.design.proof import balls, rational, sparse
+from manyhands.design.proof.finding import Verdict
+from manyhands.design.proof.physical import SystemData, TransferData
+from manyhands.design.proof.reading import MAX_STATIC, Table, exact
+from manyhands.design.proof.sparse import Sparse
+
+_MOST_BITS = 2_000  # of an entry: longer ones are first tried in balls, which carry a fixed number of bits
+
+
+class Undecided(ValueError):
+    """The statics are not decided: the system is too large, or has no static gain."""
+
+
+def steady(A: Table, B: Table, discrete: bool) -> fmpq_mat:
+    """The state under a constant unit input: (I - A)^-1 B, or -A^-1 B of a continuous system.
+
+    Raises:
+        Undecided: there is none, as there is a pole at z = 1 or s = 0; or there are too many states.
+    """
+    n = A.rows
+    if n > MAX_STATIC:
+        raise Undecided(f"found {n} states, expected at most {MAX_STATIC}: statics are decided exactly")
+    M = -A.rational()
+    if discrete:
+        M += balls.identity(fmpq_mat, n)
+    try:
+        return M.solve(B.rational())
+    except ZeroDivisionError:
+        raise Undecided(f"there is a pole at {'z = 1' if discrete else 's = 0'}, and so no static gain") from None
+
+
+def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+    """The static gain of a state space, as stated or D + C (its steady state).
+
+    Raises:
+        Undecided: as for :func:`steady`.
+    """
+    if static is not None:
+        return static.rational()
+    assert D is not None  # noqa: S101  # for the type checker: a reader takes one of the two
+    return D.rational() if A.rows == 0 else D.rational() + C.rational() * steady(A, B, discrete)
+
+
+def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+    """D, as stated or what the stated static gain leaves of it.
+
+    Raises:
+        Undecided: as for :func:`steady`.
+    """
+    if D is not None:
+        return D.rational()
+    assert static is not None  # noqa: S101  # for the type checker: a reader takes one of the two
+    return static.rational() if A.rows == 0 else static.rational() - C.rational() * steady(A, B, discrete)
+
+
+def of_environment(data: SystemData | TransferData) -> fmpq_mat:
+    """E(1), N/m, of an environment given by matrices or by rational functions.
+
+    Raises:
+        Undecided: it has a pole at z = 1, or too many states.
+    """
+    if isinstance(data, SystemData):
+        return of_system(data.A, data.B, data.C, data.D, data.static, data.method is None)
+    m = len(data.entries)
+    out = fmpq_mat(m, m)
+    for i, row in enumerate(data.entries):
+        for j, (num, den) in enumerate(row):
+            if den[-1] == 0:
+                raise Undecided(f"entry ({i + 1}, {j + 1}) has a pole at s = 0, and so no static gain")
+            out[i, j] = exact(num[-1]) / exact(den[-1])
+    return out
+
+
+def asymmetry(M: fmpq_mat) -> str:
+    """The first pair of entries that differ, in words; empty where M is symmetric."""
+    for i in range(M.nrows()):
+        for j in range(i):
+            if M[i, j] != M[j, i]:
+                left, right = rational.rounded(M[i, j]), rational.rounded(M[j, i])
+                return f"the entries ({i + 1}, {j + 1}) and ({j + 1}, {i + 1}) are {left!r} and {right!r}"
+    return ""
+
+
+def semidefinite(M: fmpq_mat) -> Verdict:
+    """Whether M is symmetric and >= 0, group by group of the ports that its entries join."""
+    unequal = asymmetry(M)
+    if unequal:
+        return Verdict(False, float("nan"), f"not symmetric: {unequal}")
+    m = M.nrows()
+    entries: Sparse = {(i, j): M[i, j] for i in range(m) for j in range(m) if M[i, j] != 0}
+    least, argument = float("inf"), "exactly: the matrix is zero"
+    for group in sparse.groups(m, [entries]):
+        part = sparse.dense(entries, group)
+        if len(group) == 1 and part[0, 0] == 0:
+            continue
+        verdict = _definite(part)
+        if not verdict.holds:
+            ports = ", ".join(str(i + 1) for i in group[:6])
+            return Verdict(False, verdict.least, f"ports {ports}: {verdict.argument}")
+        if verdict.least < least:
+            least, argument = verdict.least, verdict.argument
+    return Verdict(True, least if least < float("inf") else 0.0, argument)
+
+
+def _definite(M: fmpq_mat) -> Verdict:
+    long = M.nrows() > 2 and max(int(entry.height_bits()) for entry in M.entries()) > _MOST_BITS
+    if long or M.nrows() > sparse.MOST_EXACT:
+        verdict = balls.decided(M.nrows(), lambda: balls.definite(arb_mat(M)))
+        if verdict.holds or M.nrows() > sparse.MOST_EXACT:
+            return verdict
+    return rational.definite(M, strict=False)

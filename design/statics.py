@@ -1,0 +1,145 @@
+"""Statics of what a session gives, decided exactly from its decimals, before anything is designed.
+
+E_hat and V_hat integrate the static gains E(1) and V(1). An integrator is passive only where its gain is symmetric and
+positive semidefinite, and no reserve makes up for what is missing: so these two questions are not left to floats. The
+proof asks them again, by code of its own (:mod:`manyhands.design.proof.statics`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from decimal import Decimal
+
+from flint import fmpq, fmpq_mat
+
+from manyhands.design.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.errors import Infeasible
+from manyhands.design.statespace import Matrix, StateSpace
+
+_MOST_STATES = 512  # of an exact solution: about a minute
+
+
+def check_environment(environment: Environment) -> None:
+    """Refuse an environment whose E(1) is not symmetric and >= 0; a network's is, by the signs of its links.
+
+    Raises:
+        Infeasible: names the entry, what it is, and what would be right.
+    """
+    match environment:
+        case StateSpaceEnvironment():
+            gain = _of_system(environment.system, environment.method is not None, "the environment")
+        case TransferEnvironment():
+            gain = _of_entries(environment)
+        case _:
+            return
+    _require_symmetric(gain, environment.ports, "the environment's static stiffness E(1)", "N/m", "E_hat")
+    _require_semidefinite(gain, environment.ports)
+
+
+def check_block(name: str, block: StateSpace, ports: Sequence[str]) -> None:
+    """Refuse a block of V whose V(1) is not symmetric; that it is positive enough is a strict condition, asked later.
+
+    Raises:
+        Infeasible: names the entry, what it is, and what would be right.
+    """
+    if len(ports) > 1:
+        gain = _of_system(block, False, f"coupling {name}")
+        _require_symmetric(gain, ports, f"coupling {name}: its static compliance V(1)", "m/N", "V_hat")
+
+
+def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
+    if system.static_gain is not None:
+        return _exact(system.static_gain)
+    n = system.order
+    if n == 0:
+        return _exact(system.D)
+    if n > _MOST_STATES:
+        raise Infeasible(f"{what} has {n} states; its static gain is decided exactly up to {_MOST_STATES}", ())
+    M = -_exact(system.A)
+    for i in range(0 if continuous else n):
+        M[i, i] += 1
+    try:
+        return _exact(system.D) + _exact(system.C) * M.solve(_exact(system.B))
+    except ZeroDivisionError:
+        raise Infeasible(
+            f"{what} has a pole at {'s = 0' if continuous else 'z = 1'}, and so no static gain",
+            ("give every mode a spring that holds it",),
+        ) from None
+
+
+def _of_entries(environment: TransferEnvironment) -> fmpq_mat:
+    m = len(environment.ports)
+    out = fmpq_mat(m, m)
+    for i, row in enumerate(environment.entries):
+        for j, (num, den) in enumerate(row):
+            if den[-1] == 0:
+                a, b = environment.ports[i], environment.ports[j]
+                raise Infeasible(
+                    f"the environment's entry ({a}, {b}) has a pole at s = 0, and so no static stiffness",
+                    ("cancel a common factor s of num and den, or give den a constant term",),
+                )
+            out[i, j] = _decimal(num[-1]) / _decimal(den[-1])
+    return out
+
+
+def _require_symmetric(gain: fmpq_mat, ports: Sequence[str], what: str, unit: str, party: str) -> None:
+    for i in range(len(ports)):
+        for j in range(i):
+            if gain[i, j] == gain[j, i]:
+                continue
+            a, b = ports[j], ports[i]
+            raise Infeasible(
+                f"{what} is not symmetric by its own decimals, so that {party} is passive at no level: its entry "
+                f"({a}, {b}) is {_text(gain[j, i])} {unit}, its entry ({b}, {a}) is {_text(gain[i, j])} {unit}, and "
+                f"they differ by {_text(abs(gain[i, j] - gain[j, i]))} {unit}",
+                (
+                    f"make both {_text((gain[i, j] + gain[j, i]) / 2)} {unit}, or derive static forces from an energy",
+                    "where D cannot be written down so exactly, state the static gain in its place (the key static)",
+                ),
+            )
+
+
+def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
+    """By an exact LDL^T: the first pivot that is negative, or zero with something beside it, names what is missing."""
+    m = len(ports)
+    rest = [[gain[i, j] for j in range(m)] for i in range(m)]
+    consequence = "so that E_hat is passive at no level"
+    for k in range(m):
+        pivot = rest[k][k]
+        if pivot < 0:
+            raise Infeasible(
+                f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: its entry "
+                f"({ports[k]}, {ports[k]}) is {_text(gain[k, k])} N/m, which is {_text(-pivot)} N/m less than the "
+                f"other entries need: expected at least {_text(gain[k, k] - pivot)} N/m",
+                ("remove what pushes the tools away from rest",),
+            )
+        beside = next((j for j in range(k + 1, m) if rest[k][j] != 0), None)
+        if pivot == 0:
+            if beside is not None:
+                raise Infeasible(
+                    f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: beside "
+                    f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} N/m its entry ({ports[k]}, {ports[beside]}) is "
+                    f"{_text(gain[k, beside])} N/m, expected {_text(gain[k, beside] - rest[k][beside])} N/m",
+                    (f"raise the entry ({ports[k]}, {ports[k]})", "remove what pushes the tools away from rest"),
+                )
+            continue
+        column = [rest[i][k] / pivot for i in range(m)]
+        for i in range(k + 1, m):
+            if column[i] != 0:
+                for j in range(k + 1, m):
+                    rest[i][j] -= column[i] * rest[k][j]
+
+
+def _exact(M: Matrix) -> fmpq_mat:
+    rows, columns = M.shape
+    return fmpq_mat(rows, columns, [_decimal(value) for value in M.ravel().tolist()])
+
+
+def _decimal(value: float) -> fmpq:
+    """The decimal that the number is written as."""
+    return fmpq(*Decimal(repr(float(value))).as_integer_ratio())
+
+
+def _text(value: fmpq) -> str:
+    """The number with as many digits as tell it from its neighbours."""
+    return repr(int(value.p) / int(value.q)) if value else "0"
