@@ -6,7 +6,7 @@ mathematics alone.
 
 from __future__ import annotations
 
-import copy
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -69,10 +69,15 @@ def _coupling(key: str) -> Callable[[Generator, Data], None]:
         if data["coupling"]["class"] == "spring-damper":
             block[key] = touched(rng, block[key], rng.random() < 0.95)
             return
-        part = {"stiffness": "CD", "damping": "AB"}[key][int(rng.integers(2))]
+        part = str(rng.choice(["C", _static(block)] if key == "stiffness" else ["A", "B"]))
         block[part] = touched(rng, block[part], False)
 
     return change
+
+
+def _static(part: Data) -> str:
+    """The key of what a state space answers at once: D, or the static gain in its place."""
+    return "static" if "static" in part else "D"
 
 
 def _level(key: str) -> Callable[[Generator, Data], None]:
@@ -140,8 +145,8 @@ def _world(rng: Generator, data: Data) -> None:
     elif E["type"] == "declared":
         E["level"] = touched(rng, E["level"], True)
     elif E["type"] == "state-space":
-        key = str(rng.choice(["A", "B", "C", "D", "D"]))
-        E[key] = touched(rng, E[key], rng.random() < 0.5 and key == "D")
+        key = str(rng.choice(["A", "B", "C", _static(E), _static(E)]))
+        E[key] = touched(rng, E[key], rng.random() < 0.5 and key == _static(E))
     else:
         m = len(E["entries"])
         i, j = (int(x) for x in rng.integers(m, size=2))
@@ -169,7 +174,8 @@ def _magnified(rng: Generator, data: Data) -> None:
         for link in E["links"]:
             link["stiffness"], link["damping"] = scaled(link["stiffness"], by), scaled(link["damping"], by)
     elif E["type"] == "state-space":
-        E["C"], E["D"] = scaled(E["C"], by), scaled(E["D"], by)
+        for key in ("C", _static(E)):
+            E[key] = scaled(E[key], by)
     elif E["type"] == "transfer-function":
         for row in E["entries"]:
             for entry in row:
@@ -244,7 +250,7 @@ def applies(change: str, data: Data) -> bool:
 
 def forged(rng: Generator, data: Data, change: str) -> Data | None:
     """A changed certificate with a matching id; None where a number leaves the range of floats."""
-    out: Data = copy.deepcopy(data)
+    out: Data = json.loads(json.dumps(data))
     if change != "margins" and rng.random() < 0.8:
         out["margins"] = {}  # or nearly every change would be found by them
     CHANGES[change](rng, out)

@@ -142,11 +142,18 @@ class Reader:
     def _system(self) -> Realisation:
         E, m, T = self.data["environment"], len(self.ports), self.T
         n = len(E["A"])
-        A, B = self.matrix(E["A"], (n, n)), self.matrix(E["B"], (n, m))
-        C, D = self.matrix(E["C"], (m, n)), self.matrix(E["D"], (m, m))
+        A, B, C, D = self.matrices(E, n, m, E["time"] == "discrete")
         if E["time"] == "discrete" or n == 0:
             return A, B, C, D
         return self._discrete(A, B, C, D, E["method"], T)
+
+    def matrices(self, part: Data, n: int, m: int, discrete: bool) -> Realisation:
+        """A, B, C, D; where the static gain is stated in place of D, D is what that gain leaves."""
+        A, B, C = self.matrix(part["A"], (n, n)), self.matrix(part["B"], (n, m)), self.matrix(part["C"], (m, n))
+        if "D" in part:
+            return A, B, C, self.matrix(part["D"], (m, m))
+        D = self.matrix(part["static"], (m, m))
+        return A, B, C, D - C @ self.arithmetic.solve(self._eye(n) - A if discrete else -A, B) if n else D
 
     def _discrete(self, A: Array, B: Array, C: Array, D: Array, method: str, T: Any) -> Realisation:
         n, m = B.shape
@@ -243,8 +250,7 @@ class Reader:
                 B = D = solved[:, m:]
             else:
                 n = len(block["A"])
-                A, B = self.matrix(block["A"], (n, n)), self.matrix(block["B"], (n, m))
-                C, D = self.matrix(block["C"], (m, n)), self.matrix(block["D"], (m, m))
+                A, B, C, D = self.matrices(block, n, m, True)
             parts.append(([at[port] for port in ports], (A, B, C, D)))
         n, m = sum(len(part[1][0]) for part in parts), len(at)
         A, B, C, D = zeros(n, n), zeros(n, m), zeros(m, n), zeros(m, m)
@@ -273,8 +279,7 @@ class Reader:
                 out = out - whole[..., :m, m:] @ inner
         elif E["type"] == "state-space":
             n = len(E["A"])
-            A, B = self.matrix(E["A"], (n, n)), self.matrix(E["B"], (n, m))
-            C, D = self.matrix(E["C"], (m, n)), self.matrix(E["D"], (m, m))
+            A, B, C, D = self.matrices(E, n, m, E["time"] == "discrete")
             s = z
             if E["time"] == "continuous" and E["method"] == "zoh" and n:
                 A, B, C, D = self._discrete(A, B, C, D, "zoh", self.T)
@@ -309,10 +314,9 @@ class Reader:
                 self.matrix(block["stiffness"]) + self.matrix(block["damping"]) * s, self._eye(m) + 0 * z * self._eye(m)
             )
         n = len(block["A"])
-        D = self.matrix(block["D"], (m, m))
+        A, B, C, D = self.matrices(block, n, m, True)
         out = D + 0 * z * D
         if n:
-            A, B, C = self.matrix(block["A"], (n, n)), self.matrix(block["B"], (n, m)), self.matrix(block["C"], (m, n))
             out = out + C @ self.arithmetic.solve(z * self._eye(n) - A, B + 0 * z * B)
         return out
 
@@ -356,23 +360,24 @@ def static_stiffness(data: Data) -> list[list[fmpq]] | None:
                 return None
             rows.append([above / below for above, below in ends])
         return rows
-    return _at_rest(E["A"], E["B"], E["C"], E["D"], E["time"] == "discrete")
+    return _at_rest(E, E["time"] == "discrete")
 
 
 def static_compliance(data: Data, name: str) -> list[list[fmpq]] | None:
     """V(1) of a linear block by the decimals of the file, exactly."""
-    block = data["coupling"]["blocks"][name]
-    return _at_rest(block["A"], block["B"], block["C"], block["D"], True)
+    return _at_rest(data["coupling"]["blocks"][name], True)
 
 
-def _at_rest(A: Any, B: Any, C: Any, D: Any, discrete: bool) -> list[list[fmpq]] | None:
-    out, n, m = rational(D), len(A), len(D)
+def _at_rest(part: Data, discrete: bool) -> list[list[fmpq]] | None:
+    if "static" in part:
+        return rational(part["static"])
+    out, n, m = rational(part["D"]), len(part["A"]), len(part["D"])
     if n == 0:
         return out
-    a = rational(A)
+    a = rational(part["A"])
     inner = fmpq_mat([[(fmpq(int(i == j)) if discrete else fmpq(0)) - a[i][j] for j in range(n)] for i in range(n)])
     try:
-        steady = fmpq_mat(rational(C)) * inner.solve(fmpq_mat(rational(B)))
+        steady = fmpq_mat(rational(part["C"])) * inner.solve(fmpq_mat(rational(part["B"])))
     except ZeroDivisionError:
         return None
     return [[out[i][j] + steady[i, j] for j in range(m)] for i in range(m)]

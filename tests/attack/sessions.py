@@ -166,8 +166,12 @@ def system(rng: Generator, m: int, size: float, T: float) -> StateSpaceEnvironme
         if np.abs(np.linalg.eigvals(sampled)).max() >= 1.0:
             sampled, B, C = np.diag(rng.uniform(-0.9, 0.99, len(A))), [np.vstack(B)], [-np.vstack(B).T]
         root = math.sqrt(T)
-        return StateSpaceEnvironment(ports, StateSpace(sampled, root * np.vstack(B), root * np.hstack(C), D))
+        make = StateSpace if rng.random() < 0.5 else StateSpace.with_static_gain
+        return StateSpaceEnvironment(ports, make(sampled, root * np.vstack(B), root * np.hstack(C), D))
     continuous = StateSpace(A, np.vstack(B), np.hstack(C), D)
+    if rng.random() < 0.3:
+        gain = symmetric(rng, m, size, 3.0)
+        continuous = StateSpace.with_static_gain(A, np.vstack(B), np.hstack(C), gain, continuous=True)
     return StateSpaceEnvironment(ports, continuous, str(method), int(rng.choice([0, 0, 1, 2])))  # type: ignore[arg-type]
 
 
@@ -311,7 +315,11 @@ def of_linear(rng: Generator) -> Data | None:
         a[0], a[np.arange(1, n), np.arange(n - 1)] = -den[1:], 1.0
         C = np.hstack([float(num[i + 1] - den[i + 1] * num[0]) * S for i in range(n)])
         I = np.eye(size)
-        blocks.append(StateSpace(np.kron(a, I), np.kron(np.eye(n)[:, :1], I), C, float(num[0]) * S))
+        A, B = np.kron(a, I), np.kron(np.eye(n)[:, :1], I)
+        if rng.random() < 0.3:  # its static gain stated in place of D
+            blocks.append(StateSpace.with_static_gain(A, B, C, float(num.sum() / den.sum()) * S))
+        else:
+            blocks.append(StateSpace(A, B, C, float(num[0]) * S))
     return designed(loop, LinearGiven(tuple(blocks)))
 
 
