@@ -28,11 +28,15 @@ pytest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone"
 	$(BIN)/pytest -m alone
 
-# properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`
+# properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
+# Then the attack: so many certificates that `prove` accepts, designed and forged, against an oracle of other code
+CLAIMS  ?= 100000
+MINUTES ?= 120
 campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
 		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
 	done
+	$(BIN)/python -m tests.attack.campaign --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
 
 # coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md
 FUZZ_SECONDS ?= 600

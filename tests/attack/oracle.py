@@ -1,0 +1,131 @@
+"""What contradicts a certificate: suspects in floats, and those of them that remain in long numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from flint import ctx
+
+from tests.attack.arithmetic import BITS, Floats, Precise
+from tests.attack.hands import at_level, worst
+from tests.attack.loop import Hand, Repeating, Tick, growth
+from tests.attack.parties import Data, NoSystem, Reader, precise
+from tests.attack.passivity import confirmed, levels, mixture_levels, poles, statics, suspects
+
+SHAKEN = 1e-7  # of a period, in floats: eigenvalues at 1 that meet are split by the root of rounding
+CERTAIN = 1e-40  # in long numbers, where three that meet are split by 2^-200
+
+
+@dataclass
+class Judgement:
+    """What was looked at and found.
+
+    Attributes:
+        loops: how many closed loops.
+        suspects: what floats contradict.
+        findings: what long numbers, or rationals, contradict too.
+        growth: of a period, the greatest that is certain.
+    """
+
+    loops: int = 0
+    suspects: list[str] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list)
+    growth: float = 0.0
+
+    def __iadd__(self, other: Judgement) -> Judgement:
+        """Both together."""
+        self.loops += other.loops
+        self.suspects += other.suspects
+        self.findings += other.findings
+        self.growth = max(self.growth, other.growth)
+        return self
+
+
+def judge(data: Data, rng: np.random.Generator, draws: int = 3, steps: int = 0) -> Judgement:
+    """Hold a certificate against everything that it claims.
+
+    Args:
+        data: the certificate's plain data.
+        rng: for hands, delays, clutches and members of intervals.
+        draws: random loops of each kind.
+        steps: of the search from the worst of them.
+    """
+    out = Judgement()
+    for what in [*statics(data), *levels(data)]:
+        out.suspects.append(what)
+        out.findings.append(what)
+    if out.findings and data["environment"]["type"] != "declared" and rng.random() < 0.1:
+        out.growth = alone(data)
+    with np.errstate(all="ignore"):
+        for what, A in poles(Reader(data, Floats())).items():
+            if Floats().radius(A) > -1e-9:
+                out.suspects.append(what)
+                with ctx.workprec(BITS):
+                    if Precise().radius(poles(precise(data))[what]) >= 0.0:
+                        out.findings.append(what)
+        high = int(rng.integers(2**31))
+        ratios = tuple(float(rng.choice([1.0, 1.0, rng.random()])) for _ in data["structure"])
+        for suspect in suspects(data, ratios, high):
+            out.suspects.append(suspect.what)
+            with ctx.workprec(BITS):
+                if confirmed(data, suspect, high):
+                    out.findings.append(f"{suspect.what}, at {suspect.angle:.4g} rad")
+        if data["environment"]["type"] != "declared":
+            out += shaken([data], rng, draws, steps)
+        out += shaken([at_level(rng, data)], rng, max(draws // 2, 1), steps, "with an environment at its level: ")
+    return out
+
+
+def alone(data: Data) -> float:
+    """Growth with nobody at the devices, light or heavy, in long numbers: what statics that are not passive do."""
+    return max(_alone(data, ticks) for ticks in (1.0, 1e3))
+
+
+def _alone(data: Data, ticks: float) -> float:
+    """With masses that stop within so many ticks."""
+    hands = []
+    for device in data["devices"].values():
+        m = len(device["osp"])
+        mass = ticks * data["period"] * sum(device["osp"][i][i] for i in range(m)) / m
+        zeros = [[0.0] * m for _ in range(m)]
+        hands.append(Hand([[mass * (i == j) for j in range(m)] for i in range(m)], zeros, zeros))
+    tick = Tick((0.0,) * len(hands), (1.0,) * len(data["structure"]))
+    with ctx.workprec(BITS):
+        try:
+            value = growth([precise(data)], Repeating(tuple(hands), (tick,)))
+        except (ArithmeticError, NoSystem):
+            return 0.0
+    return value if value > CERTAIN else 0.0
+
+
+def judge_ladder(rungs: Sequence[Data], independent: bool, rng: np.random.Generator, draws: int = 4) -> Judgement:
+    """Hold a ladder against what it claims: mixtures of rungs, together where they are not independent."""
+    out = Judgement()
+    if independent:
+        out.findings += mixture_levels(list(rungs))
+        out.suspects += out.findings
+    with np.errstate(all="ignore"):
+        out += shaken(list(rungs), rng, draws, 2 * draws, "in a mixture of rungs: ", independent)
+    return out
+
+
+def shaken(
+    rungs: Sequence[Data], rng: np.random.Generator, draws: int, steps: int, where: str = "", independent: bool = True
+) -> Judgement:
+    """Whether some passive hand shakes the loop; what does so in floats is built again in long numbers."""
+    value, loop, looked = worst(rng, [Reader(data, Floats()) for data in rungs], draws, steps, independent)
+    out = Judgement(looked)
+    if loop is None or not value > SHAKEN:
+        return out
+    out.suspects.append(f"{where}shaken")
+    with ctx.workprec(BITS):
+        try:
+            certain = growth([precise(data) for data in rungs], loop)
+        except (ArithmeticError, NoSystem):
+            return out
+    if certain > CERTAIN:
+        out.growth = certain
+        out.findings.append(f"{where}shaken, by {certain:.3g} in {len(loop.ticks)} ticks")
+    return out

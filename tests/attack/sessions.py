@@ -1,0 +1,373 @@
+"""Random sessions, designed: what the attack begins with. Scales run from 1e-6 to 1e15 within one matrix.
+
+Each kind draws a loop and a coupling, and lets `design` certify them; most are refused, as they should be.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from manyhands.design.certificate import content
+from manyhands.design.coupling import SpringDamper
+from manyhands.design.declared import DeclaredEnvironment
+from manyhands.design.environment import (
+    DelayedNetwork,
+    Environment,
+    NetworkBox,
+    StateSpaceEnvironment,
+    TransferEnvironment,
+)
+from manyhands.design.errors import DesignError
+from manyhands.design.network import GROUND, Link, Network
+from manyhands.design.partition import Partition
+from manyhands.design.problem import (
+    CouplingRequest,
+    DeviceLevel,
+    HapticLoop,
+    LinearGiven,
+    SpringDamperGiven,
+    SpringDamperWanted,
+    Wish,
+)
+from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.synthesis import design
+from manyhands.design.weighted_loop import Transparency
+from manyhands.design.weights import Filter
+
+Data = dict[str, Any]
+Generator = np.random.Generator
+
+
+def designed(loop: HapticLoop, wanted: CouplingRequest) -> Data | None:
+    """The certificate's plain data as a file would give them; None where the design refuses."""
+    try:
+        with np.errstate(all="ignore"):
+            certificate = design(loop, wanted).certificate
+    except (DesignError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    data: Data = json.loads(json.dumps(content(certificate) | {"id": certificate.id}))
+    return data
+
+
+def spread(rng: Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform, often a round one."""
+    value = float(10.0 ** rng.uniform(low, high))
+    return float(f"{value:.{rng.integers(1, 4)}g}") if rng.random() < 0.5 else value
+
+
+def symmetric(rng: Generator, m: int, size: float, worst: float = 1.0) -> Matrix:
+    """A positive definite matrix, symmetric to the last bit, with eigenvalues down to 10^-worst of ``size``."""
+    if m == 1:
+        return np.array([[size]])
+    Q, _ = np.linalg.qr(rng.normal(size=(m, m)))
+    S = size * (Q * 10.0 ** rng.uniform(-worst, 0.0, m)) @ Q.T
+    return np.asarray((S + S.T) / 2.0)
+
+
+def parts(rng: Generator, m: int) -> list[tuple[int, ...]]:
+    """The ports in groups, each of one to three."""
+    order, out = [int(i) for i in rng.permutation(m)], []
+    while order:
+        k = int(rng.integers(1, min(3, len(order)) + 1)) if rng.random() < 0.4 else 1
+        out.append(tuple(order[:k]))
+        order = order[k:]
+    return out
+
+
+def loop_of(rng: Generator, environment: Environment, T: float, osp: float, tau: float = 0.0) -> HapticLoop:
+    """Devices of about this level, with axes of their own, and any structure of V."""
+    m = len(environment.ports)
+    devices = tuple(
+        DeviceLevel(f"d{i}", ports, symmetric(rng, len(ports), osp * spread(rng, -0.5, 0.5)))
+        for i, ports in enumerate(parts(rng, m))
+    )
+    blocks = tuple(parts(rng, m))
+    return HapticLoop(
+        "attack", T, environment.ports, devices, Partition(tuple(f"c{i}" for i in range(len(blocks))), blocks),
+        environment, tau,
+    )  # fmt: skip
+
+
+def late(rng: Generator, T: float) -> float:
+    """A delay inside the tick; none as often as not."""
+    return float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, T), T / 2.0, T]))
+
+
+def spring_damper(rng: Generator, loop: HapticLoop, aim: Transparency | None = None) -> CouplingRequest:
+    """As stiff as the delay allows or softer; found by the design now and then."""
+    if aim is None and rng.random() < 0.15:
+        return SpringDamperWanted(Wish("stiffest" if rng.random() < 0.5 else "feasible"))
+    t = loop.tau / loop.period
+    limit = loop.Delta_D / ((0.5 + 1.5 * t) * loop.period)
+    part = float(rng.choice([0.999, rng.uniform(0.7, 1.0), rng.uniform(0.1, 0.9)])) * (1.0 if t == 0.0 else 0.97)
+    damping = float(rng.uniform(-0.3, 1.0)) * (1.0 - part)
+    K, B = part * limit, damping * loop.Delta_D / (1.0 + 3.0 * t)
+    return SpringDamperGiven(SpringDamper((K + K.T) / 2.0, (B + B.T) / 2.0), aim)
+
+
+# --- environments
+
+
+def network(rng: Generator, m: int, osp: float, T: float, stiffest: float | None = None) -> Network:
+    """Masses, springs and dampers; ordinary ones, or of any scale beside each other."""
+    ports, n = tuple(f"p{i}" for i in range(m)), int(rng.integers(0, 3))
+    ends = [*ports, *(f"m{i}" for i in range(n))]
+    wide = stiffest is None and rng.random() < 0.4
+    top = math.log10(stiffest) if stiffest is not None else 5.0
+
+    def link(a: str, b: str) -> Link:
+        k = spread(rng, -6.0, 15.0) if wide else spread(rng, top - 4.0, top)
+        c = spread(rng, -6.0, 9.0) if wide else k * T * spread(rng, -3.0, 1.0)
+        return Link((a, b), k * float(rng.random() < 0.9), c * float(rng.random() < 0.8))
+
+    links = []
+    for i, end in enumerate([*ends, *(str(e) for e in rng.choice(ends, size=rng.integers(0, 3)))]):
+        others = [e for e in [*ends, GROUND] if e != end]
+        links.append(link(end, GROUND if i == 0 else str(rng.choice(others))))
+    size = osp * T * 10.0
+    masses = tuple((f"m{i}", spread(rng, -6.0, 12.0) if wide else size * spread(rng, -2.0, 4.0)) for i in range(n))
+    return Network(ports, masses, tuple(links))
+
+
+def system(rng: Generator, m: int, size: float, T: float) -> StateSpaceEnvironment:
+    """Springs with relaxations and resonances, D - n n'/(s + a) and the like: E(1) is symmetric to the last digit."""
+    ports = tuple(f"p{i}" for i in range(m))
+    D = symmetric(rng, m, size, float(rng.choice([1.0, 3.0, 9.0])))
+    blocks, B, C = [], [], []
+    for _ in range(int(rng.integers(1, 4))):
+        n = rng.normal(size=m)
+        a = spread(rng, -3.0, 0.5) / T
+        weight = size * spread(rng, -3.0, 0.0)
+        if rng.random() < 0.6:
+            blocks.append(np.array([[-a]]))
+            B.append(np.sqrt(weight * a) * n[None, :])
+            C.append(-B[-1].T)
+        else:
+            blocks.append(np.array([[0.0, 1.0], [-a * a, -2.0 * a * spread(rng, -2.0, 0.3)]]))
+            row = a * np.sqrt(weight) * n[None, :]
+            B.append(np.vstack([np.zeros((1, m)), row]))
+            C.append(np.hstack([-row.T, np.zeros((m, 1))]))
+        D = D + np.array([[float(w) for w in r] for r in np.outer(n, n) * weight * float(rng.choice([0.0, 1.0, 2.0]))])
+    A = np.zeros((sum(map(len, blocks)),) * 2)
+    at = 0
+    for block in blocks:
+        A[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    D = (D + D.T) / 2.0
+    method = rng.choice(["backward-euler", "tustin", "zoh", "discrete"])
+    if method == "discrete":
+        # poles inside the circle; B and C share their numbers, so that the statics stay symmetric
+        sampled = np.eye(len(A)) + T * A
+        if np.abs(np.linalg.eigvals(sampled)).max() >= 1.0:
+            sampled, B, C = np.diag(rng.uniform(-0.9, 0.99, len(A))), [np.vstack(B)], [-np.vstack(B).T]
+        root = math.sqrt(T)
+        make = StateSpace if rng.random() < 0.5 else StateSpace.with_static_gain
+        return StateSpaceEnvironment(ports, make(sampled, root * np.vstack(B), root * np.hstack(C), D))
+    continuous = StateSpace(A, np.vstack(B), np.hstack(C), D)
+    if rng.random() < 0.3:
+        gain = symmetric(rng, m, size, 3.0)
+        continuous = StateSpace.with_static_gain(A, np.vstack(B), np.hstack(C), gain, continuous=True)
+    return StateSpaceEnvironment(ports, continuous, str(method), int(rng.choice([0, 0, 1, 2])))  # type: ignore[arg-type]
+
+
+def transfer(rng: Generator, m: int, size: float, T: float) -> TransferEnvironment:
+    """Springs, dampers, masses and relaxations of each port, and one law that joins the ports by signs."""
+    wide = rng.random() < 0.4
+
+    def law() -> tuple[list[float], list[float]]:
+        k = spread(rng, -6.0, 12.0) if wide else size * spread(rng, -3.0, 0.0)
+        b = (spread(rng, -6.0, 9.0) if wide else k * T * spread(rng, -2.0, 1.0)) * float(rng.random() < 0.7)
+        M = (spread(rng, -6.0, 15.0) if wide else k * T * T * spread(rng, -1.0, 3.0)) * float(rng.random() < 0.5)
+        num, den = [M, b, k], [1.0]
+        if rng.random() < 0.4:
+            a, r = spread(rng, -3.0, 0.0) / T, size * spread(rng, -3.0, 0.0)
+            num, den = np.polyadd(np.polymul(num, [1.0, a]), [r, 0.0]).tolist(), [1.0, a]
+        return num, den
+
+    joining, signs = law(), rng.choice([-1.0, 0.0, 1.0], size=m)
+    rows: list[list[Any]] = [[None] * m for _ in range(m)]
+    for i in range(m):
+        for j in range(m):
+            sign = float(signs[i] * signs[j])
+            num, den = [sign * c for c in joining[0]], joining[1]
+            if i == j:
+                own = law()
+                num = np.polyadd(np.polymul(num, own[1]), np.polymul(own[0], den)).tolist()
+                den = np.polymul(own[1], den).tolist()
+            rows[i][j] = (tuple(map(float, num)), tuple(map(float, den)))
+    proper = all(not any(num[: len(num) - len(den)]) for row in rows for num, den in row)
+    method = "tustin" if proper and rng.random() < 0.5 else "backward-euler"
+    ports = tuple(f"p{i}" for i in range(m))
+    return TransferEnvironment(ports, tuple(map(tuple, rows)), method, int(rng.choice([0, 0, 0, 1])))  # type: ignore[arg-type]
+
+
+STATICS = ("definite", "singular", "hidden negative", "skew", "one entry", "near singular", "far apart")
+
+
+def static(rng: Generator, m: int) -> Matrix:
+    """A static stiffness: truly positive, or not quite, beside entries that may be 1e21 times greater."""
+    style = str(rng.choice(STATICS))
+    if style == "definite":
+        return symmetric(rng, m, spread(rng, -6.0, 15.0), float(rng.uniform(0.0, 12.0)))
+    sizes = [spread(rng, -6.0, 15.0) for _ in range(m)]
+    S = np.diag(sizes)
+    if style == "hidden negative":
+        S[0, 0] = -spread(rng, -12.0, 3.0)
+    elif style == "singular":
+        n = rng.choice([-1.0, 0.0, 1.0], size=m)
+        S = sizes[0] * np.outer(n, n)
+    elif m > 1 and style == "skew":
+        k = spread(rng, -3.0, 4.0)
+        S[:2, :2] = [[k, 0.8 * k], [-0.8 * k, k]]
+    elif m > 1 and style == "one entry":
+        S = symmetric(rng, m, sizes[0], 2.0)
+        S[0, 1] = np.nextafter(S[0, 1], np.inf) if rng.random() < 0.5 else S[0, 1] + 1e-13 * sizes[0]
+    elif m > 1 and style == "near singular":
+        a, c = sizes[0], sizes[1]
+        b = math.sqrt(a) * math.sqrt(c) * (1.0 + float(rng.choice([-1.0, 1.0])) * spread(rng, -16.0, -8.0))
+        S[0, 1] = S[1, 0] = b
+    return S
+
+
+# --- kinds
+
+
+def of_network(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    loop = loop_of(rng, network(rng, m, osp, T), T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_late_network(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    delay = int(rng.integers(1, 4))
+    world = network(rng, m, osp, T, 0.3 * osp / (T * delay) * spread(rng, -1.5, 0.0))
+    loop = loop_of(rng, DelayedNetwork(world, delay), T, osp, late(rng, T) if rng.random() < 0.5 else 0.0)
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_intervals(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    low = network(rng, m, osp, T)
+    f = [1.0 + float(x) for x in rng.exponential(2.0, 3)]
+    links = tuple(Link(a.ends, f[0] * a.stiffness, f[1] * a.damping) for a in low.links)
+    high = Network(low.ports, tuple((name, f[2] * M) for name, M in low.masses), links)
+    loop = loop_of(rng, NetworkBox(low, high), T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_system(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    loop = loop_of(rng, system(rng, m, osp / T * spread(rng, -2.0, 0.0), T), T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_transfer(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    loop = loop_of(rng, transfer(rng, m, osp / T * spread(rng, -2.0, 1.0), T), T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_statics(rng: Generator) -> Data | None:
+    """Statics that are hardly positive, or hardly not, as matrices or under masses and dampers."""
+    T, osp, m = _scales(rng)
+    S, ports = static(rng, m), tuple(f"p{i}" for i in range(m))
+    environment: Environment = StateSpaceEnvironment(ports, StateSpace.static(S))
+    if rng.random() < 0.5:
+        rows = [[((float(S[i, j]),), (1.0,)) for j in range(m)] for i in range(m)]
+        for i in range(m):
+            M, b = (spread(rng, -6.0, 15.0) * float(rng.random() < 0.6) for _ in range(2))
+            rows[i][i] = ((M, b, float(S[i, i])), (1.0,))  # type: ignore[assignment]
+        environment = TransferEnvironment(ports, tuple(map(tuple, rows)))
+    loop = loop_of(rng, environment, T, osp, late(rng, T) if rng.random() < 0.3 else 0.0)
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_declared(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    ports = tuple(f"p{i}" for i in range(m))
+    level = symmetric(rng, m, osp * 0.3 * float(rng.uniform(-1.0, 0.9)))
+    loop = loop_of(rng, DeclaredEnvironment(ports, level), T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
+def of_linear(rng: Generator) -> Data | None:
+    """V = v(z) Delta_D^-1 in each block, v of order 1 to 4: a spring with a damper, behind filters."""
+    T, osp, m = _scales(rng)
+    environment: Environment = network(rng, m, osp, T) if rng.random() < 0.6 else system(rng, m, 0.1 * osp / T, T)
+    loop = loop_of(rng, environment, T, osp, late(rng, T) if rng.random() < 0.3 else 0.0)
+    blocks = []
+    for level in loop.Delta_D_blocks:
+        k = float(rng.uniform(0.2, 0.95)) / ((0.5 + 1.5 * loop.tau / T) * T)
+        b = float(rng.uniform(-0.1, 0.4))
+        num, den = np.array([T, 0.0]) / (T * k + b), np.array([1.0, -b / (T * k + b)])
+        for _ in range(int(rng.integers(0, 4))):
+            p, c = float(rng.uniform(-0.7, 0.95)), float(rng.uniform(-0.05, 0.3))
+            num, den = np.polymul(num, [1.0 + c, -p - c]), np.polymul(den, [1.0, -p])
+        S = np.linalg.inv(level)
+        S, n, size = (S + S.T) / 2.0, len(den) - 1, len(level)
+        a = np.zeros((n, n))
+        a[0], a[np.arange(1, n), np.arange(n - 1)] = -den[1:], 1.0
+        C = np.hstack([float(num[i + 1] - den[i + 1] * num[0]) * S for i in range(n)])
+        I = np.eye(size)
+        A, B = np.kron(a, I), np.kron(np.eye(n)[:, :1], I)
+        if rng.random() < 0.3:  # its static gain stated in place of D
+            blocks.append(StateSpace.with_static_gain(A, B, C, float(num.sum() / den.sum()) * S))
+        else:
+            blocks.append(StateSpace(A, B, C, float(num[0]) * S))
+    return designed(loop, LinearGiven(tuple(blocks)))
+
+
+def of_transparency(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    environment: Environment = network(rng, m, osp, T) if rng.random() < 0.6 else system(rng, m, 0.1 * osp / T, T)
+    loop = loop_of(rng, environment, T, osp)
+    p = float(np.exp(-T * spread(rng, -2.0, -0.5) / T))
+    low_pass = Filter((1.0 - p,), (1.0, -p))
+    objective = "loop-shaping" if rng.random() < 0.5 else "closed-loop"
+    aim = Transparency(objective, low_pass, Filter((1.0,), (1.0,)))  # type: ignore[arg-type]
+    return designed(loop, spring_damper(rng, loop, aim))
+
+
+def _scales(rng: Generator) -> tuple[float, float, int]:
+    """T from 10 us to 10 ms, a device's level, ports."""
+    return spread(rng, -5.0, -2.0), spread(rng, -1.5, 1.5), int(rng.choice([1, 1, 2, 2, 3]))
+
+
+KINDS: dict[str, Callable[[Generator], Data | None]] = {
+    "network": of_network,
+    "late network": of_late_network,
+    "intervals": of_intervals,
+    "state space": of_system,
+    "transfer function": of_transfer,
+    "statics": of_statics,
+    "declared": of_declared,
+    "linear coupling": of_linear,
+    "transparency": of_transparency,
+}
+
+
+def ladder(rng: Generator) -> list[Data] | None:
+    """Rungs of one loop for growing delays, each designed; devices that blocks split are among them."""
+    T, osp, m = _scales(rng)
+    m = max(m, 2)
+    environment = network(rng, m, osp, T)
+    loop = loop_of(rng, environment, T, osp)
+    if rng.random() < 0.5:  # one device, split by all blocks
+        level = symmetric(rng, m, osp)
+        loop = HapticLoop(
+            "attack", T, environment.ports, (DeviceLevel("d", tuple(range(m)), level),),
+            Partition(tuple(f"c{i}" for i in range(m)), tuple((i,) for i in range(m))), environment,
+        )  # fmt: skip
+    rungs: list[Data] = []
+    for part in sorted({0.0, *(float(x) for x in rng.choice([0.1, 0.25, 0.5, 1.0], size=2))}):
+        at = HapticLoop("attack", T, loop.ports, loop.devices, loop.partition, environment, part * T)
+        data = designed(at, spring_damper(rng, at))
+        if data is not None:
+            rungs.append(data)
+    return rungs if len(rungs) > 1 else None
