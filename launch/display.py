@@ -31,9 +31,14 @@ def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
         yield shown.update
 
 
+def printable(text: str) -> str:
+    """``text`` without what a terminal would obey: names and sentences of files and guests may hold its commands."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in text)
+
+
 def say(console: Console, text: str) -> None:
-    """Print a message as it is: no markup, and no line breaks but its own."""
-    console.print(text, markup=False, soft_wrap=True)
+    """Print a message as it is: no markup, no line breaks but its own, and nothing that a terminal would obey."""
+    console.print(printable(text), markup=False, soft_wrap=True)
 
 
 _LINE_EVERY = 2.0  # s between two plain lines

@@ -14,6 +14,7 @@ from manyhands.design.coupling import SpringDamper
 from manyhands.design.differences import asked_text
 from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix
+from manyhands.launch.display import printable
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding  # exact arithmetic is loaded where something is proved
@@ -183,4 +184,4 @@ def _shortened(findings: tuple[Finding, ...]) -> list[Finding]:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("[", "\\[")
+    return printable(text).replace("[", "\\[")
