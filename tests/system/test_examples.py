@@ -76,3 +76,10 @@ def test_the_puck_is_held_to_its_promise(tmp_path: Path) -> None:
 
 def test_no_example_is_left_out() -> None:
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, "order_curve.py", "puck.py"}
+
+
+def test_the_page_shows_the_table_of_tightness(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
+    table = run("tightness.py", tmp_path)
+    assert len(table.splitlines()) == 6
+    assert f"<!-- computed by: python examples/tightness.py -->\n{table}" in page
