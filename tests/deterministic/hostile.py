@@ -176,7 +176,7 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
         stalled = world.scheduler.now - began > GIVEN_UP
         if stalled:
             wrong.append((Wrong.STALLED, f"after {reached} ticks"))
-        if stalled or reached >= ticks:
+        if stalled or reached >= ticks or (one.clock == "simulated" and refused(world)):
             ended = True
             wrong.extend(innocence.verdict(world, returns))
             told = account(world, frames)
@@ -194,6 +194,12 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     return Outcome(
         reached, innocence.late.total(), innocence.most_received, seconds, tuple(wrong), told if wrong else ""
     )
+
+
+def refused(world: World) -> bool:
+    """Whether a sample of the guest was refused: under the simulated clock the others then wait for it for ever."""
+    joints = [joint for process in world.processes.values() for joint in process.joints]
+    return any(joint.peer.name == GUEST and joint.gate.dropped["out_of_range"] for joint in joints)
 
 
 def slow_start(world: World, random: Random) -> None:
