@@ -106,8 +106,16 @@ class Process:
         held: until when it is stopped.
     """
 
-    def __init__(self, bundle: Bundle, pid: int, wires: Wires, note: Note, violate: Note) -> None:
-        self.name, self.pid = bundle.common.name, pid
+    def __init__(
+        self,
+        bundle: Bundle,
+        pid: int,
+        wires: Wires,
+        note: Note,
+        violate: Note,
+        moved: Callable[[str, Driver, VirtualClock], Driver],
+    ) -> None:
+        self.name, self.pid, self._moved = bundle.common.name, pid, moved
         self.life, self.code = VirtualLife(), 0
         self.node: Node | None = None
         self._bundle, self._note, self._violate = bundle, note, violate
@@ -154,7 +162,8 @@ class Process:
         match self._bundle:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
-                driver = LimitedDriver(driver_of(bundle), self.name, limits, self._violate)
+                own = self._moved(self.name, driver_of(bundle), clock)
+                driver = LimitedDriver(own, self.name, limits, self._violate)
                 node = DeviceNode(bundle, driver)
                 node._realtime = clock
                 if not isinstance(node._clock, SimulatedClock):

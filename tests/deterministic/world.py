@@ -6,10 +6,12 @@ import itertools
 import math
 import traceback
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from chaos_kinds import PROMISE
 
+from manyhands.launch.assumptions import Assumptions
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import (
     Conductor,
@@ -23,10 +25,12 @@ from manyhands.launch.conductor import (
     StartProcess,
     Terminate,
 )
+from manyhands.launch.policy import ShiftCoupling
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.topology import ENVIRONMENT, topology
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import Places
@@ -36,7 +40,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
 from .process import Process
-from .scheduler import Killed, Scheduler
+from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
 KEPT: Final = 120  # notes
@@ -56,9 +60,19 @@ class World:
         notes: what happened lately, in words.
         heard: how many messages that move a node's state the conductor has heard.
         restarts: processes that were started anew.
+        assumptions: the product's judgement of what devices measure.
+        shifts: changes to another rung, in order.
     """
 
-    def __init__(self, prepared: Prepared, clock: str, seed: int, frames: bool = False, ticks: int = 0) -> None:
+    def __init__(
+        self,
+        prepared: Prepared,
+        clock: str,
+        seed: int,
+        frames: bool = False,
+        ticks: int = 0,
+        moved: Callable[[str, Driver, VirtualClock], Driver] = lambda _name, driver, _clock: driver,
+    ) -> None:
         """Start every process of a session; nothing goes on before :meth:`Scheduler.run`.
 
         Args:
@@ -67,6 +81,7 @@ class World:
             seed: of all that happens.
             frames: whether every frame between nodes is noted, too.
             ticks: of the session; 0 for one that goes on until it is ended.
+            moved: makes another driver of each device's own, by its name.
         """
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
@@ -74,6 +89,9 @@ class World:
         self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, budget=budget)
+        self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
+        self.shifts: list[ShiftCoupling] = []
+        self._moved = moved
         self.processes: dict[str, Process] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
@@ -150,7 +168,9 @@ class World:
 
     def _start(self, name: str) -> None:
         pid = next(self._pids)
-        process = self.processes[name] = Process(self._bundles[name], pid, self._wires, self.note, self.violate)
+        process = self.processes[name] = Process(
+            self._bundles[name], pid, self._wires, self.note, self.violate, self._moved
+        )
         if self.conductor.phase is Phase.RUNNING:
             self.conductor.started(name, pid)
             self.restarts += 1
@@ -194,6 +214,14 @@ class World:
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
         self._obey(self.conductor.hear(sender, message, self.scheduler.now))
+        if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
+            for deed in self.assumptions.check(sender, message):
+                if isinstance(deed, ShiftCoupling):
+                    self.note(f"{deed.coupling} is to change to rung {deed.rung}")
+                    self.shifts.append(deed)
+                    self._obey(self.conductor.shift(deed.coupling, deed.rung))
+                else:
+                    self._obey(self.conductor.stop(deed.reason))
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:
