@@ -95,6 +95,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),
+        longest_tau=rungs[-1 if session.faults.breach == "soften" else 0].tau,
     )
     return bundles
 

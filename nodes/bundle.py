@@ -153,6 +153,8 @@ class EnvironmentBundle:
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
+        longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
+            softens couplings, else the certificate's; 0 where none is covered.
 
     Raises:
         ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
@@ -169,6 +171,7 @@ class EnvironmentBundle:
     enforce: bool = False
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
+    longest_tau: float = 0.0
 
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
@@ -266,7 +269,7 @@ def _flag(data: Any) -> bool:
 
 def _tau(data: Any) -> float:
     if not _is_time(data):
-        raise ValueError(f"found {data!r:.40} as the tau of a rung; expected a number of seconds")
+        raise ValueError(f"found {data!r:.40} as a tau; expected a number of seconds")
     return float(data)
 
 
@@ -304,6 +307,7 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
+    "longest_tau": _tau,
     "limits": _limits,
     "tool_magnitude": _bounds,
     "tool_step": _bounds,

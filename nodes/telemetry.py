@@ -5,7 +5,9 @@ Lengths of time are in microseconds, energies in joules, speeds in m/s; traces a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,9 @@ JUMPS = "jumps"  # times that a node went on at a later tick than its own
 RELEASED = "released"  # periods in which a device exerted no force, for it heard of none
 RUNG = "rung"  # of the ladder of couplings
 TAU_WORST = "tau_worst_us"  # since the last telemetry
+WAITED_TICKS = "waited_ticks_"  # and which coupling: ticks in which the others waited for it alone
+WAITED_TIME = "waited_us_"  # and which coupling: what that made the others wait
+FROZEN_LATE = "frozen_late_"  # and which coupling: times that it was frozen for it
 PERIOD_BREACHES = "period_breaches"  # ticks that came another time after the one before than the certificate assumes
 DROPPED_TELEMETRY = "dropped_telemetry"
 DROPPED_LOG = "dropped_log"
@@ -82,6 +87,41 @@ def enforcement_figures(controller: PassivityController | None) -> dict[str, flo
     if controller is None:
         return {}
     return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """What a coupling made the others wait.
+
+    Attributes:
+        ticks: in which it came after the others, or not at all.
+        time: that it cost the others, us.
+        frozen: times that it was frozen for it.
+    """
+
+    ticks: int
+    time: float
+    frozen: int
+
+
+def lateness_counts(lateness: Mapping[str, Lateness]) -> dict[str, int]:
+    """Late ticks by coupling, and how often it was frozen for them."""
+    ticks = {f"{WAITED_TICKS}{name}": one.ticks for name, one in lateness.items()}
+    return ticks | {f"{FROZEN_LATE}{name}": one.frozen for name, one in lateness.items()}
+
+
+def lateness_times(lateness: Mapping[str, Lateness]) -> dict[str, float]:
+    """What each made the others wait, us."""
+    return {f"{WAITED_TIME}{name}": one.time for name, one in lateness.items()}
+
+
+def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> Lateness | None:
+    """What the environment told of the coupling ``name``; None if nothing, or nothing of sense."""
+    told = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
+    ticks, time, frozen = (math.nan if value is None else value for value in told)
+    if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
+        return None
+    return Lateness(int(ticks), time, int(frozen))
 
 
 def stray_frames(joints: Iterable[Joint]) -> dict[str, float]:

@@ -149,12 +149,24 @@ class Process:
         wires: Wires,
         note: Note,
         violate: Note,
+        moved: Callable[[str, Driver, VirtualClock], Driver],
         guest: Guest | None = None,
         witness: Witness | None = None,
     ) -> None:
-        """``guest``: who leads it, None for an honest one; ``witness``: looks at every tick of the environment."""
+        """A process of this bundle; nothing of it runs yet.
+
+        Args:
+            bundle: the node's.
+            pid: no other process of the session has had it.
+            wires: what it is linked by.
+            note: is told of what happens.
+            violate: is told of what does not hold.
+            moved: makes another driver of a device's own, by its name.
+            guest: who leads it; None for an honest one.
+            witness: looks at every tick of the environment.
+        """
         self._witness = witness
-        self.name, self.pid, self._guest = bundle.common.name, pid, guest
+        self.name, self.pid, self._moved, self._guest = bundle.common.name, pid, moved, guest
         self.life, self.code = VirtualLife(), 0
         self.node: Node | None = None
         self._bundle, self._note, self._violate = bundle, note, violate
@@ -208,7 +220,8 @@ class Process:
         match self._bundle:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
-                driver = LimitedDriver(driver_of(bundle), self.name, limits, self._violate)
+                own = self._moved(self.name, driver_of(bundle), clock)
+                driver = LimitedDriver(own, self.name, limits, self._violate)
                 node = DeviceNode(bundle, driver)
                 if self._guest is not None:
                     self._guest.lead(node, bundle, self._scheduler)

@@ -6,6 +6,7 @@ import itertools
 import math
 import traceback
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from chaos_kinds import PROMISE
@@ -24,11 +25,12 @@ from manyhands.launch.conductor import (
     StartProcess,
     Terminate,
 )
-from manyhands.launch.policy import EndSession, ShiftCoupling
+from manyhands.launch.policy import ShiftCoupling
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.topology import ENVIRONMENT, topology
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import Places
@@ -39,7 +41,7 @@ from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
 from .guests import Guest
 from .process import Process, Witness
-from .scheduler import Killed, Scheduler
+from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
 KEPT: Final = 120  # notes
@@ -61,6 +63,7 @@ class World:
         notes: what happened lately, in words.
         heard: how many messages that move a node's state the conductor has heard.
         restarts: processes that were started anew.
+        shifts: changes to another rung, in order.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class World:
         seed: int,
         frames: bool = False,
         ticks: int = 0,
+        moved: Callable[[str, Driver, VirtualClock], Driver] = lambda _name, driver, _clock: driver,
         guest: Guest | None = None,
         witness: Witness | None = None,
     ) -> None:
@@ -81,6 +85,7 @@ class World:
             seed: of all that happens.
             frames: whether every frame between nodes is noted, too.
             ticks: of the session; 0 for one that goes on until it is ended.
+            moved: makes another driver of each device's own, by its name.
             guest: who leads one of the devices, from another machine; None for a session of honest users.
             witness: looks at every tick and every telemetry; None for nobody.
         """
@@ -93,6 +98,8 @@ class World:
         remote = frozenset() if guest is None else frozenset({guest.name})
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
+        self.shifts: list[ShiftCoupling] = []
+        self._moved = moved
         self.processes: dict[str, Process] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
@@ -170,7 +177,9 @@ class World:
     def _start(self, name: str) -> None:
         pid = next(self._pids)
         guest = self._guest if self._guest is not None and name == self._guest.name else None
-        process = Process(self._bundles[name], pid, self._wires, self.note, self.violate, guest, self._witness)
+        process = Process(
+            self._bundles[name], pid, self._wires, self.note, self.violate, self._moved, guest, self._witness
+        )
         self.processes[name] = process
         self.assumptions.forget(name)
         if self.conductor.phase is Phase.RUNNING and guest is None:
@@ -232,12 +241,12 @@ class World:
             if self._witness is not None:
                 self._witness.hear(sender, message)
             for deed in self.assumptions.check(sender, message):
-                match deed:
-                    case ShiftCoupling(coupling, rung):
-                        self.note(f"{coupling} is to change to rung {rung}")
-                        self._obey(self.conductor.shift(coupling, rung))
-                    case EndSession(reason):
-                        self._obey(self.conductor.stop(reason))
+                if isinstance(deed, ShiftCoupling):
+                    self.note(f"{deed.coupling} is to change to rung {deed.rung}")
+                    self.shifts.append(deed)
+                    self._obey(self.conductor.shift(deed.coupling, deed.rung))
+                else:
+                    self._obey(self.conductor.stop(deed.reason))
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:
