@@ -27,6 +27,7 @@ from manyhands.nodes.bundle_parts import (
 )
 from manyhands.nodes.bundle_sources import BrowserHand, RecordedMotion, SimulatedHand, Source, plain_source, source_from
 from manyhands.nodes.bundle_values import array, floats, plain, system
+from manyhands.nodes.environment.energy import Budget
 from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
 
@@ -155,6 +156,8 @@ class EnvironmentBundle:
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
             softens couplings, else the certificate's; 0 where none is covered.
+        budgets: what each coupling may put into the others, in the order of the peers.
+        storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
 
     Raises:
         ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
@@ -172,6 +175,8 @@ class EnvironmentBundle:
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
+    budgets: tuple[Budget, ...] = ()
+    storage: Matrix | None = None
 
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
@@ -181,6 +186,10 @@ class EnvironmentBundle:
                 f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
                 "model's level to be enforced, and a level wherever one is"
             )
+        if len(self.budgets) != len(self.feedthrough):
+            raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
+        if self.storage is not None and (self.E is None or self.storage.shape != self.E.A.shape):
+            raise ValueError(f"found a storage of shape {self.storage.shape}; expected that of E's matrix A")
         numbers = {len(matrices) for matrices in self.feedthrough_rungs.values()}
         if not self.feedthrough_rungs:
             return
@@ -308,6 +317,8 @@ _READ: dict[str, Any] = {
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
+    "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"])) for b in all_),
+    "storage": _optional_array,
     "limits": _limits,
     "tool_magnitude": _bounds,
     "tool_step": _bounds,
