@@ -33,6 +33,11 @@ from .world import World
 GUEST: Final = "mal"
 HONEST: Final = ("ann", "bea", "cas")
 LAYOUTS: Final = ("plain", "split", "joined")
+LIMITS: Final = {"force": 8, "displacement": 0.3, "speed": 2}
+BUDGETED: Final = LIMITS | {"power": 1, "energy": 0.2}
+"""Of the guest: what it may put into the others is far less than it can."""
+STRONG: Final = {"force": 60, "displacement": 1, "speed": 8}
+"""Where a hand pushes with 20 N: its budget is the default."""
 TICKS: Final = 500
 GIVEN_UP: Final = 60_000_000_000
 """ns of virtual time: far more than so many ticks take, at three periods each and with every pause."""
@@ -112,8 +117,7 @@ def prepared(users: int, layout: str, moving: bool, strong: bool = False) -> Pre
             force = "20*sin(2*pi*3*t)"
         devices[name] = {
             "dof": len(axes), "osp": 1.37, "driver": "simulated", "mass": 0.2,
-            "limits": {"force": 60, "displacement": 1, "speed": 8} if strong
-            else {"force": 8, "displacement": 0.3, "speed": 2},
+            "limits": STRONG if strong else BUDGETED if name == GUEST else LIMITS,
             "hand": {"operator": {"num": [0.02, 1.2, 20], "den": [1, 10.3, 100]}, "force": [force] * len(axes)},
         }  # fmt: skip
         if len(axes) > 1:
@@ -145,7 +149,7 @@ def prepared(users: int, layout: str, moving: bool, strong: bool = False) -> Pre
 def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     """Run one session, for so many ticks of its environment."""
     design, plan = prepared(one.users, one.layout, one.moving, one.honest), one.strategy
-    innocence = Innocence(design, None if one.honest else GUEST)
+    innocence = Innocence(design, None if one.honest else GUEST, rest=not one.moving)
     guest = Guest(GUEST, plan, Random(f"guest {one.seed}"))
     world = World(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
     if one.honest:

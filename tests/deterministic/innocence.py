@@ -24,6 +24,9 @@ from .world import World
 TRANSIENT: Final = 40
 """Ticks of an honest device, at most, that a guest may make later than the certificate covers before it is frozen."""
 
+SLACK: Final = 1e-6
+"""J, of rounding, in the comparison of two accounts of energy."""
+
 AGAIN: Final = 8
 """The same for each time that it comes back."""
 
@@ -53,8 +56,14 @@ class Innocence:
         most_received: the most that this ever was.
     """
 
-    def __init__(self, prepared: Prepared, guest: str | None) -> None:
-        """``guest``: the hostile device; None where everybody is honest."""
+    def __init__(self, prepared: Prepared, guest: str | None, rest: bool) -> None:
+        """Nothing is seen yet.
+
+        Args:
+            prepared: the session.
+            guest: the hostile device; None where everybody is honest.
+            rest: whether the honest hands rest: then all energy that others receive is the guest's.
+        """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None
         self._tau = 1e6 * prepared.certificate.tau  # us
@@ -68,6 +77,14 @@ class Innocence:
         self.last_late = -1
         self._before: Sequence[float] | None = None
         self.received = self.most_received = 0.0
+        self._rest = rest and guest is not None
+        self._couplings = list(prepared.session.couplings)
+        self._guests = [i for i, coupling in enumerate(self._couplings) if coupling not in self.honest]
+        limits = None if guest is None else prepared.session.devices[guest].limits
+        self._power, self._energy = (0.0, 0.0) if limits is None else (limits.power, limits.energy)
+        self._T, self._began = prepared.session.period, -1
+        self._least = 0.0  # of what the guest has given less P t
+        self._too_much = ""
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """Count an honest device's late ticks."""
@@ -85,6 +102,24 @@ class Innocence:
         if before is not None:
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
             self.most_received = max(self.most_received, self.received)
+        if self.guest is not None and not self._too_much:
+            self._weigh(tick, node)
+
+    def _weigh(self, tick: int, node: EnvironmentNode) -> None:
+        """Hold what the others have received of the guest against its budget, over every stretch of ticks."""
+        if self._began < 0:
+            self._began = tick
+        allowed = self._power * self._T * (tick + 1 - self._began)
+        given = 0.0 if node._core is None else sum(node._core.energy.given[i] for i in self._guests)
+        self._least = min(self._least, given - allowed)
+        if given - allowed - self._least > self._energy + SLACK:
+            self._too_much = (
+                f"{given - allowed - self._least:.3g} J beyond {self._power:g} W by tick {tick}, its account says"
+            )
+        if self._rest and self.received - allowed > self._energy + SLACK:
+            self._too_much = (
+                f"{self.received - allowed:.3g} J beyond {self._power:g} W by tick {tick}, at the others' ports"
+            )
 
     def verdict(self, world: World, returns: int) -> list[tuple[Wrong, str]]:
         """What did not hold, once the session is over; ``returns``: how often the guest came back."""
@@ -100,6 +135,14 @@ class Innocence:
             if name in self.honest and absences:
                 found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
             acted = acted or (name not in self.honest and absences > 0)
+        core = None if world.environment is None else world.environment._core
+        for i, coupling in enumerate(self._couplings) if core is not None else ():
+            scaled = core.energy.scaled[i]
+            if scaled and coupling in self.honest:
+                found.append((Wrong.SCALED, f"{coupling} was scaled in {scaled} ticks"))
+            acted = acted or (coupling not in self.honest and scaled > 0)
+        if self._too_much:
+            found.append((Wrong.ENERGY, self._too_much))
         for coupling, rung in world.conductor.rungs.items():
             if rung and coupling in self.honest:
                 found.append((Wrong.SOFTENED, f"{coupling} was softened to rung {rung}"))
@@ -112,7 +155,7 @@ class Innocence:
             if self.guest is not None and self._blames(sentence):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
         if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
-            found.append((Wrong.UNNAMED, f"{self.guest} was frozen"))
+            found.append((Wrong.UNNAMED, f"{self.guest} was frozen or scaled"))
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
         return found
 
