@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
 
 from manyhands.launch.policy import BreachPolicy, EndSession, Notice, Policy, ShiftCoupling
 from manyhands.launch.preparation import Prepared
-from manyhands.launch.topology import Topology
+from manyhands.launch.topology import ENVIRONMENT, Topology
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.protocol.messages import Role, Telemetry
@@ -39,6 +42,7 @@ class Assumptions:
             prepared.ladder,
             rungs,
         )
+        self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self.notices: dict[str, str] = {}
 
     def forget(self, node: str) -> None:
@@ -48,7 +52,12 @@ class Assumptions:
     def check(self, node: str, telemetry: Telemetry) -> list[ShiftCoupling | EndSession]:
         """Take what is to be told of ``node`` into the notices; returns what is to be done."""
         deeds: list[ShiftCoupling | EndSession] = []
-        for decision in self._policy.judge(node, telemetry.tick, telemetry.figures):
+        if node == ENVIRONMENT:
+            decisions = self._policy.take_waits(telemetry.tick, self._waits(telemetry.figures))
+        else:
+            tau = telemetry.traces.get(names.TAU, _NO_TAU)
+            decisions = self._policy.judge(node, telemetry.tick, telemetry.figures, (tau.ravel() * 1e-6).tolist())
+        for decision in decisions:
             if isinstance(decision, Notice):
                 self.notices.setdefault(decision.key, decision.text)
             else:
@@ -57,3 +66,15 @@ class Assumptions:
             text = f"{node}: a force was clipped to the limits; the certificate is about forces within them"
             self.notices.setdefault(f"{node} limits", text)
         return deeds
+
+    def _waits(self, figures: Mapping[str, float]) -> dict[str, int]:
+        """By coupling: in how many ticks the others waited for it; who was frozen for that is told to people."""
+        found = {name: names.lateness_of(name, figures, figures) for name in self._couplings}
+        for name, lateness in found.items():
+            if lateness is not None and lateness.frozen:
+                text = f"{name} made the others wait again and again, and was frozen for it; nobody else is softened"
+                self.notices.setdefault(f"{name} late", text)
+        return {name: lateness.ticks for name, lateness in found.items() if lateness is not None}
+
+
+_NO_TAU: Final = np.empty((0, 1))
