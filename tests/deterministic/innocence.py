@@ -13,6 +13,7 @@ from manyhands.launch.preparation import Prepared
 from manyhands.launch.topology import topology
 from manyhands.nodes import exchange
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.gate import DRIFT, MOST_PERIODS, Bounds, Gate
@@ -21,14 +22,17 @@ from manyhands.protocol.messages import Role, SignalMessage, Telemetry
 from .scheduler import Scheduler
 from .world import World
 
-TRANSIENT: Final = 40
-"""Ticks of an honest device, at most, that a guest may make later than the certificate covers before it is frozen."""
+TRANSIENT: Final = BURST + 10
+"""Late ticks of an honest device, at most, that each coupling of a guest may cause before it is frozen: its bucket.
+
+Besides, :data:`SHARE` of all ticks for ever, and :data:`AGAIN` for each time that it is let in again.
+"""
 
 SLACK: Final = 1e-6
 """J, of rounding, in the comparison of two accounts of energy."""
 
-AGAIN: Final = 8
-"""The same for each time that it comes back."""
+AGAIN: Final = 6
+"""The same for each time that the guest is frozen, or goes."""
 
 
 class Wrong(StrEnum):
@@ -124,12 +128,15 @@ class Innocence:
     def verdict(self, world: World, returns: int) -> list[tuple[Wrong, str]]:
         """What did not hold, once the session is over; ``returns``: how often the guest came back."""
         found: list[tuple[Wrong, str]] = []
-        allowed = TRANSIENT + AGAIN * returns
-        for device, count in self.late.items():
-            if count > allowed and self.guest is not None:  # honest ones may be late
-                found.append((Wrong.LATE, f"{device} was late in {count} ticks, last in {self.last_late}"))
         places = world.places
         acted = False
+        absent = sum(p.attendance.absences for p in places.all if p.joint.peer.name not in self.honest) if places else 0
+        allowed = len(self._guests) * (TRANSIENT + SHARE * world.tick) + AGAIN * max(absent, returns)
+        for device, count in self.late.items():
+            if count > allowed and self.guest is not None:  # honest ones may be late
+                found.append(
+                    (Wrong.LATE, f"{device} was late in {count} ticks of {allowed:.0f}, last in {self.last_late}")
+                )
         for place in [] if places is None else places.all:
             name, absences = place.joint.peer.name, place.attendance.absences
             if name in self.honest and absences:

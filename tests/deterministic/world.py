@@ -45,6 +45,7 @@ from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
 KEPT: Final = 120  # notes
+ENDING_TIME: Final = from_seconds(5.0)  # the supervisor's
 LOOK: Final = from_seconds(0.2)  # the supervisor's, at what falls due
 STARTS: Final = (0.5e6, 40e6)  # ns from a process's start to its hello
 SEEN: Final = (50_000, 2_000_000)  # ns from a process's end to when the supervisor sees it
@@ -104,6 +105,7 @@ class World:
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
         self.heard = self.restarts = 0
+        self._ending = self.scheduler.now
         self._wires = Wires(self.scheduler, self._hear)
         if frames:
             self._wires.seen = self._see
@@ -224,6 +226,11 @@ class World:
 
     def _look(self) -> None:
         self._obey(self.conductor.look(self.scheduler.now))
+        if self.conductor.phase is not Phase.ENDING:
+            self._ending = self.scheduler.now
+        elif self.scheduler.now - self._ending >= ENDING_TIME:
+            self._ending = self.scheduler.now
+            self._obey(self.conductor.too_late())
         if self.conductor.phase is not Phase.OVER:
             self.scheduler.after(LOOK, self._look)
 
