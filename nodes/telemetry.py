@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.passivity_controller import PassivityController
@@ -36,6 +37,7 @@ STALE = "stale"
 PERIOD = "period_us"
 TAU_BREACHES = "tau_breaches"
 CLIPPED = "clipped"  # ticks whose force a device clipped: a coupling misbehaves
+LET_GO = "let_go"  # times that a device was beyond its displacement or speed, and exerted no force any more
 SATURATED = "saturated"  # ticks whose force a coupling clipped: not those of the certificate
 REFUSED = "refused_"  # and why: connections that the process did not admit
 NOT_ADMITTED = "not_admitted"  # connections and frames together, for a glance
@@ -61,6 +63,12 @@ GRASPS = "grasps"  # positions that it was given, of which were
 GRASPS_CLIPPED = "grasps_clipped"  # beyond what it is drawn to, and
 GRASPS_REFUSED = "grasps_refused"  # besides, what was said there that was no position of this device
 GRASPS_LAPSED = "grasps_lapsed"  # times that a hand fell silent without letting go
+GIVEN = "given_"  # and which coupling: J that the others have received of its energy
+RECEIVED = "received_"  # and which coupling: J that it has received of the others'
+MOVED = "moved_"  # supplier, "/" and receiver: J
+SCALED = "scaled_"  # and which coupling: ticks in which it was held to less than it did, for its energy budget
+STOPS = "stops_"  # and which coupling: times that nothing was left of it
+UNOWNED = "unowned"  # J that users received of the environment's own
 ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
 
@@ -122,6 +130,21 @@ def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, fl
     if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
         return None
     return Lateness(int(ticks), time, int(frozen))
+
+
+def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
+    """Who moved whom, and who was held to a budget; of what has not happened nothing is said."""
+    figures = {UNOWNED: energy.unowned}
+    for name, values in (
+        (GIVEN, energy.given),
+        (RECEIVED, energy.received),
+        (SCALED, energy.scaled),
+        (STOPS, energy.stops),
+    ):
+        figures |= {f"{name}{party}": float(value) for party, value in zip(parties, values, strict=True)}
+    for supplier, row in zip(parties, energy.moved, strict=False):
+        figures |= {f"{MOVED}{supplier}/{to}": value for to, value in zip(parties, row, strict=True)}
+    return {name: value for name, value in figures.items() if value != 0.0}
 
 
 def stray_frames(joints: Iterable[Joint]) -> dict[str, float]:

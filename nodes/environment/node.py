@@ -269,7 +269,11 @@ class EnvironmentNode:
         core = self._core
         if core is None:
             return {}
-        return {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
+        return {
+            **names.ledger_figures(core.ledger),
+            **names.enforcement_figures(core.controller),
+            **names.energy_figures(core.energy, [joint.peer.name for joint in self._joints]),
+        }
 
     def _publish(self, control: ControlLine, core: Core, places: Places) -> None:
         figures = {
