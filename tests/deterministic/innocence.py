@@ -147,7 +147,7 @@ class Innocence:
             scaled = core.energy.scaled[i]
             if scaled and coupling in self.honest:
                 found.append((Wrong.SCALED, f"{coupling} was scaled in {scaled} ticks"))
-            acted = acted or (coupling not in self.honest and scaled > 0)
+            acted = acted or (coupling not in self.honest and core.energy.stops[i] > 0)
         if self._too_much:
             found.append((Wrong.ENERGY, self._too_much))
         for coupling, rung in world.conductor.rungs.items():
@@ -162,7 +162,7 @@ class Innocence:
             if self.guest is not None and self._blames(sentence):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
         if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
-            found.append((Wrong.UNNAMED, f"{self.guest} was frozen or scaled"))
+            found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
         return found
 

@@ -25,6 +25,7 @@ from manyhands.launch.conductor import (
     StartProcess,
     Terminate,
 )
+from manyhands.launch.energy_incidents import EnergyIncidents
 from manyhands.launch.policy import ShiftCoupling
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.restarts import RestartBudget
@@ -34,6 +35,7 @@ from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import Places
+from manyhands.nodes.life import Stopped
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -96,6 +98,7 @@ class World:
         self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self._guest, self._witness = guest, witness
+        self._energy = EnergyIncidents(self.graph, prepared.session.period)
         remote = frozenset() if guest is None else frozenset({guest.name})
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
@@ -184,6 +187,7 @@ class World:
         )
         self.processes[name] = process
         self.assumptions.forget(name)
+        self._energy.forget(name)
         if self.conductor.phase is Phase.RUNNING and guest is None:
             self.conductor.started(name, pid)
             self.restarts += 1
@@ -192,8 +196,8 @@ class World:
 
     def _ended(self, process: Process, error: BaseException | None) -> None:
         """In the process's own thread: its last deed."""
-        code = process.code if error is None else -9 if isinstance(error, Killed) else 1
-        if error is not None and not isinstance(error, Killed):
+        code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
+        if error is not None and not isinstance(error, Killed | Stopped):
             told = "".join(traceback.format_exception(error))
             self.violate(f"{process.name} raised {error!r}\n{told}")
         if self.processes.get(process.name) is process:
@@ -254,6 +258,8 @@ class World:
                     self._obey(self.conductor.shift(deed.coupling, deed.rung))
                 else:
                     self._obey(self.conductor.stop(deed.reason))
+            for sentence in self._energy.hear(sender, message):
+                self.conductor.tell(sentence, self.scheduler.now)
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:
