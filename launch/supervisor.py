@@ -266,6 +266,7 @@ class Supervisor:
                         self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
                         self._carry_out(self._conductor.stop(reason), hub, processes)
+            message = names.shown(message)
             self._audience.tell(sender, message)
             told = observation_frame(sender, message)
             self._recorder.tell(told)
