@@ -53,7 +53,7 @@ class Assumptions:
         """Take what is to be told of ``node`` into the notices; returns what is to be done."""
         deeds: list[ShiftCoupling | EndSession] = []
         if node == ENVIRONMENT:
-            decisions = self._policy.take_waits(telemetry.tick, self._waits(telemetry.figures))
+            decisions = self._policy.take_waits(telemetry.tick, self._late_ticks(telemetry))
         else:
             tau = telemetry.traces.get(names.TAU, _NO_TAU)
             decisions = self._policy.judge(node, telemetry.tick, telemetry.figures, (tau.ravel() * 1e-6).tolist())
@@ -67,14 +67,15 @@ class Assumptions:
             self.notices.setdefault(f"{node} limits", text)
         return deeds
 
-    def _waits(self, figures: Mapping[str, float]) -> dict[str, int]:
-        """By coupling: in how many ticks the others waited for it; who was frozen for that is told to people."""
-        found = {name: names.lateness_of(name, figures, figures) for name in self._couplings}
-        for name, lateness in found.items():
+    def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
+        """In which ticks the others waited, by whom they waited for; who was frozen for it is told to people."""
+        for name in self._couplings:
+            lateness = names.lateness_of(name, telemetry.figures, telemetry.figures)
             if lateness is not None and lateness.frozen:
                 text = f"{name} made the others wait again and again, and was frozen for it; nobody else is softened"
                 self.notices.setdefault(f"{name} late", text)
-        return {name: lateness.ticks for name, lateness in found.items() if lateness is not None}
+        traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
+        return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}
 
 
 _NO_TAU: Final = np.empty((0, 1))

@@ -5,8 +5,8 @@ the ticks in which that did not hold; here the counts of its telemetry are made 
 
 What a device had to wait for *another* user is not its own: the environment charges late couplings
 (:mod:`manyhands.nodes.environment.late_arrivals`), and freezes who is late again and again. Of each telemetry of a
-device the ticks that were charged to couplings other than its own are taken off, the longest delays first, and the rest
-is judged. The environment's word may come later than the device's; so a telemetry is judged once it has.
+device the ticks that were charged to couplings other than its own are taken off, and the rest is judged. The
+environment's word may come later than the device's; so a telemetry is judged once it has.
 
 A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Protocol
@@ -131,7 +131,7 @@ class _Told:
         tick: the tick after its last.
         counts: of breaches so far.
         figures: all of them.
-        taus: the delay of each of its ticks, s, the longest first; empty where it does not say.
+        taus: the delay of each of its ticks, s; empty where it does not say.
     """
 
     tick: int
@@ -178,7 +178,7 @@ class BreachPolicy:
         self._rungs = rungs
         self._watched: dict[str, _Watched] = {}
         self._held: dict[str, deque[_Told]] = {}
-        self._waits: deque[tuple[int, Mapping[str, int]]] = deque(maxlen=MOST_WAITS)
+        self._waits: deque[tuple[int, Mapping[str, Collection[int]]]] = deque(maxlen=MOST_WAITS)
         self._climbed: set[str] = set()  # and not softened since
         self._doublings: dict[str, int] = {}
 
@@ -199,20 +199,18 @@ class BreachPolicy:
         counts = {breach: figures.get(name, 0.0) for breach, name in _COUNTS.items()}
         if device not in self._chains or not all(math.isfinite(count) and count >= 0.0 for count in counts.values()):
             return []
-        told = _Told(tick, counts, figures, sorted((tau for tau in taus if math.isfinite(tau)), reverse=True))
+        told = _Told(tick, counts, figures, taus)
         if not self._waits or tick <= self._waits[-1][0]:
             return self._judge(device, told)
         held = self._held.setdefault(device, deque())
         held.append(told)
         return self._judge(device, held.popleft()) if len(held) > MOST_HELD else []
 
-    def take_waits(self, tick: int, waits: Mapping[str, int]) -> list[Decision]:
-        """What follows once the environment has told, up to ``tick``, in how many ticks each coupling was late."""
-        if self._waits:
-            before, counted = self._waits[-1]
-            if tick <= before or any(waits.get(name, 0) < ticks for name, ticks in counted.items()):
-                self._waits.clear()  # a new process, which counts from 0
-        self._waits.append((tick, dict(waits)))
+    def take_waits(self, tick: int, late: Mapping[str, Collection[int]]) -> list[Decision]:
+        """What follows once the environment has told, up to ``tick``, in which ticks each coupling was late."""
+        if self._waits and tick <= self._waits[-1][0]:
+            self._waits.clear()  # a new process, and the ticks are its
+        self._waits.append((tick, late))
         out: list[Decision] = []
         for device, held in self._held.items():
             while held and held[0].tick <= tick:
@@ -229,12 +227,13 @@ class BreachPolicy:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))
             self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [], calm)
             return out
-        waits = self._waited_for_others(device, before.tick, tick)
-        own = told.taus[waits:]
-        longest = _longest_delay(told.figures) if not (waits and told.taus) else max(own, default=0.0)
+        begin = tick - len(told.taus)
+        for_others = self._waited_for_others(device, before.tick - 1, tick)  # a period ends in the tick after
+        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
+        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
         before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
-            broken = counts[breach] - before.counts[breach] - waits > SHARE * (tick - before.tick)
+            broken = counts[breach] - before.counts[breach] - len(for_others) > SHARE * (tick - before.tick)
             before.in_a_row[breach] = before.in_a_row[breach] + 1 if broken else 0
             if before.in_a_row[breach] == IN_A_ROW:
                 before.in_a_row[breach] = 0
@@ -242,16 +241,11 @@ class BreachPolicy:
         before.tick, before.counts = tick, counts
         return out + self._climb(device, before, own)
 
-    def _waited_for_others(self, device: str, after: int, until: int) -> int:
-        """Ticks charged to couplings that are not the device's, from ``after`` to ``until``, or a little about them."""
-        if not self._waits:
-            return 0
-        first = next((waits for tick, waits in reversed(self._waits) if tick <= after), {})
-        if not first and self._waits.maxlen == len(self._waits):
-            first = self._waits[0][1]
-        last = next((waits for tick, waits in self._waits if tick >= until), self._waits[-1][1])
-        others = last.keys() - set(self._chains[device])
-        return sum(last[name] - first.get(name, 0) for name in others)
+    def _waited_for_others(self, device: str, begin: int, end: int) -> set[int]:
+        """The ticks from ``begin`` on, before ``end``, in which a coupling was late that is not the device's."""
+        chain = self._chains[device]
+        late = (ticks for _, told in self._waits for coupling, ticks in told.items() if coupling not in chain)
+        return {tick for ticks in late for tick in ticks if begin <= tick < end}
 
     def _climb(self, device: str, watched: _Watched, own: Sequence[float]) -> list[Decision]:
         """The couplings of ``device`` that go back to the next stiffer rung; ``own``: its delays, the longest first."""

@@ -270,6 +270,7 @@ class Supervisor:
                         self._carry_out(self._conductor.stop(reason), hub, processes)
             for sentence in self._energy.hear(sender, message):
                 self._conductor.tell(sentence, self._clock.now())
+            message = names.shown(message)
             self._audience.tell(sender, message)
             told = observation_frame(sender, message)
             self._recorder.tell(told)

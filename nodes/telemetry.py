@@ -16,6 +16,7 @@ from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.passivity_controller import PassivityController
+from manyhands.protocol.messages import Telemetry
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, FREE_POSITION, LEDGER, MASS_POSITION, TAU, TOOL_POSITION
 
 __all__ = [
@@ -48,6 +49,7 @@ JUMPS = "jumps"  # times that a node went on at a later tick than its own
 RELEASED = "released"  # periods in which a device exerted no force, for it heard of none
 RUNG = "rung"  # of the ladder of couplings
 TAU_WORST = "tau_worst_us"  # since the last telemetry
+WAITED_IN = "waited:"  # and which coupling: a trace of those of its telemetry's ticks in which the others waited for it
 WAITED_TICKS = "waited_ticks_"  # and which coupling: ticks in which the others waited for it alone
 WAITED_TIME = "waited_us_"  # and which coupling: what that made the others wait
 FROZEN_LATE = "frozen_late_"  # and which coupling: times that it was frozen for it
@@ -145,6 +147,14 @@ def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
     for supplier, row in zip(parties, energy.moved, strict=False):
         figures |= {f"{MOVED}{supplier}/{to}": value for to, value in zip(parties, row, strict=True)}
     return {name: value for name, value in figures.items() if value != 0.0}
+
+
+def shown(telemetry: Telemetry) -> Telemetry:
+    """What others than the supervisor are shown of a telemetry: without the ticks in which couplings were late."""
+    if not any(name.startswith(WAITED_IN) for name in telemetry.traces):
+        return telemetry
+    traces = {name: trace for name, trace in telemetry.traces.items() if not name.startswith(WAITED_IN)}
+    return Telemetry(telemetry.tick, telemetry.figures, traces)
 
 
 def stray_frames(joints: Iterable[Joint]) -> dict[str, float]:

@@ -63,10 +63,11 @@ class LateArrivals:
         allowance: how long after the first signal of a tick another may come, ns.
         ticks: in which each was late, or was waited for in vain.
         waited: the time that it cost the others, ns.
+        lately: the late ticks of each since they were told last.
         added: what each added to the wait in the latest tick that was judged, ns.
     """
 
-    __slots__ = ("_all", "_at", "_level", "_period", "added", "allowance", "ticks", "waited")
+    __slots__ = ("_all", "_at", "_level", "_period", "added", "allowance", "lately", "ticks", "waited")
 
     def __init__(self, number: int, period: Duration, allowance: Duration) -> None:
         """Nobody has been late yet.
@@ -78,6 +79,7 @@ class LateArrivals:
         """
         self._period, self.allowance = period, allowance
         self.ticks, self.waited, self.added = [0] * number, [0] * number, [0] * number
+        self.lately: list[list[int]] = [[] for _ in range(number)]
         self._level, self._at = [0.0] * number, [0] * number  # of the bucket, and the tick when it was that
         self._all = [0] * number  # late ticks that not everybody has had yet
 
@@ -119,6 +121,7 @@ class LateArrivals:
     def _charge(self, index: int, tick: int, waited: int) -> bool:
         """Charge one tick; whether the bucket is full."""
         self.ticks[index] += 1
+        self.lately[index].append(tick)
         self.waited[index] += waited
         self._all[index] += 1
         level = max(0.0, self._level[index] - SHARE * (tick - self._at[index])) + 1.0

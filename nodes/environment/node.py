@@ -162,7 +162,7 @@ class EnvironmentNode:
         """
         at = places.order.index(absent)
         if at == 0:
-            self._due = self._clock.now()
+            self._due = max(self._due, self._clock.now())
         since = places.order[at - 1].arrived if at else Instant(self._due)
         for place in places.order[at + 1 :]:
             if places.hear(place, p, tick, NOT_AT_ALL) is Heard.SIGNAL:
@@ -201,8 +201,8 @@ class EnvironmentNode:
             now = self._clock.now()
             if stale is not None and now - began > stale:
                 places.forget()
-            if here:
-                first = min(first, now, Instant(began + self._period))
+            if here:  # who speaks before the tick is due waits for nobody yet
+                first = max(Instant(self._due), min(first, now, Instant(began + self._period)))
             else:
                 if freeze is not None and now - began > freeze:
                     places.pardon()
@@ -285,4 +285,7 @@ class EnvironmentNode:
             **self._figures(),
             **names.stray_frames(self._joints),
         }
-        self._account.publish(control, core, figures)
+        late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
+        if self._account.publish(control, core, figures, late):
+            for ticks in late.values():
+                ticks.clear()
