@@ -43,6 +43,7 @@ class Assumptions:
             rungs,
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
+        self._policy.take_waits(0, {})  # the environment tells who was waited for, from the first tick on
         self.notices: dict[str, str] = {}
 
     def forget(self, node: str) -> None:
@@ -72,7 +73,7 @@ class Assumptions:
         for name in self._couplings:
             lateness = names.lateness_of(name, telemetry.figures, telemetry.figures)
             if lateness is not None and lateness.frozen:
-                text = f"{name} made the others wait again and again, and was frozen for it; nobody else is softened"
+                text = f"{name} made the others wait, and was frozen for it; nobody else is softened"
                 self.notices.setdefault(f"{name} late", text)
         traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
         return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}

@@ -220,17 +220,20 @@ class BreachPolicy:
     def _judge(self, device: str, told: _Told) -> list[Decision]:
         tick, counts = told.tick, told.counts
         out: list[Decision] = []
-        if counts[Breach.DELAY] > 0.0:  # at once, whatever comes of it
-            out.append(Notice(device, self._assumption(device, told.figures)))
         before = self._watched.get(device)
-        if before is None or tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach):
+        if before is not None and (tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach)):
+            before = None  # another process
+        begin = tick - len(told.taus)
+        since, already = (begin, 0.0) if before is None else (before.tick, before.counts[Breach.DELAY])
+        for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
+        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
+        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
+        if counts[Breach.DELAY] - already > len(for_others):  # its own, and at once, whatever comes of it
+            out.append(Notice(device, self._assumption(device, told.figures, longest)))
+        if before is None:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))
             self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [], calm)
             return out
-        begin = tick - len(told.taus)
-        for_others = self._waited_for_others(device, before.tick - 1, tick)  # a period ends in the tick after
-        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
-        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
         before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
             broken = counts[breach] - before.counts[breach] - len(for_others) > SHARE * (tick - before.tick)
@@ -321,10 +324,10 @@ class BreachPolicy:
             out.append(Notice(f"{device} beyond", text))
         return out
 
-    def _assumption(self, device: str, figures: Mapping[str, float]) -> str:
+    def _assumption(self, device: str, figures: Mapping[str, float], longest: float) -> str:
         median = figures.get(f"{names.TAU}_p50", math.nan)
         return (
-            f"{device}: a force was applied {_longest_delay(figures) * 1e6:.0f} us after its sample (median "
+            f"{device}: a force was applied {longest * 1e6:.0f} us after its sample (median "
             f"{median:.0f} us); the certificate assumes {self._tau * 1e6:g} us"
         )
 

@@ -63,7 +63,7 @@ class LateArrivals:
         allowance: how long after the first signal of a tick another may come, ns.
         ticks: in which each was late, or was waited for in vain.
         waited: the time that it cost the others, ns.
-        lately: the late ticks of each since they were told last.
+        lately: the ticks since they were told last in which others waited for each, charged or not.
         added: what each added to the wait in the latest tick that was judged, ns.
     """
 
@@ -117,6 +117,11 @@ class LateArrivals:
         """All of ``who`` were waited for in vain, together for so long; they are frozen anyway."""
         for index in who:
             self._charge(index, tick, waited // len(who))
+
+    def gone(self, tick: int, who: Sequence[int]) -> None:
+        """All of ``who`` were waited for, and then known to be gone: no charge, but the wait is not the others."""
+        for index in who:
+            self.lately[index].append(tick)
 
     def _charge(self, index: int, tick: int, waited: int) -> bool:
         """Charge one tick; whether the bucket is full."""

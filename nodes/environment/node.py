@@ -192,10 +192,13 @@ class EnvironmentNode:
             The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
         """
         freeze, stale, first, listened = self._patience.freeze, self._patience.stale, Instant(2**62), False
+        awaited: set[Place] = set()  # in this tick
         while not life.stopping:
             missing = [place for place in places.order if place.missing(tick)]
             here = any(place.joint.tick == tick for place in places.all)
+            awaited.update(missing)
             if here and not missing and listened:
+                self._late.gone(tick, [place.index for place in awaited if place.joint.tick != tick])
                 places.resumed()
                 return tick
             now = self._clock.now()
@@ -209,6 +212,7 @@ class EnvironmentNode:
                 soonest = places.soonest(tick)  # or nobody would ever bring that tick about
                 if soonest != tick:
                     tick, first = soonest, Instant(2**62)
+                    awaited.clear()
                     continue
                 if places.anybody_early:  # who is told to go on later waits, too
                     first = min(first, now)
@@ -232,6 +236,7 @@ class EnvironmentNode:
                 turn, reachable = NOT_AT_ALL, True
                 if places.ahead > tick:
                     tick, first, began = places.ahead, Instant(2**62), now
+                    awaited.clear()
                     places.catch_up(tick)
                     break
             listened = True

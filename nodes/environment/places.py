@@ -36,7 +36,7 @@ class Place:
         due: the tick at which it is expected, where it is.
         early: a signal of a tick whose turn has not come, and that tick.
         arrived: when its latest signal was read, ns.
-        frozen_late: times that it was frozen for being late.
+        frozen_late: times that it was frozen for being late, or silent.
     """
 
     __slots__ = ("arrived", "attendance", "due", "early", "frozen_late", "index", "joint", "rung", "wanted")
@@ -138,6 +138,7 @@ class Places:
 
     def give_up(self, place: Place, tick: int) -> None:
         """It is silent while others are there: freeze it."""
+        place.frozen_late += 1
         self._event(place, Event.SILENT, tick)
 
     def exclude(self, place: Place, tick: int) -> None:
