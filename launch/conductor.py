@@ -65,9 +65,11 @@ class Conductor:
         remote: nodes that are started elsewhere; of those no process can be seen to end.
         observers: where each observer is served.
         budget: how often a node may come back; without restarts, the first death ends the session.
+        together: whether a guest that leaves ends the session, as one without restarts does.
         phase: where the session stands.
         states: where each node stands.
         reports: the last words received.
+        left: the last words of guests that left a session that went on.
         faults: what went wrong, in the order it was heard; empty for a good run.
         interrupted: whether the user ended it.
         ignored: messages that came out of turn, or made no sense.
@@ -80,9 +82,11 @@ class Conductor:
     remote: frozenset[str] = frozenset()
     observers: Mapping[str, str] = field(default_factory=dict)
     budget: RestartBudget = field(default_factory=RestartBudget)
+    together: bool = False
     phase: Phase = Phase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
+    left: dict[str, Report] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
     interrupted: bool = False
     ignored: int = 0
@@ -266,9 +270,13 @@ class Conductor:
         return [Send(node, start) for node in reversed(list(self.graph.nodes))]
 
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
-        self.reports[sender] = report
         told: list[Instruction] = [Send(sender, Stop("reported"))]
-        if self.phase is Phase.RUNNING and not 0 < self.ticks <= report.ticks:  # the others would wait for it for ever
+        early = self.phase is Phase.RUNNING and not 0 < self.ticks <= report.ticks
+        if early and sender in self.remote and self.budget.restarts > 0 and not self.together:
+            self.left[sender] = report
+            return told + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
+        self.reports[sender] = report
+        if early:  # the others would wait for it for ever
             told += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
         elif self.phase is Phase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
             told += self._recovery.close(now)
@@ -281,9 +289,18 @@ class Conductor:
         if self.phase is Phase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
             return told + self._withstood(lost)
+        if self.phase is Phase.STARTING and state is NodeState.WELCOMED and sender in self.remote and not self.together:
+            return told + self._awaited_again(sender, text)
         told += self._fail(text)
         self._gone_if_remote(sender)
         return told
+
+    def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
+        """A guest ends while others are still to join: none of them was told of it, so its place is as it was."""
+        self.states[guest] = NodeState.STARTING
+        self._endpoints = {ends: place for ends, place in self._endpoints.items() if ends[0] != guest}
+        self.incidents.tell(f"{why}; the session waits for {guest} again")
+        return [Release(guest)]
 
     def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
         state = self.states[node]

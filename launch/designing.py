@@ -20,6 +20,7 @@ from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.weights import Filter
 from manyhands.launch.display import say, status
 from manyhands.launch.exits import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
+from manyhands.launch.files import naming
 from manyhands.launch.loop import coupling_request, haptic_loop
 from manyhands.launch.preparation import certify
 from manyhands.launch.session import Session
@@ -66,7 +67,8 @@ def run_design(
         return EXIT_NOT_CERTIFIED
     certificate = designed.certificate
     if output is not None:
-        save(certificate, output)
+        with naming(output):
+            save(certificate, output)
     if as_json:
         print_json(certificate_object(certificate))
     else:

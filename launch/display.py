@@ -15,6 +15,7 @@ from rich.text import Text
 from manyhands.launch.columns import COLUMNS
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
+from manyhands.launch.output import has_room, lost_at
 from manyhands.launch.topology import Topology
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Telemetry
@@ -39,7 +40,10 @@ _LINE_EVERY = 2.0  # s between two plain lines
 
 
 class LiveTable:
-    """Shows a run's progress on a console; call it with each :class:`Progress`."""
+    """Shows a run's progress on a console; call it with each :class:`Progress`.
+
+    A console that takes nothing now is not waited for, since the session would wait, too.
+    """
 
     def __init__(self, console: Console, title: str, graph: Topology, ticks: int) -> None:
         """Show the nodes of ``graph`` under ``title``; ``ticks`` of 0 has no end."""
@@ -50,6 +54,7 @@ class LiveTable:
         self._line_at = 0.0
         self._phase: Phase | None = None
         self._said: set[str] = set()
+        self._lost: str | None = None
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -62,8 +67,16 @@ class LiveTable:
         if self._live is not None:
             self._live.stop()
 
-    def __call__(self, progress: Progress) -> None:
-        """Show ``progress``."""
+    def __call__(self, progress: Progress) -> str | None:
+        """Show ``progress``; returns why nobody can see it any more, once, when that happens."""
+        if self._lost is None and has_room(self._console.file):
+            self._show(progress)
+            self._lost = lost_at(self._console.file)
+            if self._lost is not None:
+                return f"the display was lost ({self._lost}); the session goes on without it"
+        return None
+
+    def _show(self, progress: Progress) -> None:
         if self._live is not None:
             self._live.update(self._render(progress), refresh=True)
             return

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from manyhands.design.certificate import to_json
-from manyhands.launch.files import TargetError, replacing
+from manyhands.launch.files import TargetError, naming, replacing
 from manyhands.launch.report import save_json
 from manyhands.nodes.log import LOG_FOLDER
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
@@ -41,7 +41,8 @@ def run_directory(logs: Path | None = None) -> Iterator[Path]:
             (directory / LOG_FOLDER).mkdir(mode=0o700)
         else:
             (directory / LOG_FOLDER).symlink_to(logs.absolute(), target_is_directory=True)
-        yield directory
+        with naming(directory):
+            yield directory
     finally:
         shutil.rmtree(directory)  # a link is removed, not what it leads to
 

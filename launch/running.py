@@ -29,6 +29,7 @@ def run_session(
     report: Path | None = None,
     directory: SessionDirectory | None = None,
     keep: bool = False,
+    together: bool = False,
 ) -> Outcome:
     """Run a session, show its progress on ``console``, and write what was asked for.
 
@@ -42,6 +43,7 @@ def run_session(
         report: where the report goes.
         directory: where session, certificate, report and logs are kept besides.
         keep: whether to return the recording without writing it.
+        together: whether a guest that leaves ends the session.
 
     Raises:
         RecordingError, OSError: a file cannot be written.
@@ -59,6 +61,7 @@ def run_session(
             record=keep or (record is not None and not streamed),
             recorder=RecorderProcess(prepared, clock, record) if record is not None and streamed else None,
             logs=None if directory is None else directory.logs,
+            together=together,
             show=table,
         ).run()
     for notice in outcome.notices:

@@ -81,7 +81,8 @@ class Supervisor:
         record: bool,
         recorder: Recorder | None = None,
         logs: Path | None = None,
-        show: Callable[[Progress], None] | None = None,
+        together: bool = False,
+        show: Callable[[Progress], str | None] | None = None,
     ) -> None:
         """Prepare a run; nothing is started yet.
 
@@ -93,7 +94,8 @@ class Supervisor:
             record: whether to keep every x and f_v in memory, for the outcome.
             recorder: who writes the run down while it goes on; nobody by default.
             logs: the folder that the processes' logs go to; by default they go with the run.
-            show: told about the progress a few times a second.
+            together: whether a guest that leaves ends the session.
+            show: told about the progress a few times a second; returns an incident of the display, if there is one.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
@@ -104,7 +106,9 @@ class Supervisor:
         self._show = show
         self._graph = topology(session)
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
-        self._conductor = Conductor(self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget)
+        self._conductor = Conductor(
+            self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
+        )
         self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
         self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
@@ -157,7 +161,7 @@ class Supervisor:
                 self._start_process(name, processes)
             self._recorder.await_ready(interrupt.fd)
             self._watch(hub, transport, processes, interrupt)
-            self._tell_of_recorder(self._recorder.finish(interrupt.fd))
+            self._note_incident(self._recorder.finish(interrupt.fd))
         finally:
             self._recorder.close()
             processes.end_all()
@@ -188,7 +192,7 @@ class Supervisor:
                 if received is None:
                     break
                 self._hear(*received, hub, processes)
-            self._tell_of_recorder(recorder.attend(ready))
+            self._note_incident(recorder.attend(ready))
             if not recorder.has_room:  # who is not listened to is not silent
                 for name in self._reach.remote:
                     self._heard.note(name, clock.now())
@@ -232,14 +236,14 @@ class Supervisor:
     def _tell(self, progress: Progress) -> None:
         """Show how the session is, here and to whoever looks on, and have it written down."""
         if self._show is not None:
-            self._show(progress)
+            self._note_incident(self._show(progress))
         told = condition_frame(progress)
         if told is not None:  # one that is too long is no loss: the next says all that it said
             self._recorder.tell(told)
         if self._showing is not None:
             self._showing.tell(told)
 
-    def _tell_of_recorder(self, incident: str | None) -> None:
+    def _note_incident(self, incident: str | None) -> None:
         if incident is not None:
             self._conductor.incidents.tell(incident)
 
@@ -361,7 +365,7 @@ class Supervisor:
                 self._clock_name,
                 ticks * self._session.period,
                 self._graph.nodes,
-                conductor.reports,
+                {**conductor.left, **conductor.reports},
                 self._refused,
                 conductor.incidents,
                 self._prepared.loop.enforced,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session
 from manyhands.protocol.limits import MAX_PORTS
 from manyhands.protocol.messages import Role
+from manyhands.protocol.transport.descriptors import node_needs, require_descriptors
 
 __all__ = ["ENVIRONMENT", "LinkPlan", "LinkTooWide", "Topology", "require_runnable", "roster", "topology"]
 
@@ -55,11 +56,12 @@ class LinkTooWide(Exception):
     """A link would have to carry more ports than a signal may have values."""
 
 
-def require_runnable(graph: Topology) -> None:
-    """Refuse a session that can be designed and simulated, but not be run as processes.
+def require_runnable(graph: Topology, observers: int = 0) -> None:
+    """Refuse a session that can be designed and simulated, but not be run as processes; before anything is made.
 
     Raises:
         LinkTooWide: a link carries more than ``MAX_PORTS`` ports.
+        TransportError: the supervisor, or the node with most links, may not open enough files.
     """
     for link in graph.links:
         if len(link.ports) > MAX_PORTS:
@@ -67,6 +69,11 @@ def require_runnable(graph: Topology) -> None:
                 f"the link between {link.binder} and {link.connector}: found {len(link.ports)} ports; "
                 f"expected at most {MAX_PORTS}; divide the coupling into more blocks"
             )
+    of_nodes = (node_needs(len(graph.links_of(node))) for node in graph.nodes)  # which inherit the supervisor's limit
+    require_descriptors(max(node_needs(0) + _A_MEMBER * (len(graph.nodes) + observers), *of_nodes))
+
+
+_A_MEMBER = 8  # descriptors of the supervisor: the process, its connection, an observer's socket and its monitor
 
 
 def roster(session: Session) -> Mapping[str, Role]:

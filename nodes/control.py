@@ -269,7 +269,9 @@ class ControlLine:
     def _require_connection(self, waits: int) -> None:
         """Give up on a supervisor that will not have this node, at once, or that is not there, after a while."""
         trouble = self._link.trouble()
-        if trouble is None or trouble is Trouble.LOST or (trouble is Trouble.NOBODY and waits < _JOINING_WAITS):
+        if trouble is None or trouble is Trouble.LOST:
+            return
+        if trouble in (Trouble.NOBODY, Trouble.BROKEN_OFF) and waits < _JOINING_WAITS:  # it may be busy starting
             return
         raise Refused(
             f"{self._common.name}: cannot join the supervisor at {self._common.control}: {trouble}; see that the "

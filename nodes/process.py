@@ -37,6 +37,7 @@ from manyhands.protocol.key_files import KeyFileError
 from manyhands.protocol.keys import KeyRing, load_private
 from manyhands.protocol.messages import Report, Start
 from manyhands.protocol.transport import Link, Transport, TransportError
+from manyhands.protocol.transport.descriptors import node_needs, require_descriptors
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 EXIT_OK = 0
@@ -149,6 +150,7 @@ def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Lif
     transports: list[Transport] = []
     try:
         try:
+            require_descriptors(node_needs(sum(len(common.peers) for common, _, _ in nodes)))
             for common, node, ring in nodes:
                 transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
                 transports.append(transport)

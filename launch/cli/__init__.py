@@ -13,7 +13,7 @@ import typer
 
 import manyhands
 from manyhands.launch.cli import designing, examining, looking, machine, network, recording, replaying, running, viewing
-from manyhands.launch.cli.common import err, out, unwind
+from manyhands.launch.cli.common import err, errors, out, unwind
 from manyhands.launch.display import say
 
 __all__ = ["app", "err", "out"]
@@ -32,7 +32,8 @@ for group in (designing, running, network, machine, looking, viewing, recording,
 
 def _version(wanted: bool) -> None:
     if wanted:
-        say(out, f"manyhands {manyhands.__version__}")
+        with errors():
+            say(out, f"manyhands {manyhands.__version__}")
         raise typer.Exit
 
 

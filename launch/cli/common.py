@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +14,7 @@ from rich.console import Console
 from manyhands.design.errors import CertificateError, DesignError
 from manyhands.launch.cli.completing import running_names, session_files
 from manyhands.launch.display import say
-from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
+from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
 from manyhands.launch.files import TargetError
 from manyhands.launch.looking.sessions import NoSession
 from manyhands.launch.looking.topics_named import NoTopic
@@ -130,24 +128,6 @@ def require_folder(path: Path | None) -> None:
         refuse(f"{path}: found a file; expected the name of a folder")
 
 
-@contextmanager
-def pipe_may_close() -> Iterator[None]:
-    """Whoever reads standard output may have had enough, as ``head`` does: then the command is done, and well."""
-    try:
-        yield
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _nobody_reads()
-        raise typer.Exit(EXIT_OK) from None
-
-
-def _nobody_reads() -> None:
-    """Let go of a standard output that nobody reads, for the interpreter flushes it once more at its end."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
-
-
 def end(code: int) -> None:
     """End the command with this exit code."""
     if code:
@@ -215,9 +195,7 @@ def errors() -> Iterator[None]:
     except ModelFailure as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_FAILED) from error
-    except BrokenPipeError as error:
-        _nobody_reads()
-        raise typer.Exit(EXIT_FAILED) from error
     except OSError as error:
-        say(err, f"error: {error.filename or ''}: {error.strerror}")
+        place = "" if error.filename is None else f"{error.filename}: "
+        say(err, f"error: {place}{error.strerror or error}")
         raise typer.Exit(EXIT_FAILED) from error

@@ -6,10 +6,11 @@ from typing import Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, pipe_may_close, refuse
+from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse
 from manyhands.launch.cli.completing import topic_names
 from manyhands.launch.display import say
 from manyhands.launch.looking.pacing import DEFAULT_WINDOW
+from manyhands.launch.output import pipe_may_close
 
 commands = typer.Typer()
 
@@ -26,7 +27,7 @@ TopicName = Annotated[
 @commands.command("list", epilog="Example: manyhands list --json")
 def list_sessions(as_json: Json = False) -> None:
     """List the sessions that run on this machine, and how they and their nodes are."""
-    with errors(), pipe_may_close():
+    with errors():
         import time
 
         from manyhands.launch.designing import print_json

@@ -21,13 +21,13 @@ from manyhands.launch.cli.common import (
     err,
     errors,
     out,
-    pipe_may_close,
     prepare_session,
     refuse,
     require_one_of,
 )
 from manyhands.launch.cli.completing import node_names, session_files
 from manyhands.launch.display import say
+from manyhands.launch.output import pipe_may_close
 from manyhands.launch.shipped import load_named
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 
@@ -69,7 +69,7 @@ def graph(
     as_json: Json = False,
 ) -> None:
     """Show a session's processes and links, or who may read and write what; of a running one, how each is."""
-    with errors(), pipe_may_close():
+    with errors():
         from manyhands.launch.files import require_target
         from manyhands.launch.graph import FORMATS, format_of, show_scene, show_session
         from manyhands.launch.looking.listing import look_at
@@ -168,4 +168,5 @@ def node(
     """Join a session of another machine as one of its nodes, or look on as an observer (a line of JSON each time)."""
     from manyhands.nodes.guest import join
 
-    end(join(name, bundle, key, connect, host))
+    with pipe_may_close():  # which an observer sees to itself
+        end(join(name, bundle, key, connect, host))

@@ -104,6 +104,9 @@ def launch(
     remote: Annotated[
         list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
     ] = [],  # noqa: B006
+    together: Annotated[
+        bool, typer.Option("--together", help="End the session when a remote node leaves; by default the others go on.")
+    ] = False,
     insecure: Insecure = False,
     record: Annotated[
         Path | None,
@@ -142,7 +145,7 @@ def launch(
             require_suffix(record, RUN_SUFFIXES)
         if report is not None:
             require_target(report)
-        require_runnable(topology(loaded))
+        require_runnable(topology(loaded), len(loaded.observers))
         ways = reach(
             loaded,
             transport,
@@ -157,7 +160,15 @@ def launch(
         warn_of_model(err, loaded)
         kept = None if directory is None else SessionDirectory(directory)
         outcome = run_session(
-            prepared, err, clock=clock, reach=ways, ticks=ticks, record=record, report=report, directory=kept
+            prepared,
+            err,
+            clock=clock,
+            reach=ways,
+            ticks=ticks,
+            record=record,
+            report=report,
+            directory=kept,
+            together=together,
         )
         print_report(out, outcome.report)
         end(outcome.code)
@@ -176,6 +187,7 @@ def demo(
         require_one_of("--clock", clock, CLOCKS)
         require_folder(output)
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        require_runnable(topology(shipped["example1"]))
         code = run_demo(shipped, out, err, output, kept_ticks(shipped["example1"], duration), clock)
         end(code)
 

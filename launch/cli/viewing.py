@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -59,4 +60,9 @@ def view(
 
                 webbrowser.open(address)
 
-        serve(running, host, port, token, ready)
+        refused: Counter[str] = Counter()
+        try:
+            serve(running, host, port, token, ready, refused)
+        finally:  # on Ctrl-C, which is how it ends
+            if refused:
+                say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))

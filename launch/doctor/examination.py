@@ -20,7 +20,7 @@ from manyhands.launch.loop import haptic_loop
 from manyhands.launch.placement import chains_of
 from manyhands.launch.run_directory import run_directory
 from manyhands.launch.session import Session
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import require_runnable, topology
 
 LEAST_SECONDS = 1.0
 MOST_SECONDS = 600.0
@@ -47,6 +47,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         found = f"found {len(graph.nodes)} processes; expected at most {MOST_PROCESSES} for a probe"
         say(err, f"error: {session.name}: {found}; give a smaller session of the same kind")
         return EXIT_BAD_INPUT
+    require_runnable(graph)
     machine, worth = examine(), Worth.of(haptic_loop(session))
     try:
         with Interrupt() as interrupt, run_directory() as directory, measuring(err) as show:

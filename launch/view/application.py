@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import Counter
 from typing import Final
 
 from starlette.applications import Starlette
@@ -17,6 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from manyhands.launch.view.assets import Asset, load_assets
+from manyhands.launch.view.connections import Connections
 from manyhands.launch.view.demands import Allowance, Hold, LetGo, Wrong, demand_of, token_of
 from manyhands.launch.view.feed import Cursor
 from manyhands.launch.view.security import HEADERS, Doorstep, Token
@@ -32,7 +34,7 @@ TAKES_AT_MOST: Final = 30.0
 """How long a page may take to take a picture, or to say its token, before it is given up, s."""
 
 MOST_PAGES: Final = 16
-"""Pages at a time, admitted or waiting to be."""
+"""Pages at a time; those that wait to be admitted are none yet."""
 
 WRONG_TOKEN_COSTS: Final = 1.0
 """How long the answer to a wrong token takes, s."""
@@ -71,27 +73,36 @@ class Guard:
 class Pages:
     """The pages that are open."""
 
-    def __init__(self, watch: Watch, token: Token | None) -> None:
-        self._watch, self._token = watch, token
+    def __init__(self, watch: Watch, token: Token | None, connections: Connections) -> None:
+        self._watch, self._token, self._connections = watch, token, connections
         self._count = self._last = 0
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve one page until it goes or is given up."""
         await socket.accept()
-        if self._count >= MOST_PAGES:
-            await socket.close(TOO_MANY, "too many pages")
-            return
-        self._count += 1
-        self._last += 1
         try:
             if await self._admitted(socket):
-                await self._serve(socket, self._last)
+                await self._serve_one_of_so_many(socket)
         except TimeoutError:
+            self._connections.refused["too_slow"] += 1
             await _closed(socket, "the page took too long")
         except NoText:
+            self._connections.refused["no_text"] += 1
             await _closed(socket, "found bytes; expected text")
         except WebSocketDisconnect:
             return
+
+    async def _serve_one_of_so_many(self, socket: WebSocket) -> None:
+        if self._count >= MOST_PAGES:
+            self._connections.refused["too_many"] += 1
+            await socket.close(TOO_MANY, "too many pages")
+            return
+        if socket.client is not None:
+            self._connections.admitted((socket.client.host, socket.client.port))
+        self._count += 1
+        self._last += 1
+        try:
+            await self._serve(socket, self._last)
         finally:
             self._count -= 1
 
@@ -102,6 +113,7 @@ class Pages:
             given = token_of(await _text(socket))
         if self._token.fits(given):
             return True
+        self._connections.refused["wrong_token"] += 1
         await asyncio.sleep(WRONG_TOKEN_COSTS)
         await socket.close(NOT_ADMITTED, "a token is needed: open the address with #token=... at its end")
         return False
@@ -138,6 +150,7 @@ class Pages:
             text = await _text(socket)
             now = watch.clock.now()
             if not allowance.spend(now):
+                self._connections.refused["too_often"] += 1
                 await socket.close(TOO_OFTEN, "more messages than a page sends")
                 return
             if token_of(text) is not None:
@@ -192,8 +205,16 @@ async def _closed(socket: WebSocket, why: str) -> None:
         return
 
 
-def application(watch: Watch, doorstep: Doorstep, token: Token | None = None) -> ASGIApp:
+def application(
+    watch: Watch, doorstep: Doorstep, token: Token | None = None, connections: Connections | None = None
+) -> ASGIApp:
     """The server's application.
+
+    Args:
+        watch: what pages are told of.
+        doorstep: by which names it may be asked for.
+        token: what opens a page, where something has to.
+        connections: of the server, which learns here which of them carry pages, and what was refused.
 
     Raises:
         OSError: a file of the page cannot be read.
@@ -205,6 +226,6 @@ def application(watch: Watch, doorstep: Doorstep, token: Token | None = None) ->
 
         return Route(path, answer, methods=["GET"])
 
-    pages = Pages(watch, token)
+    pages = Pages(watch, token, connections or Connections(Counter()))
     routes = [file_route(path, asset) for path, asset in load_assets().items()]
     return Guard(Starlette(routes=[*routes, WebSocketRoute("/socket", pages.serve)]), doorstep)

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
-from collections.abc import Callable
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
 
 import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from manyhands.launch.looking.sessions import Running
 from manyhands.launch.view.application import application
+from manyhands.launch.view.connections import Connections
 from manyhands.launch.view.demands import MAX_DEMAND_BYTES
 from manyhands.launch.view.security import Doorstep, Token, ViewError
 from manyhands.launch.view.watch import Watch
-from manyhands.protocol.clock import RealtimeClock
+from manyhands.protocol.clock import Clock, RealtimeClock
 
-MOST_CONNECTIONS: Final = 64
-"""Connections at a time, of which pages are some; who comes then is told to come later."""
+LOOK_EVERY: Final = 1.0
+"""How often connections that take too long are ended, s."""
 
 _LEAVES_WITHIN: Final = 2  # s that open pages have to notice that the server ends
 
@@ -57,7 +62,51 @@ class _Server(uvicorn.Server):
         self._ready()
 
 
-def serve(running: Running, host: str, port: int, token: Token | None, ready: Callable[[str], None]) -> None:
+def _http_of(connections: Connections, clock: Clock) -> type[H11Protocol]:
+    """The protocol of a server that keeps these connections, and no others."""
+
+    class Http(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as its own does
+            super().connection_made(transport)
+            if self.client is not None:  # it is gone already
+                connections.opened(self.client, transport, clock.now())
+
+        def on_response_complete(self) -> None:
+            if self.client is not None:
+                connections.answered(self.client, clock.now())
+            super().on_response_complete()
+
+    return Http
+
+
+class _NoText(logging.Filter):
+    """Counts messages that are no UTF-8, which uvicorn closes the socket for, and would show with a traceback each."""
+
+    def __init__(self, refused: Counter[str]) -> None:
+        super().__init__()
+        self._refused = refused
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.exc_info is None or not isinstance(record.exc_info[1], UnicodeDecodeError):
+            return True
+        self._refused["no_text"] += 1
+        return False
+
+
+@contextmanager
+def without_tracebacks(refused: Counter[str]) -> Iterator[None]:
+    """Meanwhile, count messages that are no UTF-8 in place of showing them."""
+    log, counting = logging.getLogger("uvicorn.error"), _NoText(refused)
+    log.addFilter(counting)
+    try:
+        yield
+    finally:
+        log.removeFilter(counting)
+
+
+def serve(
+    running: Running, host: str, port: int, token: Token | None, ready: Callable[[str], None], refused: Counter[str]
+) -> None:
     """Serve the page until a signal ends it.
 
     Args:
@@ -66,48 +115,62 @@ def serve(running: Running, host: str, port: int, token: Token | None, ready: Ca
         port: likewise; 0 for any that is free.
         token: what opens the page; None where its address is enough.
         ready: called with the page's address as soon as it can be opened.
+        refused: counts what was refused, by reason.
 
     Raises:
         ViewError: it cannot listen there.
         TransportError: the session has no gallery.
     """
-    with listen(host, port) as listening:
+    with listen(host, port) as listening, without_tracebacks(refused):
         doorstep = Doorstep(host, listening.getsockname()[1])
-        watch = Watch(running, RealtimeClock())
+        watch, connections = Watch(running, RealtimeClock()), Connections(refused)
         try:
-            config = uvicorn.Config(
-                application(watch, doorstep, token),
-                http="h11",
-                ws="websockets-sansio",
-                ws_max_size=MAX_DEMAND_BYTES,
-                ws_per_message_deflate=False,
-                lifespan="off",
-                interface="asgi3",
-                limit_concurrency=MOST_CONNECTIONS,
-                timeout_graceful_shutdown=_LEAVES_WITHIN,
-                server_header=False,
-                proxy_headers=False,
-                access_log=False,
-                log_config=None,
-                log_level="error",
-            )
+            config = config_of(application(watch, doorstep, token, connections), connections, watch.clock)
             server = _Server(config, lambda: ready(address_of(doorstep, token)))
-            asyncio.run(_until_told(server, watch, listening))
+            asyncio.run(until_told(server, watch, connections, listening))
         finally:
             watch.close()
 
 
-async def _until_told(server: uvicorn.Server, watch: Watch, listening: socket.socket) -> None:
+def config_of(app: ASGIApp, connections: Connections, clock: Clock) -> uvicorn.Config:
+    """How the server is run: within bounds, silent, and without what a page does not need."""
+    return uvicorn.Config(
+        app,
+        http=_http_of(connections, clock),
+        ws="websockets-sansio",
+        ws_max_size=MAX_DEMAND_BYTES,
+        ws_per_message_deflate=False,
+        lifespan="off",
+        interface="asgi3",
+        timeout_graceful_shutdown=_LEAVES_WITHIN,
+        server_header=False,
+        proxy_headers=False,
+        access_log=False,
+        log_config=None,
+        log_level="error",
+    )
+
+
+async def until_told(server: uvicorn.Server, watch: Watch, connections: Connections, listening: socket.socket) -> None:
+    """Serve, look on, and end connections that take too long, until the server is asked to end."""
+
     async def looking() -> None:
         try:
             await watch.run()
         finally:
             server.should_exit = True  # a page that nobody keeps up to date is not served
 
-    watching = asyncio.create_task(looking())
+    async def ending() -> None:
+        while True:
+            await asyncio.sleep(LOOK_EVERY)
+            connections.end_overdue(watch.clock.now())
+
+    beside = [asyncio.create_task(looking()), asyncio.create_task(ending())]
     try:
         await server.serve(sockets=[listening])
     finally:
-        watching.cancel()
-        with suppress(asyncio.CancelledError):
-            await watching
+        for task in beside:
+            task.cancel()
+        for task in beside:
+            with suppress(asyncio.CancelledError):
+                await task

@@ -24,6 +24,7 @@ class Trouble(StrEnum):
 
     NOBODY = "nobody listens there"
     NOT_ADMITTED = "the other side does not admit this key"
+    BROKEN_OFF = "the other side ended the connection before it had proved its key"
     NOT_PROVED = "the other side does not hold the key expected of it, or one side is encrypted and the other is not"
     LOST = "the connection was lost"
 

@@ -7,7 +7,6 @@ loop runs in its slack, a bounded number at a time (:meth:`Doorkeeper.attend`); 
 for them.
 """
 
-import resource
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
@@ -17,6 +16,7 @@ from zmq.utils import z85
 
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import HANDSHAKE_MS
+from manyhands.protocol.transport.descriptors import allow_descriptors
 from manyhands.protocol.transport.door import Door, Refused
 
 _VERSION: Final = b"1.0"
@@ -48,17 +48,6 @@ def judge(
     )
 
 
-def _allow_descriptors() -> None:
-    """Let this process have more file descriptors, if it may: once they are used up, ZeroMQ's thread only spins."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_DESCRIPTORS, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-
-
-_DESCRIPTORS: Final = 65536  # far more than all doors of a process hold before they shut
-
-
 class Doorkeeper:
     """Guards the sockets of one context with one process's keys.
 
@@ -74,7 +63,7 @@ class Doorkeeper:
     ) -> None:
         """To be made before any socket of ``context`` is bound; ``now``: monotonic ns."""
         self._ring, self._now = ring, now
-        _allow_descriptors()
+        allow_descriptors()  # once they are used up, ZeroMQ's thread only spins
         self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[Door] = []

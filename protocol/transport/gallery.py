@@ -14,6 +14,7 @@ import zmq
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import milliseconds, require_path, require_sendable
+from manyhands.protocol.transport.descriptors import require_room
 from manyhands.protocol.transport.sockets import failed
 
 GALLERY: Final = "gallery"
@@ -29,10 +30,11 @@ class Gallery:
         """Open it in ``directory``, which exists and which only the session's user may enter.
 
         Raises:
-            TransportError: the socket cannot be bound there.
+            TransportError: the socket cannot be bound there, or this process may not open enough files.
         """
         self._path = directory.absolute() / GALLERY
         require_path(self._path)
+        require_room()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PUB)
         self._socket.setsockopt(zmq.SNDHWM, LINK_QUEUE_FRAMES)
@@ -71,10 +73,11 @@ class Visit:
         """Enter the gallery of the session in ``directory``, now or as soon as it is there.
 
         Raises:
-            TransportError: there can be none.
+            TransportError: there can be none, or this process may not open enough files.
         """
         path = directory.absolute() / GALLERY
         require_path(path)
+        require_room()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.RCVHWM, LINK_QUEUE_FRAMES)

@@ -1,6 +1,12 @@
 """What becomes of a socket's connections, as ZeroMQ tells it."""
 
+from functools import reduce
+from operator import or_
+from typing import Final
+
 import zmq
+
+from manyhands.protocol.transport import Trouble
 
 
 def monitor_of(socket: "zmq.Socket[bytes]", events: int) -> "zmq.Socket[bytes]":
@@ -22,3 +28,63 @@ def close_monitor(socket: "zmq.Socket[bytes]", monitor: "zmq.Socket[bytes]") -> 
     if not socket.closed:
         socket.disable_monitor()  # before its other end closes: ZeroMQ says goodbye to it
     monitor.close(linger=0)
+
+
+class Fate:
+    """What has become of the connection of a socket that connects, from ZeroMQ's events in their order. Pure.
+
+    A connection that ends within its handshake tells nothing of why: so does a host that does not hold the key expected
+    of it, at each attempt, but so does one that was too busy to admit anybody for :data:`HANDSHAKE_MS`, or a tunnel
+    whose far end has no session yet. Only when that has happened again and again is it taken for a wrong key.
+
+    Attributes:
+        trouble: what is wrong now; None while nothing is known to be.
+    """
+
+    EVENTS: Final = reduce(
+        or_,
+        (
+            zmq.Event.HANDSHAKE_SUCCEEDED,
+            zmq.Event.HANDSHAKE_FAILED_AUTH,
+            zmq.Event.HANDSHAKE_FAILED_PROTOCOL,
+            zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
+            zmq.Event.DISCONNECTED,
+            zmq.Event.CONNECT_RETRIED,
+        ),
+    )
+
+    def __init__(self) -> None:
+        self.trouble: Trouble | None = None
+        self._established = False
+        self._broken_off = 0
+
+    def take(self, event: zmq.Event) -> None:
+        """One of :attr:`EVENTS` has happened."""
+        if event is zmq.Event.HANDSHAKE_SUCCEEDED:
+            self.trouble, self._established, self._broken_off = None, True, 0
+            return
+        if event is zmq.Event.HANDSHAKE_FAILED_NO_DETAIL:
+            self._broken_off += 1
+        if self.trouble in _PASSING:  # what came first is the cause: a loss follows a refusal, too
+            self.trouble = self._meaning(event)
+
+    def _meaning(self, event: zmq.Event) -> Trouble | None:
+        match event:
+            case zmq.Event.HANDSHAKE_FAILED_AUTH:
+                return Trouble.NOT_ADMITTED
+            case zmq.Event.HANDSHAKE_FAILED_PROTOCOL:
+                return Trouble.NOT_PROVED
+            case zmq.Event.HANDSHAKE_FAILED_NO_DETAIL:
+                return Trouble.BROKEN_OFF if self._broken_off < BROKEN_OFF_IN_A_ROW else Trouble.NOT_PROVED
+            case zmq.Event.DISCONNECTED if self._established:
+                return Trouble.LOST
+            case zmq.Event.CONNECT_RETRIED if self.trouble is None:
+                return Trouble.NOBODY
+        return self.trouble
+
+
+BROKEN_OFF_IN_A_ROW: Final = 20
+"""Connections that may end within their handshake, one after the other, before the other side's key is doubted: three
+seconds of a wrong key, more than a minute of a host that is busy."""
+
+_PASSING: Final = (None, Trouble.NOBODY, Trouble.BROKEN_OFF)

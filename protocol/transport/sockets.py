@@ -8,8 +8,6 @@ has to answer those who want to be let in; sending never blocks.
 
 import time
 from collections.abc import Sequence
-from functools import reduce
-from operator import or_
 from typing import Final
 
 import zmq
@@ -19,7 +17,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINGER_MS, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import TransportError, Trouble, milliseconds, require_name, require_sendable
 from manyhands.protocol.transport.doorkeeper import Doorkeeper
-from manyhands.protocol.transport.monitor import close_monitor, monitor_of
+from manyhands.protocol.transport.monitor import Fate, close_monitor, monitor_of
 
 HUB_DROPS: Final = (
     "not_a_frame",  # not one frame from somebody with a proper name
@@ -38,8 +36,8 @@ class ZmqLink:
         self._send = super(zmq.Socket, socket).send
         self._receive = socket.recv
         self._timeout: Duration | None = None  # for ever, ZeroMQ's default of RCVTIMEO
-        self._monitor = monitor_of(socket, _FATES) if watched else None
-        self._trouble: Trouble | None = None
+        self._monitor = monitor_of(socket, Fate.EVENTS) if watched else None
+        self._fate = Fate()
 
     def send(self, frame: bytes) -> bool:
         """Queue a frame; see :class:`~manyhands.protocol.transport.Link`."""
@@ -92,10 +90,8 @@ class ZmqLink:
         """What has gone wrong with the connection; see :class:`~manyhands.protocol.transport.Link`."""
         if self._monitor is not None and not self._socket.closed:
             while self._monitor.poll(0, zmq.POLLIN):
-                event = zmq.Event(parse_monitor_message(self._monitor.recv_multipart())["event"])
-                if self._trouble in (None, Trouble.NOBODY) or event not in _TROUBLES:
-                    self._trouble = _TROUBLES.get(event)  # what came first is the cause: a loss follows a refusal, too
-        return self._trouble
+                self._fate.take(zmq.Event(parse_monitor_message(self._monitor.recv_multipart())["event"]))
+        return self._fate.trouble
 
     def close(self) -> None:
         """Close this end."""
@@ -106,14 +102,6 @@ class ZmqLink:
         self._socket.close(linger=LINGER_MS)
 
 
-_TROUBLES: Final[dict[zmq.Event, Trouble]] = {
-    zmq.Event.HANDSHAKE_FAILED_AUTH: Trouble.NOT_ADMITTED,
-    zmq.Event.HANDSHAKE_FAILED_PROTOCOL: Trouble.NOT_PROVED,
-    zmq.Event.HANDSHAKE_FAILED_NO_DETAIL: Trouble.NOT_PROVED,
-    zmq.Event.DISCONNECTED: Trouble.LOST,
-    zmq.Event.CONNECT_RETRIED: Trouble.NOBODY,
-}
-_FATES: Final = reduce(or_, _TROUBLES, zmq.Event.HANDSHAKE_SUCCEEDED)  # and success, which ends any trouble
 _AT_ONCE: Final = int(zmq.NOBLOCK)  # a plain number: the enumeration's is converted at every call
 _DROPS_AT_ONCE: Final = 32  # then the caller is asked again: a flood must not keep it from everything else
 

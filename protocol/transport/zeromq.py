@@ -22,6 +22,7 @@ from manyhands.protocol.limits import (
     SILENCE_MS,
 )
 from manyhands.protocol.transport import Hub, Link, TransportError, require_name, require_path
+from manyhands.protocol.transport.descriptors import require_room
 from manyhands.protocol.transport.doorkeeper import Doorkeeper
 from manyhands.protocol.transport.sockets import ZmqHub, ZmqLink, failed
 
@@ -49,8 +50,14 @@ class ZmqTransport:
     """
 
     def __init__(self, scheme: str, address_of: Callable[[str, str], str], ring: KeyRing | None = None) -> None:
+        """Make a transport without sockets.
+
+        Raises:
+            TransportError: this process may not open enough files.
+        """
         self._scheme: Final = scheme
         self._address_of = address_of
+        require_room()
         self._context = zmq.Context()
         self._door = None if ring is None else Doorkeeper(self._context, ring)
         self._sockets: list[zmq.Socket[bytes]] = []
@@ -74,7 +81,7 @@ class ZmqTransport:
         """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, ``ring`` for ``tcp``.
 
         Raises:
-            TransportError: if there is no such scheme.
+            TransportError: if there is no such scheme, or this process may not open enough files.
         """
         if scheme not in SCHEMES:
             raise TransportError(f"found the transport {scheme!r:.40}; expected {' or '.join(SCHEMES)}")

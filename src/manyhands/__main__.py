@@ -12,6 +12,7 @@ import os
 import signal
 from types import FrameType
 
+from manyhands.launch import output
 from manyhands.launch.exits import EXIT_INTERRUPTED
 
 
@@ -22,6 +23,7 @@ def _leave(_signum: int, _frame: FrameType | None) -> None:
 def main() -> None:
     """Run the command line; never returns normally (typer raises ``SystemExit``)."""
     signal.signal(signal.SIGINT, _leave)
+    output.install()
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # read when numpy is first imported
     from manyhands.launch.cli import app  # after the handler: this import takes a noticeable time

@@ -7,15 +7,18 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch.conductor import Conductor, Kill, NodeState, Phase, Release, Send, Terminate
+from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.session import load_session
 from manyhands.launch.topology import Topology, topology
 from manyhands.protocol.codec import ForeignHello, Malformed
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Absent,
     Connect,
     Echo,
     Fault,
     NodeHello,
+    Offer,
     Probe,
     Ready,
     Refusal,
@@ -40,13 +43,14 @@ def hello(sender: str, **changes: object) -> NodeHello:
     return NodeHello(**{**fields, **changes})  # type: ignore[arg-type]
 
 
-def conductor(*remote: str, ticks: int = 5) -> Conductor:
+def conductor(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = False) -> Conductor:
     observers = {"watch": "ipc:///s/watch", "scope": "ipc:///s/scope"}
-    return Conductor(GRAPH, "c", "example-1", ticks, frozenset(remote), observers)
+    budget = RestartBudget(restarts)
+    return Conductor(GRAPH, "c", "example-1", ticks, frozenset(remote), observers, budget, together)
 
 
-def running(*remote: str, ticks: int = 5) -> Conductor:
-    c = conductor(*remote, ticks=ticks)
+def running(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = False) -> Conductor:
+    c = conductor(*remote, ticks=ticks, restarts=restarts, together=together)
     for name in GRAPH.nodes:
         c.hear(name, hello(name), 0)
     for name in GRAPH.nodes:
@@ -216,6 +220,56 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     assert c.phase is Phase.OVER
     assert len(c.faults) == 1
     assert c.reports == {"dx": report}
+
+
+@pytest.mark.parametrize("ticks", [5, 0])
+def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(ticks: int) -> None:
+    c = running("dx", ticks=ticks, restarts=1)
+    report = Report(4, {}, {}, {})
+    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), Release("dx"), Send("cx", Absent("dx"))]
+    assert (c.phase, c.states["dx"], c.faults) == (Phase.RUNNING, NodeState.LOST, [])
+    assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
+    assert (c.left, c.reports) == ({"dx": report}, {})  # nobody waits for the others to be done, too
+    c.hear("cx", Offer("dx", "ipc://cx-dx.1"), 0)
+    assert c.hear("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
+    c.hear("dx", Ready(), 0)
+    assert c.states["dx"] is NodeState.RUNNING
+    c.hear("dx", report, 0)  # a second time is once too often
+    assert c.states["dx"] is NodeState.GONE
+    assert c.phase is Phase.RUNNING
+    assert len(c.faults) == 1
+
+
+@pytest.mark.parametrize(("restarts", "together"), [(0, False), (3, True)])
+def test_a_guest_that_leaves_ends_a_session_that_is_to_stay_together_or_restarts_nobody(
+    restarts: int, together: bool
+) -> None:
+    c = running("dx", restarts=restarts, together=together)
+    c.hear("dx", Report(4, {}, {}, {}), 0)
+    assert c.phase is Phase.ENDING
+    assert c.faults == ["dx left after 4 ticks, before the session was over"]
+
+
+def test_a_guest_that_ends_while_others_are_awaited_may_join_again() -> None:
+    c = conductor("dx", "dy")
+    c.hear("dx", hello("dx"), 0)
+    assert c.awaited == ("dy",)
+    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("heard")), Release("dx")]
+    assert (c.phase, c.faults, c.awaited) == (Phase.STARTING, [], ("dx", "dy"))
+    assert c.incidents.sentences == ("dx: its user ended it; the session waits for dx again",)
+    for name in GRAPH.nodes:
+        c.hear(name, hello(name), 0)
+    assert set(c.states.values()) == {NodeState.CONNECTED}
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_but_not_where_its_peers_already_shake_hands_with_it_or_all_stay_together(together: bool) -> None:
+    c = conductor("dx", together=together)
+    for name in ["dx"] if together else GRAPH.nodes:
+        c.hear(name, hello(name), 0)
+    c.hear("dx", Fault("dx: its user ended it"), 0)
+    assert c.phase is Phase.ENDING
+    assert c.faults == ["dx: its user ended it"]
 
 
 def test_a_node_that_leaves_early_once_the_session_ends_is_no_fault() -> None:

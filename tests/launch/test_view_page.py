@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from manyhands.launch.looking.sessions import Running
 from manyhands.launch.view import application as served
 from manyhands.launch.view.application import application
 from manyhands.launch.view.assets import STATIC, load_assets
+from manyhands.launch.view.connections import Connections
 from manyhands.launch.view.demands import DEMANDS_AT_ONCE
 from manyhands.launch.view.feed import Cursor, Feed
 from manyhands.launch.view.security import HEADERS, Doorstep, Token, ViewError
@@ -260,6 +262,8 @@ class Deaf:
     async def accept(self) -> None:
         """As a socket does."""
 
+    client = None
+
     async def receive(self) -> dict[str, Any]:
         """Nothing comes."""
         await asyncio.Event().wait()
@@ -282,7 +286,7 @@ class Deaf:
 def test_a_page_that_does_not_read_is_given_up(watch: Watch, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(served, "TAKES_AT_MOST", 0.05)
     page = Deaf()
-    asyncio.run(served.Pages(watch, None).serve(page))  # type: ignore[arg-type]  # as much of a socket as is used
+    asyncio.run(served.Pages(watch, None, Connections(Counter())).serve(page))  # type: ignore[arg-type]  # as much of a socket as is used
     assert (page.most, page.waiting, page.closed) == (1, 0, served.GIVEN_UP)
 
 
@@ -346,7 +350,14 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
     """What the command would serve."""
     served_: list[tuple[str, Token | None]] = []
 
-    def serve(_running: Running, host: str, _port: int, token: Token | None, ready: Callable[[str], None]) -> None:
+    def serve(
+        _running: Running,
+        host: str,
+        _port: int,
+        token: Token | None,
+        ready: Callable[[str], None],
+        _refused: dict[str, int],
+    ) -> None:
         served_.append((host, token))
         ready(address_of(Doorstep(host, 80), token))
 

@@ -202,9 +202,10 @@ def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: Line, trou
     assert line.waits == 1
 
 
-def test_one_that_is_not_there_yet_is_given_a_minute(line: Line) -> None:
-    line.state = Trouble.NOBODY
-    with pytest.raises(Refused, match="nobody listens there"):
+@pytest.mark.parametrize("trouble", [Trouble.NOBODY, Trouble.BROKEN_OFF])
+def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: Line, trouble: Trouble) -> None:
+    line.state = trouble
+    with pytest.raises(Refused, match=str(trouble)):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
     assert line.waits * control_module._PATIENCE == 60 * SECOND
     line.waits = 0

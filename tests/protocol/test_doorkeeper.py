@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,12 +13,14 @@ import pytest
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
+from zmq import Event
 from zmq.utils import z85
 
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyPair, KeyRing, new_pair
 from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, MAX_CONTROL_BYTES
-from manyhands.protocol.transport import Trouble
+from manyhands.protocol.transport import Trouble, monitor
+from manyhands.protocol.transport import doorkeeper as doorkeeper_module
 from manyhands.protocol.transport.door import Refused
 from manyhands.protocol.transport.doorkeeper import Doorkeeper, judge
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -409,6 +411,37 @@ def test_somebody_of_whom_there_is_no_key_cannot_be_admitted_nor_introduced(hous
     made.close()
 
 
+AUTH, PROTOCOL, BROKEN = Event.HANDSHAKE_FAILED_AUTH, Event.HANDSHAKE_FAILED_PROTOCOL, Event.HANDSHAKE_FAILED_NO_DETAIL
+ATTEMPT = (BROKEN, Event.DISCONNECTED, Event.CONNECT_RETRIED)
+
+
+@pytest.mark.parametrize(
+    ("events", "expected"),
+    [
+        ([], None),
+        ([Event.CONNECT_RETRIED], Trouble.NOBODY),
+        ([Event.CONNECT_RETRIED, Event.HANDSHAKE_SUCCEEDED], None),
+        ([Event.HANDSHAKE_SUCCEEDED, Event.DISCONNECTED], Trouble.LOST),
+        ([Event.HANDSHAKE_SUCCEEDED, Event.DISCONNECTED, Event.CONNECT_RETRIED], Trouble.LOST),
+        ([Event.HANDSHAKE_SUCCEEDED, Event.DISCONNECTED, *ATTEMPT], Trouble.LOST),
+        ([Event.HANDSHAKE_SUCCEEDED, Event.DISCONNECTED, Event.HANDSHAKE_SUCCEEDED], None),
+        ([AUTH, Event.DISCONNECTED], Trouble.NOT_ADMITTED),
+        ([PROTOCOL, Event.DISCONNECTED], Trouble.NOT_PROVED),
+        ([*ATTEMPT, PROTOCOL], Trouble.NOT_PROVED),
+        (ATTEMPT, Trouble.BROKEN_OFF),
+        ([Event.CONNECT_RETRIED, *ATTEMPT], Trouble.BROKEN_OFF),
+        ([*ATTEMPT, Event.HANDSHAKE_SUCCEEDED], None),
+        (ATTEMPT * 19, Trouble.BROKEN_OFF),
+        (ATTEMPT * 20, Trouble.NOT_PROVED),
+    ],
+)
+def test_what_a_connections_events_mean(events: Sequence[Event], expected: Trouble | None) -> None:
+    fate = monitor.Fate()
+    for event in events:
+        fate.take(event)
+    assert fate.trouble is expected
+
+
 class Test_what_a_node_is_told_of_its_line:
     """The side that connects: why it is not let in, in :class:`Trouble`."""
 
@@ -423,9 +456,34 @@ class Test_what_a_node_is_told_of_its_line:
         node = ZmqTransport.tcp(keys)
         outside.callback(node.close)
         line = node.join(endpoint, "dx")
-        while (found := line.trouble()) is None:
+        while (found := line.trouble()) in (None, Trouble.BROKEN_OFF):
             hub.wait(Duration(5 * MS))
+        assert found is not None
         return found
+
+    @pytest.fixture(autouse=True)
+    def few_attempts(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(monitor, "BROKEN_OFF_IN_A_ROW", 3)
+
+    def test_a_host_that_is_too_busy_to_admit_anybody_is_waited_for(
+        self, outside: ExitStack, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """It answers nobody until connections have timed out; that says nothing about its key."""
+        monkeypatch.setattr(monitor, "BROKEN_OFF_IN_A_ROW", 20)
+        monkeypatch.setattr(doorkeeper_module, "HANDSHAKE_MS", 50)
+        supervisor, node = ZmqTransport.tcp(ring("supervisor", "dx")), ZmqTransport.tcp(ring("dx", "supervisor"))
+        outside.callback(supervisor.close)
+        outside.callback(node.close)
+        hub, endpoint = supervisor.bind_hub("control", ["dx"])
+        line = node.join(endpoint, "dx")
+        assert line.send(b"here")
+        while line.trouble() is None:
+            assert line.recv(Duration(5 * MS)) is None
+        assert line.trouble() is Trouble.BROKEN_OFF
+        while (heard := hub.recv()) is None:
+            hub.wait(Duration(5 * MS))
+        assert heard == ("dx", b"here")
+        assert line.trouble() is None
 
     def test_not_admitted(self, outside: ExitStack, supervisor: ZmqTransport) -> None:
         keys = ring("dx", "supervisor", pair=PAIRS["stranger"])

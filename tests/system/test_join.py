@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import shutil
 import signal
@@ -290,29 +291,48 @@ def test_a_killed_guest_ends_a_session_without_restarts(home: Home, machine: Pat
     assert outcome.faults == ("dx fell silent while running",)
 
 
-def test_a_guest_that_is_interrupted_ends_the_session(home: Home, machine: Path, listen: Listen) -> None:
+def test_a_guest_that_is_interrupted_leaves_and_the_others_go_on(home: Home, machine: Path, listen: Listen) -> None:
     home.invited("dx", machine)
+    seen_without: list[int] = []
+
+    def show(progress: Progress) -> None:
+        leave(progress)
+        if progress.states["dx"] == NodeState.LOST.value:
+            seen_without.append(progress.telemetry["dy"].tick)
+            if seen_without[-1] > seen_without[0] + 100:
+                end(progress)
+
     with guest("dx", machine, listen) as dx:
         leave = once(is_running, lambda: dx.send_signal(signal.SIGINT))
-        outcome = home.supervisor(listen, "dx", show=leave).run()
+        end = once(lambda _: True, lambda: os.kill(os.getpid(), signal.SIGINT))
+        outcome = home.supervisor(listen, "dx", show=show).run()
         assert end_of(dx) == (128 + signal.SIGINT, "")
-    assert outcome.code == 1
-    (fault,) = outcome.faults
-    assert fault.startswith("dx left after ")
-    assert outcome.report["nodes"]["dx"]["ticks"] > 0
+    assert (outcome.code, outcome.faults) == (128 + signal.SIGINT, ())
+    (incident,) = outcome.incidents
+    assert re.fullmatch(r"at \S+ s: dx left after \d+ ticks", incident)
+    ticks = {name: node["ticks"] for name, node in outcome.report["nodes"].items()}
+    assert 0 < ticks["dx"] < ticks["dy"]
 
 
-def test_a_guest_that_is_interrupted_before_the_first_tick_ends_the_session(
+def test_a_guest_that_is_interrupted_before_the_first_tick_is_waited_for_again(
     home: Home, machine: Path, listen: Listen
 ) -> None:
     """It has joined and waits for another guest, who never comes."""
     home.invited("dx", machine)
+    ended: list[tuple[int, str]] = []
+
+    def show(progress: Progress) -> None:
+        leave(progress)
+        if progress.incidents:
+            end(progress)
+
     with guest("dx", machine, listen) as dx:
         leave = once(lambda p: p.states["dx"] == NodeState.WELCOMED.value, lambda: dx.send_signal(signal.SIGINT))
-        outcome = home.supervisor(listen, "dx", "dy", show=leave).run()
-        assert end_of(dx) == (128 + signal.SIGINT, "")
-    assert outcome.code == 1
-    assert outcome.faults == ("dx: its user ended it before the first tick",)
+        end = once(lambda _: True, lambda: ended.append(end_of(dx)) or os.kill(os.getpid(), signal.SIGINT))
+        outcome = home.supervisor(listen, "dx", "dy", show=show).run()
+    assert ended == [(128 + signal.SIGINT, "")]
+    assert (outcome.code, outcome.faults) == (128 + signal.SIGINT, ())
+    assert outcome.incidents == ("dx: its user ended it before the first tick; the session waits for dx again",)
 
 
 def test_ctrl_c_at_home_ends_the_guest(home: Home, machine: Path, listen: Listen) -> None:

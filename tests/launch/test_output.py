@@ -1,0 +1,111 @@
+"""Output that cannot be written any more: a display is dropped, a session goes on, a command that only prints ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+ALONE = Path(__file__).parents[1] / "deterministic/alone.yaml"
+PREAMBLE = "import sys, os\nfrom manyhands.launch import output\noutput.install()\n"
+
+
+@contextmanager
+def broken(how: str) -> Iterator[IO[bytes]]:
+    """A stream that takes nothing: the disk behind it is full, or whoever read it has left."""
+    if how == "full":
+        with open("/dev/full", "wb") as stream:
+            yield stream
+        return
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as stream:
+        yield stream
+
+
+def python(
+    *arguments: str, out: IO[bytes] | None = None, err: IO[bytes] | None = None, env: Mapping[str, str] | None = None
+) -> tuple[int, str, str]:
+    """Run Python; returns its exit code and what it wrote to those streams that are not given."""
+    done = subprocess.run(
+        [sys.executable, "-P", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=out or subprocess.PIPE,
+        stderr=err or subprocess.PIPE,
+        env={**os.environ, **(env or {})},
+        timeout=120,
+        check=False,
+    )
+    return done.returncode, (done.stdout or b"").decode("latin-1"), (done.stderr or b"").decode("latin-1")
+
+
+@pytest.mark.parametrize(("how", "why"), [("closed", "Broken pipe"), ("full", "No space left on device")])
+def test_a_session_goes_on_without_its_display_and_reports_it(how: str, why: str, tmp_path: Path) -> None:
+    launch = ("-m", "manyhands", "launch", str(ALONE), "--clock", "simulated", "--duration", "0.3")
+    with broken(how) as err:
+        code, _, _ = python(*launch, "--report", str(tmp_path / "run.json"), err=err)
+    assert code == 0
+    report = json.loads((tmp_path / "run.json").read_text())
+    assert report["nodes"]["d"]["ticks"] == 300
+    assert report["incidents"] == [f"the display was lost (standard error: {why}); the session goes on without it"]
+
+
+@pytest.mark.parametrize("how", ["closed", "full"])
+def test_whatever_is_written_to_a_broken_standard_error_is_dropped(how: str) -> None:
+    script = PREAMBLE + "for _ in range(9): print('x' * 9999, file=sys.stderr)\nprint(output.lost_at(sys.stderr))"
+    with broken(how) as err:
+        code, out, _ = python("-c", script, err=err)
+    assert code == 0
+    assert out.startswith("standard error: ")
+
+
+def test_a_command_with_other_work_goes_on_when_its_reader_has_had_enough() -> None:
+    with broken("closed") as out:
+        found = python(
+            "-c", PREAMBLE + "print('x', flush=True)\nprint('went on', file=sys.stderr)\nsys.exit(3)", out=out
+        )
+    assert found == (3, "", "went on\n")
+
+
+def test_a_command_that_only_prints_ends_quietly_when_its_reader_has_had_enough() -> None:
+    script = PREAMBLE + "with output.pipe_may_close():\n    while True: print('x' * 99)"
+    with broken("closed") as out:
+        assert python("-c", script, out=out) == (0, "", "")
+
+
+def test_results_that_find_no_room_are_an_error_that_names_where() -> None:
+    with broken("full") as out:
+        code, _, err = python("-m", "manyhands", "--version", out=out)
+        assert (code, err) == (1, "error: standard output: No space left on device\n")
+
+
+def test_a_file_never_gets_the_number_of_a_stream_that_the_process_was_started_without() -> None:
+    command = f'exec {sys.executable} -P -c "$0" 0<&- 2>&-'
+    script = PREAMBLE + "file = open(os.devnull); print(file.fileno() > 2); print('x', file=sys.stderr)"
+    done = subprocess.run(
+        ["/bin/sh", "-c", command, script], stdout=subprocess.PIPE, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "True\n")
+
+
+def test_characters_that_an_encoding_lacks_are_escaped() -> None:
+    env = {"PYTHONIOENCODING": "latin-1"}
+    assert python("-c", PREAMBLE + "print('\\u03c4 ü')", env=env) == (0, "\\u03c4 ü\n", "")
+
+
+def test_a_terminal_that_takes_nothing_is_seen_before_it_is_waited_for() -> None:
+    read, write = os.pipe()
+    script = PREAMBLE + "free = output.has_room(sys.stderr)\nprint(free, flush=True)"
+    with os.fdopen(read, "rb"), os.fdopen(write, "wb") as err:
+        assert python("-c", script, err=err)[1] == "True\n"
+        while select.select([], [write], [], 0)[1]:
+            os.write(write, bytes(4096))
+        assert python("-c", script, err=err)[1] == "False\n"
