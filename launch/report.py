@@ -49,6 +49,11 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
         ticks = min(max(figures[names.ENFORCED_TICKS], 0.0), MAX_COUNT)
         entry["enforcement"] = {"ticks": int(ticks), "energy": figures[names.ENFORCED_ENERGY]}
+    late = names.lateness_by_coupling(counts, figures)
+    if late:
+        entry["late_couplings"] = {
+            name: {"ticks": one.ticks, "seconds": one.time / 1e6, "frozen": one.frozen} for name, one in late.items()
+        }
     granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
     if granted:
         entry["realtime"] = granted
