@@ -70,9 +70,8 @@ class Assumptions:
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
         """In which ticks the others waited, by whom they waited for; who was frozen for it is told to people."""
-        for name in self._couplings:
-            lateness = names.lateness_of(name, telemetry.figures, telemetry.figures)
-            if lateness is not None and lateness.frozen:
+        for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
+            if lateness.frozen:
                 text = f"{name} made the others wait, and was frozen for it; nobody else is softened"
                 self.notices.setdefault(f"{name} late", text)
         traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}

@@ -113,6 +113,13 @@ class Lateness:
     time: float
     frozen: int
 
+    def sentence(self, name: str) -> str:
+        """The same for a person; ``name``: the coupling's."""
+        return (
+            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and it was frozen "
+            f"for that {self.frozen} times"
+        )
+
 
 def lateness_counts(lateness: Mapping[str, Lateness]) -> dict[str, int]:
     """Late ticks by coupling, and how often it was frozen for them."""
@@ -147,6 +154,16 @@ def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
     for supplier, row in zip(parties, energy.moved, strict=False):
         figures |= {f"{MOVED}{supplier}/{to}": value for to, value in zip(parties, row, strict=True)}
     return {name: value for name, value in figures.items() if value != 0.0}
+
+
+def lateness_by_coupling(counts: Mapping[str, float], figures: Mapping[str, float]) -> dict[str, Lateness]:
+    """What the environment told of all couplings that made the others wait."""
+    told = {
+        key.removeprefix(WAITED_TICKS): lateness_of(key.removeprefix(WAITED_TICKS), counts, figures)
+        for key in counts
+        if key.startswith(WAITED_TICKS)
+    }
+    return {name: lateness for name, lateness in told.items() if lateness is not None}
 
 
 def shown(telemetry: Telemetry) -> Telemetry:

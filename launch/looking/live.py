@@ -87,6 +87,8 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
         health = scene.link_health(link)
         if health is not Health.OK:
             yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
+    for name, late in scene.frozen_late.items():
+        yield late.sentence(name), "yellow"
     condition = scene.condition
     if condition is None:
         return
