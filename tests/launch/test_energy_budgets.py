@@ -125,7 +125,7 @@ class TestSentences:
             "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
         )
         assert sentence.startswith("dy was beyond its limits")
-        assert sentence.endswith("of others it had received 2.5 J, 2 J of that of cx (dx)")
+        assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
     def test_who_moved_itself_is_told_so(self) -> None:
         incidents = self.incidents()

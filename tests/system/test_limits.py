@@ -91,4 +91,4 @@ def test_who_is_moved_beyond_its_speed_is_not_blamed_and_the_guest_is_held_to_it
     assert "cx (dx) was beyond its energy budget" in stopped
     let_go = [one for one in outcome.incidents if "let go" in one]
     assert {one.split(": ")[1].split(" ")[0] for one in let_go} == {"dy", "dz"}
-    assert all(one.endswith("of that of cx (dx)") for one in let_go)
+    assert all(one.endswith("of it from cx (dx)") for one in let_go)
