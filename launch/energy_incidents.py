@@ -80,7 +80,7 @@ class EnergyIncidents:
         if most is None or by[most] <= 0.0:
             return f"{text}; nobody else has moved it"
         return (
-            f"{text}; of others it had received {sum(by.values()):.3g} J, {by[most]:.3g} J of that of {self._who(most)}"
+            f"{text}; of others it had received {sum(by.values()):.3g} J, {by[most]:.3g} J of it from {self._who(most)}"
         )
 
     def _who(self, coupling: str) -> str:

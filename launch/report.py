@@ -80,14 +80,12 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
 
 
 def _energy(figures: Mapping[str, float]) -> dict[str, Any]:
-    """Who moved whom, J: by coupling what it put into others and received, by pair, and who was held to its budget."""
+    """Who moved whom, J: by coupling what it put into others and received, by pair, and who was scaled."""
     kinds = {"given": names.GIVEN, "received": names.RECEIVED, "moved": names.MOVED, "scaled": names.SCALED,
              "stopped": names.STOPS}  # fmt: skip
     out: dict[str, Any] = {}
     for kind, prefix in kinds.items():
         found = {key.removeprefix(prefix): value for key, value in figures.items() if key.startswith(prefix)}
-        if kind == "moved":
-            found = {key.replace("/", " -> "): value for key, value in found.items()}
         if kind in ("scaled", "stopped"):
             found = {key: int(min(max(value, 0.0), MAX_COUNT)) for key, value in found.items()}
         if found:

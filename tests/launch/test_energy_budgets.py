@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from manyhands.launch.columns import MOST_SHOWN, energy_line
 from manyhands.launch.energy_incidents import QUIET, EnergyIncidents
 from manyhands.launch.port_bounds import budgets
 from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.report import node_entry
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
+from manyhands.launch.summary import print_report
 from manyhands.launch.topology import topology
 from manyhands.nodes.environment.energy import Budget
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import Report, Role, Telemetry
 
 EXAMPLE = Path(__file__).parents[2] / "launch" / "sessions" / "example1.yaml"
 QUIET_HANDS = [f"devices.{name}.hand.force=0" for name in ("dx", "dy", "dz")]
@@ -120,7 +125,7 @@ class TestSentences:
             "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
         )
         assert sentence.startswith("dy was beyond its limits")
-        assert sentence.endswith("of others it had received 2.5 J, 2 J of that of cx (dx)")
+        assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
     def test_who_moved_itself_is_told_so(self) -> None:
         incidents = self.incidents()
@@ -137,3 +142,30 @@ class TestSentences:
         later = 100 + round(QUIET / T)
         assert len(incidents.hear("environment", self.told(later, stops_cx=3.0))) == 1
         assert incidents.hear("environment", self.told(2 * later, stops_cx=3.0)) == []
+
+
+class TestLine:
+    def test_who_moved_whom_is_a_line_with_the_most_first(self) -> None:
+        figures = {"moved_cx/cy": 1.25, "moved_cz/cy": 3.0, "moved_cy/cx": 1e-4, "scaled_cz": 12.0, "ledger": 9.0}
+        assert energy_line(figures) == "who moved whom [J]: cz → cy 3, cx → cy 1.25; held to an energy budget: cz"
+
+    def test_of_many_the_first_are_shown(self) -> None:
+        figures = {f"moved_a/b{i}": 1.0 + i for i in range(MOST_SHOWN + 2)}
+        assert energy_line(figures).endswith(" and 2 more")
+
+    def test_nothing_is_no_line(self) -> None:
+        assert energy_line({"ledger": 1.0}) == ""
+
+    def test_it_is_printed_with_the_report(self) -> None:
+        report = Report(7, {"moved_cx/cy": 1.25, "given_cx": 1.25, "received_cy": 1.25, "scaled_cx": 3.0}, {}, {})
+        entry = node_entry(Role.ENVIRONMENT, report)
+        assert entry["energy"] == {
+            "given": {"cx": 1.25},
+            "received": {"cy": 1.25},
+            "moved": {"cx/cy": 1.25},
+            "scaled": {"cx": 3},
+        }
+        out = io.StringIO()
+        nodes = {"environment": entry}
+        print_report(Console(file=out), {"session": "s", "duration": 1.0, "clock": "simulated", "nodes": nodes})
+        assert "who moved whom [J]: cx → cy 1.25; held to an energy budget: cx" in out.getvalue()

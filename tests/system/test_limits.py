@@ -63,3 +63,32 @@ def test_a_device_beyond_its_limits_lets_go_and_the_session_goes_on(limits: str)
     beyond = np.flatnonzero(expected.f_v[:, 0] == 0.0)
     assert 50 < len(beyond) < TICKS  # no force while it is beyond, and for a while after
     assert not np.any(np.all(expected.f_v[120:, 1:] == 0.0, axis=1))  # the others feel the world all the time
+
+
+def test_who_is_moved_beyond_its_speed_is_not_blamed_and_the_guest_is_held_to_its_budget() -> None:
+    """A guest says that it moves by 5 cm at 6 Hz; before there were budgets that ended the session, naming dy."""
+    t = np.arange(0.0, 1.201, 1e-3)
+    path = np.minimum(1.0, t / 0.1) * 0.045 * np.sin(2.0 * np.pi * 6.0 * t)
+    trace = f"{{times: {t.round(3).tolist()}, values: {path.tolist()}}}"
+    overrides = [
+        f"devices.dx={{dof: 1, osp: 1.37, driver: trace, trace: {trace}, limits: {{speed: 2, power: 0.5, energy: 2}}}}",
+        *(f"devices.{name}.limits={{speed: 0.8}}" for name in ("dy", "dz")),
+        *(f"devices.{name}.hand.force=0" for name in ("dy", "dz")),
+    ]
+    session = prepare(load_session(SESSIONS / "example1.yaml", overrides))
+    ticks = 1200
+    how = reach(session.session, "ipc")
+    outcome = Supervisor(session, clock="simulated", reach=how, ticks=ticks, record=True).run()
+    assert (outcome.code, outcome.faults) == (0, ())
+    assert outcome.recording is not None
+    expected = Simulation(session).run(ticks)
+    assert outcome.recording.x.tobytes() == expected.x.tobytes()  # clutches and guards act alike in both
+    assert outcome.recording.f_v.tobytes() == expected.f_v.tobytes()
+    energy = outcome.report["nodes"]["environment"]["energy"]
+    assert energy["given"]["cx"] <= 2.0 + 0.5 * ticks * 1e-3
+    assert set(energy["scaled"]) == {"cx"}
+    (stopped,) = [one for one in outcome.incidents if "budget" in one]
+    assert "cx (dx) was beyond its energy budget" in stopped
+    let_go = [one for one in outcome.incidents if "let go" in one]
+    assert {one.split(": ")[1].split(" ")[0] for one in let_go} == {"dy", "dz"}
+    assert all(one.endswith("of it from cx (dx)") for one in let_go)
