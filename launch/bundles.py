@@ -97,7 +97,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),
-        longest_tau=rungs[-1 if session.faults.breach == "soften" else 0].tau,
+        taus=tuple(rung.tau for rung in rungs),
         budgets=budgets(session),
         storage=None if model is not None else _storage(prepared),
     )

@@ -154,8 +154,7 @@ class EnvironmentBundle:
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
-        longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
-            softens couplings, else the certificate's; 0 where none is covered.
+        taus: the longest delay that each rung of the ladder covers, s, from the certificate's on.
         budgets: what each coupling may put into the others, in the order of the peers.
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
 
@@ -174,7 +173,7 @@ class EnvironmentBundle:
     enforce: bool = False
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
-    longest_tau: float = 0.0
+    taus: tuple[float, ...] = (0.0,)
     budgets: tuple[Budget, ...] = ()
     storage: Matrix | None = None
 
@@ -316,7 +315,7 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
-    "longest_tau": _tau,
+    "taus": lambda data: tuple(map(_tau, data)),
     "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"])) for b in all_),
     "storage": _optional_array,
     "limits": _limits,

@@ -49,8 +49,13 @@ class EnvironmentNode:
         self._places: Places | None = None
         self._account = Account(bundle.common)
         self._frozen_ticks = 0
-        covered = from_seconds(bundle.longest_tau or bundle.common.period)  # where nothing is covered, nothing is lost
-        self._late = LateArrivals(len(bundle.common.peers), self._period, allowance(self._period, covered))
+        self._passed: tuple[Place, ...] = ()  # who was waited for in this tick before all others were read
+        self._late = LateArrivals(len(bundle.common.peers), self._period, self._allowance(0))
+
+    def _allowance(self, rung: int) -> Duration:
+        """How long after the first another signal may come, while nobody runs a coupling below ``rung``."""
+        covered = self._bundle.taus[rung] or self._common.period  # where nothing is covered, nothing is lost
+        return allowance(self._period, from_seconds(covered))
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
@@ -103,6 +108,7 @@ class EnvironmentNode:
                 places.obey(word, control, tick)
             if not (places.all_seated and self._all_heard(places, p, tick)):
                 found = self._wait(places, p, tick, now, life, control)
+                self._passed = ()
                 if found < 0:
                     break
                 if found != tick:
@@ -168,6 +174,7 @@ class EnvironmentNode:
             if places.hear(place, p, tick, NOT_AT_ALL) is Heard.SIGNAL:
                 place.arrived = since
         places.read_last(absent)
+        self._passed = (absent,)
 
     def _judge(self, places: Places, tick: int, crossed: bool) -> None:
         """Somebody came late: charge who did, freeze who does so again and again, and read the latest last."""
@@ -192,7 +199,7 @@ class EnvironmentNode:
             The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
         """
         freeze, stale, first, listened = self._patience.freeze, self._patience.stale, Instant(2**62), False
-        awaited: set[Place] = set()  # in this tick
+        awaited = set(self._passed)  # in this tick
         while not life.stopping:
             missing = [place for place in places.order if place.missing(tick)]
             here = any(place.joint.tick == tick for place in places.all)
@@ -291,6 +298,7 @@ class EnvironmentNode:
             **names.stray_frames(self._joints),
         }
         late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
+        self._late.allowance = self._allowance(min((place.rung for place in places.seated), default=0))
         if self._account.publish(control, core, figures, late):
             for ticks in late.values():
                 ticks.clear()
