@@ -43,6 +43,7 @@ class Assumptions:
             rungs,
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
+        self._chains, self._moved = chains, dict[str, float]()
         self._policy.take_waits(0, {})  # the environment tells who was waited for, from the first tick on
         self.notices: dict[str, str] = {}
 
@@ -54,6 +55,7 @@ class Assumptions:
         """Take what is to be told of ``node`` into the notices; returns what is to be done."""
         deeds: list[ShiftCoupling | EndSession] = []
         if node == ENVIRONMENT:
+            self._moved = {key: J for key, J in telemetry.figures.items() if key.startswith(names.MOVED)}
             decisions = self._policy.take_waits(telemetry.tick, self._late_ticks(telemetry))
         else:
             tau = telemetry.traces.get(names.TAU, _NO_TAU)
@@ -65,8 +67,19 @@ class Assumptions:
                 deeds.append(decision)
         if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
             text = f"{node}: a force was clipped to the limits; the certificate is about forces within them"
-            self.notices.setdefault(f"{node} limits", text)
+            self.notices.setdefault(f"{node} limits", text + self._moved_by(node))
         return deeds
+
+    def _moved_by(self, node: str) -> str:
+        """Who moved a device or a coupling most, where the environment has told of anybody, in words."""
+        couplings = self._chains.get(node, (node,))
+        by: dict[str, float] = {}
+        for key, energy in self._moved.items():
+            supplier, _, receiver = key.removeprefix(names.MOVED).partition("/")
+            if receiver in couplings and energy > 0.0:
+                by[supplier] = by.get(supplier, 0.0) + energy
+        most = max(by, key=by.__getitem__, default=None)
+        return "" if most is None else f"; of all others {most} has put the most energy into it, {by[most]:.3g} J"
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
         """In which ticks the others waited, by whom they waited for; who was frozen for it is told to people."""

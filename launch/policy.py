@@ -228,7 +228,8 @@ class BreachPolicy:
         for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
         own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
         longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
-        if counts[Breach.DELAY] - already > len(for_others):  # its own, and at once, whatever comes of it
+        known = SHARE * (tick - since) if for_others else 0.0  # the environment cannot know of every single wait
+        if counts[Breach.DELAY] - already > len(for_others) + known:  # its own, and at once, whatever comes of it
             out.append(Notice(device, self._assumption(device, told.figures, longest)))
         if before is None:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))

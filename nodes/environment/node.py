@@ -16,7 +16,7 @@ from manyhands.nodes.control import NOT_AT_ALL, ControlLine
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.cores import Core, environment_core
-from manyhands.nodes.environment.late_arrivals import CROSSING, LateArrivals, allowance
+from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.places import Place, Places
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
@@ -187,7 +187,9 @@ class EnvironmentNode:
             late.begin(place.index, place.attendance.since)
         for index in late.judge(tick, self._due, crossed, arrivals):
             places.exclude(places.all[index], tick)
-        places.order.sort(key=lambda place: late.added[place.index])
+        # who was read at once is not known to be early, and keeps its turn behind those who are
+        least = AT_ONCE * self._period
+        places.order.sort(key=lambda place: max(least, late.added[place.index]))
 
     def _wait(self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine) -> int:
         """Wait for the awaited, listen to the others, give up who is silent while others are there.

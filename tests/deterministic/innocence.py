@@ -167,7 +167,9 @@ class Innocence:
         return found
 
     def _blames(self, sentence: str) -> bool:
-        """Whether somebody honest is the subject of what is told."""
+        """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""
+        if self.guest is not None and self.guest in sentence:
+            return False
         subject = re.match(r"(?:at [\d.-]+ s: )?(\w+)", sentence)
         return subject is not None and subject[1] in self.honest
 

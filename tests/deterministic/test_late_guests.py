@@ -110,7 +110,7 @@ def rungs(session: Session, coupling: str) -> Iterable[int]:
 
 def test_a_coupling_climbs_again_when_the_cause_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(policy, "CALM", 0.3)
-    session = sound(Session(prepared(), 1400, {"dz": lambda tick: 0.3 * (tick < 350)}))
+    session = sound(Session(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
     for device in ("dx", "dy", "dz"):  # 0.3 ms and what is its own: more than rung 0 covers, less than rung 1
         assert list(rungs(session, f"c{device[1:]}")) == [1, 0]
         assert session.conductor.reports[device].counts[names.RUNG] == 0

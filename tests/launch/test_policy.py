@@ -198,6 +198,18 @@ class Test_waiting_for_another_user:
             m.late(end, cz=range(end - TICKS, end))
             assert not any(isinstance(d, EndSession) for d in m.tell_taus("dx", (TICKS, 2300.0)))
 
+    def test_is_not_told_as_its_own(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.late(TICKS, cz=range(TICKS - 50, TICKS))
+        m.tell_taus("dx", (50, 50.0), (50, 2300.0))
+        m.late(2 * TICKS, cz=range(2 * TICKS - 50, 2 * TICKS))
+        m.tell_taus("dx", (50, 50.0), (50, 2300.0))
+        assert m.notices == {}
+        m.late(3 * TICKS, cz=range(3 * TICKS - 50, 3 * TICKS))
+        m.tell_taus("dx", (2, 240.0), (48, 50.0), (50, 2300.0))
+        assert m.notices.keys() == {"dx"}
+        assert "240 us" in m.notices["dx"]
+
     def test_for_its_own_coupling_it_is(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         decided: dict[str, int] = {}

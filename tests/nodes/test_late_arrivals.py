@@ -158,3 +158,10 @@ def test_whenever_somebody_exceeds_the_allowance_somebody_is_charged(ats: list[i
     late.judge(0, DUE, False, [(DUE + at, index) for index, at in enumerate(ats)])
     if ats[-1] - max(ats[0], 0) > HALF + len(ats) * AT_ONCE * T:
         assert any(late.ticks)
+
+
+def test_a_wait_for_who_is_gone_is_told_and_charged_to_nobody() -> None:
+    late = LateArrivals(2, T, HALF)
+    late.gone(5, [1])
+    assert late.lately == [[], [5]]
+    assert late.ticks == late.waited == [0, 0]

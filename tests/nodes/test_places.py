@@ -595,7 +595,7 @@ def waiting(world: World) -> int:
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
     node._late = LateArrivals(len(world.places.all), Duration(10**6), Duration(10**6))
-    node._due = 0
+    node._due, node._passed = 0, ()
     node._period, node._patience = Duration(10**6), Patience(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
     world.life.look = lambda _now: None
     tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
