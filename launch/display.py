@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.columns import COLUMNS
+from manyhands.launch.columns import COLUMNS, energy_line
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
 from manyhands.launch.output import has_room, lost_at
@@ -117,7 +117,8 @@ class LiveTable:
             table.add_row(name, role.value, str(telemetry.tick), rate,
                           *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        return Group(table, *(Text(f"! {notice}", style="yellow") for notice in notices))
+        energy = [Text(line) for told in progress.telemetry.values() if (line := energy_line(told.figures))]
+        return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
         """Ticks a second since a telemetry of at least half a second ago."""

@@ -15,6 +15,7 @@ from manyhands.design.peak_gain import output_bounds
 from manyhands.design.statespace import StateSpace
 from manyhands.launch.session import Session
 from manyhands.nodes.bundle import Limits
+from manyhands.nodes.environment.energy import Budget
 
 PortBounds = tuple[float | None, ...]
 """By port of the session; None for no bound."""
@@ -35,6 +36,16 @@ def limits_at(session: Session, ports: Sequence[str]) -> Limits:
     }
     force, displacement, speed = zip(*(by_port[port] for port in ports), strict=True)
     return Limits(force, displacement, speed)
+
+
+def budgets(session: Session) -> tuple[Budget, ...]:
+    """What each coupling may put into the others: what its devices may, of each the part of its axes that it holds."""
+    power, energy = {}, {}
+    for name, device in session.devices.items():
+        ports = session.ports_of(name)
+        for port in ports:
+            power[port], energy[port] = device.limits.power / len(ports), device.limits.energy / len(ports)
+    return tuple(Budget(sum(power[p] for p in ports), sum(energy[p] for p in ports)) for ports in session.blocks)
 
 
 def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBounds, PortBounds]:

@@ -47,7 +47,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
         core.settle()
         account.tick(tick, core)
     assert account.due
-    account.publish(line, core, {"frozen": 0.0})
+    account.publish(line, core, {"frozen": 0.0}, {})
     (told,) = line.telemetry
     assert (told.tick, told.figures) == (len(p), {"frozen": 0.0})
     x_e, q = told.traces["x_e"], told.traces["q"]
@@ -77,8 +77,8 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
         core.react([0.001 * tick, 0.0, 0.0])
         core.settle()
         account.tick(tick, core)
-    account.publish(line, core, {})
-    account.publish(line, core, {})
+    account.publish(line, core, {}, {})
+    account.publish(line, core, {}, {})
     (told,) = line.telemetry
     assert told.tick == 7
     assert told.traces["x_e"].shape == (7, 3)

@@ -18,6 +18,7 @@ from manyhands.nodes.bundle import Peer
 from manyhands.nodes.environment.attendance import FIRST_PAUSE, Seat
 from manyhands.nodes.environment.clutch import RAMP
 from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.late_arrivals import LateArrivals
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import LEAD, MOST_AHEAD, Place, Places
 from manyhands.nodes.exchange import Heard, Joint
@@ -593,6 +594,8 @@ def waiting(world: World) -> int:
     """The tick that an environment which waits in real time goes on at; by a clock that every look puts forward."""
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
+    node._late = LateArrivals(len(world.places.all), Duration(10**6), Duration(10**6))
+    node._due, node._passed = 0, ()
     node._period, node._patience = Duration(10**6), Patience(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
     world.life.look = lambda _now: None
     tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
