@@ -256,15 +256,16 @@ class EnvironmentNode:
         return -1
 
     def report(self) -> Report:
-        """Ticks, ledger, and how often couplings were frozen."""
+        """Ticks, ledger, how often couplings were frozen, and what each made the others wait."""
         places = self._places
+        lateness = self._lateness(places)
         return Report(
             self._account.ticks,
-            {**self._figures(), **names.lateness_times(self._lateness(places))},
+            {**self._figures(), **names.lateness_times(lateness)},
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
                 names.ABSENCES: 0 if places is None else places.absences,
-                **names.lateness_counts(self._lateness(places)),
+                **names.lateness_counts(lateness),
                 **names.dropped_frames(self._joints),
             },
             {},
@@ -274,9 +275,11 @@ class EnvironmentNode:
         """By coupling, of those that made the others wait."""
         late, all_ = self._late, () if places is None else places.all
         return {
-            place.joint.peer.name: names.Lateness(late.ticks[i], late.waited[i] / 1e3, place.frozen_late)
-            for i, place in enumerate(all_)
-            if late.ticks[i]
+            place.joint.peer.name: names.Lateness(
+                late.ticks[place.index], late.waited[place.index] / 1e3, place.frozen_late
+            )
+            for place in all_
+            if late.ticks[place.index]
         }
 
     def _figures(self) -> dict[str, float]:
@@ -290,11 +293,12 @@ class EnvironmentNode:
         }
 
     def _publish(self, control: ControlLine, core: Core, places: Places) -> None:
+        lateness = self._lateness(places)
         figures = {
             names.FROZEN: float(places.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
             **{f"{names.RUNG}_{place.joint.peer.name}": float(place.rung) for place in places.all if place.rung},
-            **names.lateness_counts(lateness := self._lateness(places)),
+            **names.lateness_counts(lateness),
             **names.lateness_times(lateness),
             **self._figures(),
             **names.stray_frames(self._joints),

@@ -12,6 +12,7 @@ import pytest
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import prepare
 from manyhands.launch.session import load_session
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.cores import environment_core
@@ -83,3 +84,19 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
     assert told.tick == 7
     assert told.traces["x_e"].shape == (7, 3)
     assert account.ticks == 7
+
+
+def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) -> None:
+    bundle = environment()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
+    assert not account.publish(line, core, {}, {"cz": [3]})  # nothing is sent: they are for the next one
+    core.react([0.0, 0.0, 0.0])
+    core.settle()
+    account.tick(0, core)
+    assert account.publish(line, core, {}, {"cz": [3, 5]})
+    (told,) = line.telemetry
+    assert told.traces[names.WAITED_IN + "cz"].tolist() == [[3.0], [5.0]]
+    others = names.shown(told)
+    assert others.traces.keys() == told.traces.keys() - {names.WAITED_IN + "cz"}
+    assert (others.tick, others.figures) == (told.tick, told.figures)
+    assert names.shown(others) is others

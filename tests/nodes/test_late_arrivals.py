@@ -93,6 +93,14 @@ def test_who_was_frozen_is_frozen_again_at_the_first_late_tick_however_long_it_w
     assert late_for_ever(late, range(back, back + 1)) == [back]
 
 
+def test_however_often_it_was_frozen_the_same_time_lets_it_lapse() -> None:
+    late = LateArrivals(2, T, HALF)
+    for tick in range(10 * BURST):
+        late.missed(tick, [1], Duration(3 * T))
+    rested = 10 * BURST + round((BURST + 2) / SHARE)
+    assert late_for_ever(late, range(rested, rested + BURST)) == []
+
+
 def test_on_a_slow_machine_where_all_are_late_in_turns_nobody_is_frozen() -> None:
     late = LateArrivals(3, T, HALF)
     for tick in range(20_000):
