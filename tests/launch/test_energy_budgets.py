@@ -107,7 +107,11 @@ def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
         "devices.dx.limits={force: 8, speed: 2, displacement: 0.2}",
         "devices.dy.limits={power: 3, energy: 4}",
     ]
-    assert budgets(load_session(EXAMPLE, limits)) == (Budget(16.0, 3.2), Budget(3.0, 4.0), Budget(40.0, 40.0))
+    assert budgets(load_session(EXAMPLE, limits)) == (
+        Budget(16.0, 3.2, 3.2),
+        Budget(3.0, 4.0, 10.0),
+        Budget(40.0, 40.0, 10.0),
+    )
 
 
 class TestSentences:
