@@ -19,7 +19,7 @@ less what the store still holds of the party's: a charge leaves the room as it i
 overdraw it, and only the party's own supply takes from it. The party's ratio is 1 down to half a bucket of room, and
 falls to 0 with the room; and where it is below 1, the cores halt the party in any tick that is worth more than
 its room. So the room stays above 0, unless a single tick at ratio 1 is worth more than half a bucket. The others then
-receive of the party at most E + P t in every window of t seconds, whatever it does. Where the room falls to
+receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room falls to
 :data:`STOP` of the bucket, the party is stopped until half of it is free.
 """
 
