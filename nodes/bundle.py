@@ -321,7 +321,7 @@ _READ: dict[str, Any] = {
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
     "taus": lambda data: tuple(map(_tau, data)),
-    "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"])) for b in all_),
+    "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
     "storage": _optional_array,
     "limits": _limits,
     "tool_magnitude": _bounds,

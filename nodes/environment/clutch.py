@@ -154,7 +154,7 @@ class Clutch:
 
     def restrain(self, ratio: float) -> None:
         """From the next tick on s is at most ``ratio``; a settled clutch that is held below 1 is settled no more."""
-        self._most = self._ramp * 2.0 / math.pi * math.asin(math.sqrt(ratio))
+        self._most = self._ramp * (1.0 if ratio >= 1.0 else 2.0 / math.pi * math.asin(math.sqrt(ratio)))
         if self.settled and ratio < 1.0:
             self.settled, self.fresh = False, True
 

@@ -7,18 +7,19 @@ together every owner's part is in proportion to what the store holds of it. What
 takes of its own is its own again.
 
 What a receiver gives back, of what it has received, is neither its own supply nor charged a second time: it is
-``returned``, nobody's. So a hand that only gives way is never charged, however often the energy goes to and fro.
+``returned``, nobody's. Of what it has received a party may give back at most what a passive hand can store. So a hand
+that only gives way is never charged, however often the energy goes to and fro, and however late it comes back.
 
 The world burns some of what it holds, of everybody's in proportion. Where the energy that it stores is known
-(:meth:`Energy.bound`), the store holds no more than that. Where it is not, and of what receivers have received, energy
-is forgotten with the time constant :data:`MEMORY`. What receivers take beyond the store is the environment's own.
+(:meth:`Energy.bound`), the store holds no more than that. Where it is not, energy is forgotten with the time constant
+:data:`MEMORY`. What receivers take beyond the store is the environment's own.
 
 **The budget** of a party is a bucket of E joules, filled with P watts and emptied by charges. Its *room* is the bucket
 less what the store still holds of the party's: a charge leaves the room as it is, so that nobody else's motion can
 overdraw it, and only the party's own supply takes from it. The party's ratio is 1 down to half a bucket of room, and
 falls to 0 with the room; and where it is below 1, the cores halt the party in any tick that is worth more than
 its room. So the room stays above 0, unless a single tick at ratio 1 is worth more than half a bucket. The others then
-receive of the party at most E + P t in every window of t seconds, whatever it does. Where the room falls to
+receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room falls to
 :data:`STOP` of the bucket, the party is stopped until half of it is free.
 """
 
@@ -51,6 +52,7 @@ class Budget:
     Attributes:
         power: P, W, for as long as it likes.
         energy: E, J, at once.
+        store: J of what it has received that it may give back, uncharged.
 
     Raises:
         ValueError: one of them is not a finite number greater than 0.
@@ -58,9 +60,10 @@ class Budget:
 
     power: float
     energy: float
+    store: float
 
     def __post_init__(self) -> None:
-        for found in (self.power, self.energy):
+        for found in (self.power, self.energy, self.store):
             if not 0.0 < found < math.inf:
                 raise ValueError(f"found {found} in a budget; expected a finite number greater than 0")
 
@@ -91,14 +94,16 @@ class Energy:
             known: whether the energy that the world stores is known, and told by :meth:`bound`.
         """
         n = len(blocks)
+        free = Budget(1e300, 1e300, 1e300)  # of a bucket that is never empty
         self._blocks = [tuple(block) for block in blocks]
         self._plain = self._blocks == [(i,) for i in range(n)]
-        self._keep = 1.0 - T / MEMORY
-        self._forgets = not known
+        self._keep = 1.0 if known else 1.0 - T / MEMORY
         self._own, self._held, self._returned = [0.0] * n, [0.0] * n, 0.0
-        self._filling = None if budgets is None else [budget.power * T for budget in budgets]
-        self._size = [0.0] * n if budgets is None else [budget.energy for budget in budgets]
-        self._bucket = list(self._size)
+        self._fixed = [
+            (i, budget.power * T, budget.energy, 0.5 * budget.energy, budget.store)
+            for i, budget in enumerate([free] * n if budgets is None else budgets)
+        ]
+        self._bucket = [size for _, _, size, _, _ in self._fixed]
         self._ratio = [1.0] * n
         self._stopped = [False] * n
         self.given, self.received = [0.0] * n, [0.0] * n
@@ -120,78 +125,79 @@ class Energy:
 
     def supply(self, supplied: Floats) -> None:
         """Account for one tick in which party i put ``supplied[i]`` J into the world, negative where it received."""
-        own, held, bucket = self._own, self._held, self._bucket
-        taken, total, keep = 0.0, self._returned, self._keep
+        own, held, bucket, ratio = self._own, self._held, self._bucket, self._ratio
+        takers: list[tuple[int, float]] = []
         for i, energy in enumerate(supplied):
-            back = held[i] * keep
             if energy > 0.0:
-                if energy <= back:
-                    held[i] = back - energy
-                    total += energy
+                left = held[i] - energy
+                if left >= 0.0:
+                    held[i] = left
+                    self._returned += energy
                 else:
+                    self._returned += held[i]
                     held[i] = 0.0
-                    total += back
-                    own[i] += energy - back
-            else:
-                held[i] = back
-                taken -= energy
-        self._returned = total
-        total += sum(own)
-        if taken > 0.0:
-            self._take(supplied, taken, total)
-        if self._forgets:
-            self._returned *= keep
-            for i, energy in enumerate(own):
-                own[i] = energy * keep
-        if self._filling is None:
-            return
+                    own[i] -= left
+            elif energy < 0.0:
+                takers.append((i, -energy))
+        if takers:
+            self._take(takers)
+        if self._keep < 1.0:
+            self._returned *= self._keep
+            self._own = own = [self._keep * energy for energy in own]
         restrained = False
-        for i, filling in enumerate(self._filling):
-            size = self._size[i]
-            level = bucket[i] = min(size, bucket[i] + filling)
-            if level - own[i] < 0.5 * size or self._ratio[i] < 1.0:
+        for i, filling, size, half, store in self._fixed:
+            level = bucket[i] + filling
+            if level > size:
+                level = size
+            bucket[i] = level
+            if held[i] > store:
+                held[i] = store
+            if level - own[i] < half or ratio[i] < 1.0:
                 restrained = True
                 self._restrain(i, level - own[i])
         self.restrained = restrained
 
-    def _take(self, supplied: Floats, taken: float, total: float) -> None:
-        """What receivers take, ``taken`` J in all, comes out of the store's ``total`` and is charged to its owners."""
+    def _take(self, takers: list[tuple[int, float]]) -> None:
+        """What receivers take comes out of the store, and is charged to its owners.
+
+        Args:
+            takers: party and J of each receiver.
+        """
+        own, held, moved = self._own, self._held, self.moved
+        taken = sum([energy for _, energy in takers])
+        total = self._returned + sum(own)
         part = 1.0
         if taken < total:
             part = taken / total
         else:
             self.unowned += taken - total
-        own, held, given = self._own, self._held, self.given
         self._returned -= part * self._returned
-        shares = [energy if energy < 0.0 else 0.0 for energy in supplied]
-        for j, energy in enumerate(shares):
-            held[j] -= energy
-        for i, stored in enumerate(own):
-            if stored <= 0.0:
-                continue
-            out = part * stored
-            own[i] = stored - out
-            rate = out / taken
-            back = rate * -shares[i]
-            held[i] -= back
-            charged = out - back
-            given[i] += charged
-            self._bucket[i] -= charged
-            for j, energy in enumerate(shares):
-                if energy < 0.0 and j != i:
-                    self.received[j] -= rate * energy
-            if self.moved:
-                row = self.moved[i]
-                for j, energy in enumerate(shares):
-                    if j != i:
-                        row[j] -= rate * energy
+        outs = [part * stored for stored in own]
+        out = sum(outs)
+        for i, energy in takers:
+            rate = energy / taken
+            self.received[i] += rate * (out - outs[i])
+            back = rate * outs[i]
+            held[i] += energy - back
+            self.given[i] -= back
+            self._bucket[i] += back
+        for i, energy in enumerate(outs):
+            if energy > 0.0:
+                own[i] -= energy
+                self.given[i] += energy
+                self._bucket[i] -= energy
+                if moved:
+                    row, rate = moved[i], energy / taken
+                    for j, share in takers:
+                        if j != i:
+                            row[j] += rate * share
 
     def _restrain(self, i: int, room: float) -> None:
         """Choose the ratio of a party whose room is below half its bucket, or was."""
-        half, least = 0.5 * self._size[i], STOP * self._size[i]
+        _, _, size, half, _ = self._fixed[i]
         if self._stopped[i]:
-            self._stopped[i] = room < half and not (self._bucket[i] >= self._size[i] and room >= 2.0 * least)
-        elif room <= least:
+            self._stopped[i] = room < half and not (self._bucket[i] >= size and room >= 2.0 * STOP * size)
+        elif room <= STOP * size:
             self._stopped[i] = True
             self.stops[i] += 1
         self._ratio[i] = 0.0 if self._stopped[i] else min(1.0, max(0.0, room / half))
@@ -203,7 +209,7 @@ class Energy:
 
     def room(self, party: int) -> float:
         """What the party may put into the world in a tick, J: its room, and what it only gives back."""
-        return max(0.0, self._bucket[party] - self._own[party]) + self._keep * self._held[party]
+        return max(0.0, self._bucket[party] - self._own[party]) + self._held[party]
 
     def bound(self, stored: float) -> None:
         """The world stores no more than ``stored`` J: what it has burned goes off everybody's share."""

@@ -20,6 +20,8 @@ from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.launch.summary import print_report
 from manyhands.launch.topology import topology
+from manyhands.nodes.environment.black_box import EnforcedCore
+from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import Budget
 from manyhands.protocol.messages import Report, Role, Telemetry
 
@@ -64,10 +66,13 @@ def designed() -> Prepared:
     return prepare(load_session(EXAMPLE))
 
 
-@pytest.mark.parametrize("frequency", [3.0, 6.0])
-def test_the_others_receive_no_more_of_a_guest_than_its_budget(designed: Prepared, frequency: float) -> None:
+@pytest.mark.parametrize(("frequency", "enforce"), [(3.0, "false"), (6.0, "false"), (6.0, "true")])
+def test_the_others_receive_no_more_of_a_guest_than_its_budget(
+    designed: Prepared, frequency: float, enforce: str
+) -> None:
     """Without a budget the one at 6 Hz puts 10 J into the others in 2.5 s."""
-    session = load_session(EXAMPLE, [*QUIET_HANDS, "devices.dx.limits={speed: 2, power: 0.5, energy: 1}"])
+    limits = "devices.dx.limits={speed: 2, power: 0.5, energy: 1}"
+    session = load_session(EXAMPLE, [*QUIET_HANDS, limits, f"environment.enforce={enforce}"])
     simulation = Simulation(
         replace(designed, session=session), {"dx": Liar(frequency, min(0.2, 1.9 / (2.0 * math.pi * frequency)))}
     )
@@ -88,6 +93,7 @@ def test_the_others_receive_no_more_of_a_guest_than_its_budget(designed: Prepare
     assert work <= 1.0 + 0.5 * 2.5
     assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # nobody else is charged,
     assert np.min(np.array(ratios)[:, 1:]) == 1.0  # nor scaled
+    assert isinstance(simulation.environment, EnforcedCore if enforce == "true" else EnvironmentCore)
     assert energy.stops[0] >= 1
     assert energy.scaled[0] > 100
     assert all(ledger.minimum >= -1e-9 for name, ledger in simulation.ledgers.items() if name != "dx")
@@ -107,7 +113,11 @@ def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
         "devices.dx.limits={force: 8, speed: 2, displacement: 0.2}",
         "devices.dy.limits={power: 3, energy: 4}",
     ]
-    assert budgets(load_session(EXAMPLE, limits)) == (Budget(16.0, 3.2), Budget(3.0, 4.0), Budget(40.0, 40.0))
+    assert budgets(load_session(EXAMPLE, limits)) == (
+        Budget(16.0, 3.2, 3.2),
+        Budget(3.0, 4.0, 10.0),
+        Budget(40.0, 40.0, 10.0),
+    )
 
 
 class TestSentences:

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.environment.energy import MEMORY, Budget, Energy
+from manyhands.nodes.environment.energy import Budget, Energy
 
 T = 1e-3
+STORE = 10.0  # J
 joules = st.floats(-1.0, 1.0).map(lambda energy: 0.0 if abs(energy) < 1e-9 else energy)
 ticks = st.integers(2, 4).flatmap(lambda n: st.lists(st.lists(joules, min_size=n, max_size=n), min_size=1, max_size=40))
 
@@ -59,7 +60,7 @@ def test_a_single_supplier_is_charged_with_all_that_others_receive(supplies: lis
 @given(supplies=ticks)
 def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> None:
     n = len(supplies[0])
-    energy = accounts(n, [Budget(1e-9, 1e-9)] * n)
+    energy = accounts(n, [Budget(1e-9, 1e-9, STORE)] * n)
     for supplied in supplies:
         energy.supply([-abs(supplied[0]), *supplied[1:]])
         assert energy.given[0] == 0.0
@@ -67,17 +68,26 @@ def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> No
 
 
 @settings(max_examples=100)
-@given(supplies=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60), back=st.floats(0.0, 1.0))
-def test_a_hand_that_gives_back_what_it_got_is_not_charged(supplies: list[float], back: float) -> None:
-    """Party 1 returns at once a part of what party 0 has moved it with, again and again."""
-    energy = accounts(2, [Budget(1.0, 1e9), Budget(1e-9, 1e-9)])
-    for put in supplies:
-        energy.supply([put, -put])
-        returned = back * (1.0 - T / MEMORY) * put
-        energy.supply([-returned, returned])
-    assert energy.given[1] == pytest.approx(0.0, abs=1e-12)
-    assert energy.ratio(1) == 1.0
-    assert energy.given[0] == pytest.approx(energy.received[1])
+@given(
+    pushes=st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 3)), min_size=1, max_size=60),
+    known=st.booleans(),
+)
+def test_a_hand_that_only_gives_way_is_never_charged(pushes: list[tuple[float, float, int]], known: bool) -> None:
+    """Party 1 burns, and gives back, some of what it was moved with, however late; parties 0 and 2 push."""
+    energy = accounts(3, [Budget(1.0, 1e9, STORE), Budget(1e-9, 1e-9, STORE), Budget(1.0, 1e9, STORE)], known)
+    stored = 0.0
+    for push, part, wait in pushes:
+        if push >= 0.0:  # it is moved, and stores what it can
+            energy.supply([push, -push - 0.3 * part, 0.3 * part])
+            stored = min(STORE, stored + part * (push + 0.3 * part))
+        else:
+            energy.supply([push * part, min(stored, -push), 0.0])
+            stored -= min(stored, -push)
+        for _ in range(wait):
+            energy.supply([0.0, 0.0, 0.0])
+            energy.bound(1e3 * (1.0 - part))
+        assert energy.given[1] == 0.0
+        assert energy.ratio(1) == 1.0
 
 
 @settings(max_examples=100)
@@ -116,7 +126,7 @@ def test_over_every_window_the_others_receive_no_more_than_the_budget(
     power: float, size: float, pushes: list[float], holding: float
 ) -> None:
     """The party pushes as it likes, up to half its bucket in a tick; its ratio and its room are obeyed."""
-    energy = accounts(2, [Budget(power, size), Budget(1.0, 1.0)])
+    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, 1.0, STORE)])
     received = [0.0]
     stored = 0.0
     for k in range(1000):
@@ -138,8 +148,8 @@ def test_over_every_window_the_others_receive_no_more_than_the_budget(
 @settings(max_examples=60)
 @given(power=st.floats(0.1, 50.0), size=st.floats(0.1, 50.0), parts=st.lists(st.floats(0.0, 1.0), min_size=1))
 def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, parts: list[float]) -> None:
-    """It puts in at most P, and half a bucket at once in the beginning."""
-    energy = accounts(2, [Budget(power, size), Budget(1.0, 1.0)])
+    """It puts in at most P, and nearly half a bucket at once in the beginning; the others take it."""
+    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, 1.0, STORE)])
     put = 0.499 * size
     for k in range(1000):
         energy.supply([put, -put])
@@ -149,8 +159,25 @@ def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, pa
     assert energy.scaled == [0, 0]
 
 
+@settings(max_examples=100)
+@given(
+    size=st.floats(0.1, 50.0),
+    parts=st.lists(st.tuples(st.floats(0.0, 1.0), joules, joules), min_size=1, max_size=60),
+    known=st.booleans(),
+)
+def test_who_puts_in_half_a_bucket_is_not_scaled_whatever_the_others_do(
+    size: float, parts: list[tuple[float, float, float]], known: bool
+) -> None:
+    energy = accounts(3, [Budget(1e-3, size, STORE), Budget(1.0, 1.0, STORE), Budget(1.0, 1.0, STORE)], known)
+    whole = max(1.0, sum(part for part, *_ in parts))
+    for part, *others in parts:
+        energy.supply([0.499 * size * part / whole, *others])
+        energy.bound(0.0 if others[0] > 0.5 else 1e3)
+        assert energy.ratio(0) == 1.0
+
+
 def test_a_party_that_is_stopped_goes_on_once_half_its_bucket_is_free() -> None:
-    energy = accounts(2, [Budget(1.0, 1.0), Budget(1.0, 1.0)])
+    energy = accounts(2, [Budget(1.0, 1.0, STORE), Budget(1.0, 1.0, STORE)])
     energy.supply([0.97, -0.97])
     assert energy.ratio(0) == 0.0
     assert energy.stops == [1, 0]
@@ -173,6 +200,6 @@ def test_ports_of_a_block_count_together() -> None:
 @pytest.mark.parametrize("found", [0.0, -1.0, math.inf, math.nan])
 def test_a_budget_is_a_positive_number(found: float) -> None:
     with pytest.raises(ValueError, match="expected a finite number greater than 0"):
-        Budget(found, 1.0)
+        Budget(found, 1.0, STORE)
     with pytest.raises(ValueError, match="expected a finite number greater than 0"):
-        Budget(1.0, found)
+        Budget(1.0, found, STORE)
