@@ -27,7 +27,7 @@ import numpy as np  # noqa: E402
 from manyhands.design.errors import CertificateError  # noqa: E402
 from manyhands.design.proof import ProofInputError, prove  # noqa: E402
 from manyhands.design.proof.ladder import prove_ladder  # noqa: E402
-from tests.attack.forgeries import CHANGES, applies, forged, sealed, touched  # noqa: E402
+from tests.attack.forgeries import CHANGES, applies, forged, forged_rung  # noqa: E402
 from tests.attack.oracle import Judgement, judge, judge_ladder  # noqa: E402
 from tests.attack.sessions import KINDS, ladder  # noqa: E402
 
@@ -133,15 +133,7 @@ def ladders(rng: np.random.Generator, out: Tally, forgeries: int) -> Tally:
         began = time.process_time()
         here, kind = rungs, "forged: ladder" if number else "ladder"
         if number:
-            here = [json.loads(json.dumps(rung)) for rung in rungs]
-            for rung in here:
-                rung["margins"] = {}
-                for _ in range(int(rng.integers(0, 3))):
-                    levels = rung["levels"][str(rng.choice(["Delta_D", "Delta_D", "Delta_V", "Phi_E"]))]
-                    if isinstance(levels, dict):
-                        name = str(rng.choice(list(levels)))
-                        levels[name] = touched(rng, levels[name], True)
-                sealed(rung)
+            here = [forged_rung(rng, rung) for rung in rungs]
         if not all(accepted(rung) for rung in here):
             out.add(kind, began, None, [])
             continue

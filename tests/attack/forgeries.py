@@ -260,3 +260,24 @@ def forged(rng: Generator, data: Data, change: str) -> Data | None:
         return sealed(out)
     except ValueError:
         return None
+
+
+def forged_rung(rng: Generator, data: Data) -> Data:
+    """A rung whose levels are changed; or whose blocks are, each with its Delta_D and Delta_V, by a factor of its own.
+
+    The second leaves all true but Delta_D <= osp, which a rung has to keep by itself and in every mixture.
+    """
+    out: Data = json.loads(json.dumps(data))
+    out["margins"] = {}
+    levels = out["levels"]
+    if rng.random() < 0.4:
+        for _ in range(int(rng.integers(0, 3))):
+            _level(str(rng.choice(["Delta_D", "Delta_V", "Phi_E"])))(rng, out)
+        return sealed(out)
+    for name, block in out["coupling"]["blocks"].items():
+        by = float(10.0 ** rng.normal(0.0, 0.2))
+        levels["Delta_D"][name] = scaled(levels["Delta_D"][name], by)
+        levels["Delta_V"][name] = scaled(levels["Delta_V"][name], 0.999 * by)
+        for key in block:
+            block[key] = scaled(block[key], by)
+    return sealed(out)

@@ -223,9 +223,7 @@ def _tick(reader: Reader, G: Realisation, V: Realisation, E: Realisation, S: Arr
         return out
 
     I = state(0)[:0]
-    eye = zeros(m, m)
-    for k in range(m):
-        eye[k, k] = reader.arithmetic.number(1)
+    eye = reader.eye(m)
     device, xi, eta = state(0), state(1), state(2)
     p = C_G @ device + C_V @ xi if len(A_V) else C_G @ device
     load = C_E @ eta if len(A_E) else zeros(m, n)

@@ -116,7 +116,8 @@ class Reader:
         own = {"network": self._network, "state-space": self._system, "transfer-function": self._transfer}[E["type"]]()
         return self._late(own, E["delay"])
 
-    def _eye(self, n: int) -> Array:
+    def eye(self, n: int) -> Array:
+        """The identity."""
         out = self.arithmetic.zeros(n, n)
         for i in range(n):
             out[i, i] = self.arithmetic.number(1)
@@ -130,9 +131,9 @@ class Reader:
         u, q = slice(0, m), slice(m, m + n)
         load = np.hstack([-K[q, q], M[q, q] / T, B[q, u] / T, -(B[q, u] / T + K[q, u])])  # of q-, v-, u-, u
         v = self.arithmetic.solve(M[q, q] / T + B[q, q] + K[q, q] * T, load) if n else load
-        moved = v * T + np.hstack([self._eye(n), zeros(n, n + 2 * m)])
-        here = np.hstack([zeros(m, 2 * n + m), self._eye(m)])
-        before = np.hstack([zeros(m, 2 * n), self._eye(m), zeros(m, m)])
+        moved = v * T + np.hstack([self.eye(n), zeros(n, n + 2 * m)])
+        here = np.hstack([zeros(m, 2 * n + m), self.eye(m)])
+        before = np.hstack([zeros(m, 2 * n), self.eye(m), zeros(m, m)])
         f = K[u, u] @ here + B[u, u] @ ((here - before) / T)
         if n:
             f = f + K[u, q] @ moved + B[u, q] @ v
@@ -153,7 +154,7 @@ class Reader:
         if "D" in part:
             return A, B, C, self.matrix(part["D"], (m, m))
         D = self.matrix(part["static"], (m, m))
-        return A, B, C, D - C @ self.arithmetic.solve(self._eye(n) - A if discrete else -A, B) if n else D
+        return A, B, C, D - C @ self.arithmetic.solve(self.eye(n) - A if discrete else -A, B) if n else D
 
     def _discrete(self, A: Array, B: Array, C: Array, D: Array, method: str, T: Any) -> Realisation:
         n, m = B.shape
@@ -163,13 +164,13 @@ class Reader:
             whole = self.arithmetic.exponential(whole)
             return whole[:n, :n], whole[:n, n:], C, D
         if method == "backward-euler":  # x = x- + T (A x + B u)
-            after = solve(self._eye(n) - A * T, np.hstack([self._eye(n), B * T]))
+            after = solve(self.eye(n) - A * T, np.hstack([self.eye(n), B * T]))
             return after[:, :n], after[:, n:], C @ after[:, :n], C @ after[:, n:] + D
         # x = x- + T/2 (A x + B u + A x- + B u-); the state is (I + T A/2) x- + T/2 B u-
         h = T / 2
-        own = solve(self._eye(n) - A * h, np.hstack([self._eye(n), B * h]))
+        own = solve(self.eye(n) - A * h, np.hstack([self.eye(n), B * h]))
         X, Y = own[:, :n], own[:, n:]
-        P = self._eye(n) + A * h
+        P = self.eye(n) + A * h
         return P @ X, P @ Y + B * h, C @ X, C @ Y + D
 
     def _transfer(self) -> Realisation:
@@ -230,7 +231,7 @@ class Reader:
             system = (
                 np.vstack([np.hstack([A, zeros(n, m)]), np.hstack([C, zeros(m, m)])]),
                 np.vstack([B, D]),
-                np.hstack([zeros(m, n), self._eye(m)]),
+                np.hstack([zeros(m, n), self.eye(m)]),
                 zeros(m, m),
             )
         return system
@@ -245,7 +246,7 @@ class Reader:
             block, m = self.data["coupling"]["blocks"][name], len(ports)
             if self.data["coupling"]["class"] == "spring-damper":
                 K, B = self.matrix(block["stiffness"]), self.matrix(block["damping"])
-                solved = self.arithmetic.solve(K + B / T, np.hstack([B / T, self._eye(m)]))
+                solved = self.arithmetic.solve(K + B / T, np.hstack([B / T, self.eye(m)]))
                 A = C = solved[:, :m]
                 B = D = solved[:, m:]
             else:
@@ -287,10 +288,10 @@ class Reader:
                 s = euler if E["method"] == "backward-euler" else (z - 1) * 2 / ((z + 1) * self.T)
             out = D + 0 * z * D
             if n:
-                out = out + C @ self.arithmetic.solve(s * self._eye(n) - A, B + 0 * z * B)
+                out = out + C @ self.arithmetic.solve(s * self.eye(n) - A, B + 0 * z * B)
         else:
             s = euler if E["method"] == "backward-euler" else (z - 1) * 2 / ((z + 1) * self.T)
-            out = 0 * z * self._eye(m)
+            out = 0 * z * self.eye(m)
             for i, row in enumerate(E["entries"]):
                 for j, entry in enumerate(row):
                     num, den = (self.polynomial(trimmed(entry[key]), s) for key in ("num", "den"))
@@ -311,13 +312,13 @@ class Reader:
         if self.data["coupling"]["class"] == "spring-damper":
             s = (z - 1) / (z * self.T)
             return self.arithmetic.solve(
-                self.matrix(block["stiffness"]) + self.matrix(block["damping"]) * s, self._eye(m) + 0 * z * self._eye(m)
+                self.matrix(block["stiffness"]) + self.matrix(block["damping"]) * s, self.eye(m) + 0 * z * self.eye(m)
             )
         n = len(block["A"])
         A, B, C, D = self.matrices(block, n, m, True)
         out = D + 0 * z * D
         if n:
-            out = out + C @ self.arithmetic.solve(z * self._eye(n) - A, B + 0 * z * B)
+            out = out + C @ self.arithmetic.solve(z * self.eye(n) - A, B + 0 * z * B)
         return out
 
 

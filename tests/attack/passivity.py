@@ -174,10 +174,7 @@ def coupling_part(reader: Reader, name: str, z: Any) -> Array:
     """He V_hat - V_hat* Delta_V V_hat over |1 - 1/z|^2, V_hat = (V - K)(z-1)/(Tz), of one block."""
     levels = reader.data["levels"]
     D, level = reader.matrix(levels["Delta_D"][name]), reader.matrix(levels["Delta_V"][name])
-    eye = reader.arithmetic.zeros(len(D), len(D))
-    for i in range(len(D)):
-        eye[i, i] = reader.arithmetic.number(1)
-    K = reader.arithmetic.solve(D, eye) * (reader.arithmetic.number(levels["kappa"]) * reader.T)
+    K = reader.arithmetic.solve(D, reader.eye(len(D))) * (reader.arithmetic.number(levels["kappa"]) * reader.T)
     q = (z - 1) / (z * reader.T)
     moved = reader.block_at(name, z) - K
     size = 1 / (q * _conjugate(q))
@@ -201,10 +198,7 @@ def loop_part(reader: Reader, ratios: tuple[float, ...], z: Any) -> Array:
         for row in i:
             E[..., row, :] = E[..., row, :] * reader.arithmetic.number(ratio)
             E[..., :, row] = E[..., :, row] * reader.arithmetic.number(ratio)
-    eye = reader.arithmetic.zeros(m, m)
-    for i_ in range(m):
-        eye[i_, i_] = reader.arithmetic.number(1)
-    F = reader.arithmetic.solve(eye + E @ V, E)
+    F = reader.arithmetic.solve(reader.eye(m) + E @ V, E)
     q = 1 - 1 / z
     return reader.osp() - _hermitian(F * q) * (reader.T / (q * _conjugate(q)))
 
@@ -223,12 +217,9 @@ def transparency_part(reader: Reader, z: Any) -> Array:
         for a, row in enumerate(i):
             for b, column in enumerate(i):
                 V[..., row, column] = part[..., a, b]
-    eye = reader.arithmetic.zeros(m, m)
-    for k in range(m):
-        eye[k, k] = reader.arithmetic.number(1)
-    X = E @ V if claim["objective"] == "loop-shaping" else reader.arithmetic.solve(eye + E @ V, E) - E
+    X = E @ V if claim["objective"] == "loop-shaping" else reader.arithmetic.solve(reader.eye(m) + E @ V, E) - E
     X = X * weight
-    return eye * reader.arithmetic.number(claim["gamma"]) ** 2 - _star(X) @ X
+    return reader.eye(m) * reader.arithmetic.number(claim["gamma"]) ** 2 - _star(X) @ X
 
 
 def _conjugate(x: Any) -> Any:

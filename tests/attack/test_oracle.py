@@ -200,7 +200,7 @@ def test_an_environment_has_the_response_of_its_states(world: str, long: bool) -
     with ctx.workprec(BITS):
         z = reader.arithmetic.circle(np.array([0.7]))
         (A, B, C, D), direct = reader.environment, reader.environment_at(z)
-        eye = reader._eye(len(A))
+        eye = reader.eye(len(A))
         response = C @ reader.arithmetic.solve(z * eye - A, B + 0 * z * B) + D
         difference = complex((response - direct).ravel()[0])
     assert abs(difference) < (1e-100 if long else 1e-9 * abs(complex(direct.ravel()[0])))
