@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults pictures page benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults hostile pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -66,6 +66,12 @@ FAULTS ?= 4000
 SEED   ?= 1
 faults: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.campaign --faults $(FAULTS) --a-run 20 --seed $(SEED)
+
+# hostile guests within their bounds in simulated sessions, and honest ones that may not notice; a failing seed runs again
+RUNS ?= 1000
+hostile: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.hostile --runs $(RUNS) --seed $(SEED)
+	$(BIN)/python -m tests.deterministic.hostile --runs 200 --seed $(SEED) --honest
 
 # memory of a session's processes over ten minutes
 soak: $(VENV)/.installed

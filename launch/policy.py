@@ -31,6 +31,9 @@ IN_A_ROW: Final = 2
 """Telemetry messages that must break it one after the other: one may be a disturbance that is over already."""
 
 
+UNSURE: Final = 0.25
+"""Of the ticks in which a device waited for others, so many more may be theirs before it is told that it is late."""
+
 CALM: Final = 5.0
 """Seconds in which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
 
@@ -228,8 +231,9 @@ class BreachPolicy:
         for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
         own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
         longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
-        known = SHARE * (tick - since) if for_others else 0.0  # the environment cannot know of every single wait
-        if counts[Breach.DELAY] - already > len(for_others) + known:  # its own, and at once, whatever comes of it
+        # who was waited for often was waited for in ticks, too, of which the environment cannot be sure
+        unsure = max(SHARE * (tick - since), UNSURE * len(for_others)) if for_others else 0.0
+        if counts[Breach.DELAY] - already > len(for_others) + unsure:  # its own, and at once, whatever comes of it
             out.append(Notice(device, self._assumption(device, told.figures, longest)))
         if before is None:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))

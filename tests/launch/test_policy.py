@@ -206,7 +206,7 @@ class Test_waiting_for_another_user:
         m.tell_taus("dx", (50, 50.0), (50, 2300.0))
         assert m.notices == {}
         m.late(3 * TICKS, cz=range(3 * TICKS - 50, 3 * TICKS))
-        m.tell_taus("dx", (2, 240.0), (48, 50.0), (50, 2300.0))
+        m.tell_taus("dx", (20, 240.0), (30, 50.0), (50, 2300.0))
         assert m.notices.keys() == {"dx"}
         assert "240 us" in m.notices["dx"]
 
