@@ -12,8 +12,8 @@ import pytest
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.cores import environment_core
 
