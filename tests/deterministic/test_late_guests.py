@@ -55,9 +55,9 @@ def sound(session: Session) -> Session:
 @pytest.mark.parametrize(
     "delays",
     [
-        {"dz": lambda _: 2.2},
+        {"dx": lambda _: 2.2},  # which is read first, at the beginning
         {"dz": lambda _: 0.7},
-        {"dz": lambda tick: 2.2 * (tick % 2)},
+        {"dx": lambda tick: 0.7 * (tick % 2)},
         {"dy": lambda tick: 2.2 * (tick % 2), "dz": lambda tick: 2.2 * (1 - tick % 2)},
     ],
     ids=["always", "a little", "every other tick", "two in turns"],
