@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -29,14 +29,15 @@ class Late:
     """A driver whose samples take their time."""
 
     def __init__(self, driver: Driver, clock: VirtualClock, delay: Delay) -> None:
-        self._driver, self._clock, self._delay = driver, clock, delay
+        self._driver, self._delay = driver, delay
+        self._now, self._sleep_until = clock.now, clock.sleep_until
         self.axes = driver.axes
         self.apply, self.release, self.idle = driver.apply, driver.release, driver.idle
         self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
 
     def sample(self, tick: int) -> Sequence[float]:
         """The displacement, after a while."""
-        self._clock.sleep_until(Instant(self._clock.now() + int(self._delay(tick) * PERIOD)))
+        self._sleep_until(Instant(self._now() + int(self._delay(tick) * PERIOD)))
         return self._driver.sample(tick)
 
 
@@ -47,15 +48,29 @@ class Session(World):
         told: the telemetry of each node.
     """
 
-    def __init__(self, prepared: Prepared, ticks: int, delays: Mapping[str, Delay], seed: int = 1) -> None:
-        """``delays``: of the devices that are late, by name."""
+    def __init__(
+        self, prepared: Prepared, ticks: int, delays: Mapping[str, Delay], early: Collection[str] = (), seed: int = 1
+    ) -> None:
+        """Run it.
+
+        Args:
+            prepared: the session, designed.
+            ticks: how many.
+            delays: of the devices that are late, by name.
+            early: of these, the devices that do not wait until a tick is due: they sample once they are answered.
+            seed: of all that is left open.
+        """
         self.told: dict[str, list[Telemetry]] = defaultdict(list)
 
         def moved(name: str, driver: Driver, clock: VirtualClock) -> Driver:
-            return Late(driver, clock, delays[name]) if name in delays else driver
+            if name not in delays:
+                return driver
+            late = Late(driver, clock, delays[name])
+            if name in early:
+                clock.sleep_until = lambda _t: None  # type: ignore[method-assign]
+            return late
 
         super().__init__(prepared, "realtime", seed, ticks=ticks, moved=moved)
-        self.frozen: list[tuple[str, int]] = []
         self.scheduler.watch = lambda: self.conductor.phase is Phase.OVER and not self.processes
         self.scheduler.run()
         self.scheduler.join()

@@ -55,9 +55,9 @@ def sound(session: Session) -> Session:
 @pytest.mark.parametrize(
     "delays",
     [
-        {"dz": lambda _: 2.2},
+        {"dx": lambda _: 2.2},  # which is read first, at the beginning
         {"dz": lambda _: 0.7},
-        {"dz": lambda tick: 2.2 * (tick % 2)},
+        {"dx": lambda tick: 0.7 * (tick % 2)},
         {"dy": lambda tick: 2.2 * (tick % 2), "dz": lambda tick: 2.2 * (1 - tick % 2)},
     ],
     ids=["always", "a little", "every other tick", "two in turns"],
@@ -75,6 +75,15 @@ def test_who_is_late_within_patience_is_frozen_and_the_others_stay_certified(del
         assert lateness.frozen > 2
     assert named(session) == guests
     assert softened(session) <= guests
+
+
+@pytest.mark.parametrize("delay", [lambda _: 0.0, lambda tick: 0.8 * (tick % 2)], ids=["always", "and late in turns"])
+def test_who_samples_before_a_tick_is_due_makes_nobody_late(delay: Delay) -> None:
+    session = sound(Session(prepared(), 300, {"dz": delay}, early={"dz"}))
+    assert session.lateness("cx") is None
+    assert session.lateness("cy") is None
+    assert softened(session) <= {"cz"}
+    assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
 
 
 def test_what_it_cost_is_what_the_others_waited() -> None:

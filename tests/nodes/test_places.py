@@ -583,6 +583,26 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
+def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(world: World) -> None:
+    for place in world.places.all:
+        world.say(place.joint.peer.name)
+        assert world.hear(place) is Heard.SIGNAL
+    world.places.exclude(world.cy, world.tick)
+    world.finish()
+    assert (world.cy.attendance.seat, world.cy.frozen_late) == (Seat.FROZEN, 1)
+    assert 0 not in world.forces("cy")  # nor is it answered
+    for _ in range(FIRST_PAUSE - 1):
+        world.say("cy")  # it knows the tick
+        assert world.hear(world.cy) is Heard.NOTHING
+        world.say("cy", world.tick + 2)
+        assert world.hear(world.cy) is Heard.NOTHING
+        world.together(but="cy")
+    assert world.cy.attendance.seat is Seat.FROZEN
+    world.say("cy")
+    assert world.hear(world.cy) is Heard.SIGNAL
+    assert world.cy.attendance.seat is Seat.SEATED
+
+
 class Silence:
     """A line to a supervisor who says nothing."""
 
