@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults pictures page benchmark curve clean
+.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults hostile pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -36,6 +36,7 @@ campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
 		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
 	done
+	MANYHANDS_UNMOVED_SESSIONS=120 $(BIN)/pytest -q tests/design/test_unmoved_masses.py
 	$(BIN)/python -m tests.attack.campaign --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
 
 # coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md
@@ -66,6 +67,12 @@ FAULTS ?= 4000
 SEED   ?= 1
 faults: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.campaign --faults $(FAULTS) --a-run 20 --seed $(SEED)
+
+# hostile guests within their bounds in simulated sessions, and honest ones that may not notice; a failing seed runs again
+RUNS ?= 1000
+hostile: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.hostile --runs $(RUNS) --seed $(SEED)
+	$(BIN)/python -m tests.deterministic.hostile --runs 200 --seed $(SEED) --honest
 
 # memory of a session's processes over ten minutes
 soak: $(VENV)/.installed

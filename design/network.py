@@ -112,6 +112,13 @@ class Network:
         order = m + 2 * n
         return StateSpace(state[:, :order], state[:, order:], force[:, :order], force[:, order:])
 
+    def energy_matrix(self) -> Matrix:
+        """P, (m + 2n) x (m + 2n): the mechanical energy is 1/2 eta^T P eta, J, in the state of :meth:`environment`."""
+        joined = len(self.ports) + len(self.masses)
+        P = np.zeros((joined + len(self.masses),) * 2)
+        P[:joined, :joined], P[joined:, joined:] = self.stiffness_matrix(), self.mass_matrix()
+        return P
+
     @property
     def passive_network(self) -> Network:
         """The network itself: its mechanical energy is a storage function."""

@@ -25,7 +25,7 @@ from manyhands.design.weighted_loop import Transparency, weighted
 
 Progress = Callable[[str], None]
 
-_CLAIMED = (1e-6, 1e-5, 1e-4)  # relative, above the norm found, the first that leaves a storage function room
+_CLAIMED = (1e-6, 1e-5, 1e-4)  # relative, above the norm found, the first that is proved
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,23 @@ def certificate_of(
         levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
     else:
         levels = certify_beside(loop, found.coupling, environment, found.device)
-    claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim)
+    *tighter, last = _CLAIMED if found.aim is not None else _CLAIMED[:1]
+    for above in tighter:
+        with suppress(SolverFailure):  # a claim that is less tight leaves its storage function more room
+            return _proved(loop, found, wanted, levels, above, progress)
+    return _proved(loop, found, wanted, levels, last, progress)
+
+
+def _proved(
+    loop: HapticLoop,
+    found: Found,
+    wanted: CouplingRequest,
+    levels: Levels,
+    above: float,
+    progress: Progress | None,
+) -> Certificate:
+    """The certificate with these levels, and a claim on transparency that is the part ``above`` above the norm."""
+    claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim, above)
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
     draft = replace(draft, margins={"(10)": margin(loop.partition, levels)})
@@ -155,14 +171,12 @@ def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
         )
 
 
-def _transparency(loop: HapticLoop, coupling: tuple[CouplingBlock, ...], aim: Transparency) -> TransparencyClaim:
+def _transparency(
+    loop: HapticLoop, coupling: tuple[CouplingBlock, ...], aim: Transparency, above: float
+) -> TransparencyClaim:
     """The weighted norm that the coupling reaches, and a storage function that proves it."""
     V = loop.partition.join(realisations(coupling, loop.period))
     system = weighted(loop.split.environment(loop.period), V, aim)
     norm, _ = hinf_norm(system, loop.period)
-    for claimed in _CLAIMED[:-1]:
-        gamma = norm * (1.0 + claimed)
-        with suppress(SolverFailure):
-            return TransparencyClaim(aim, gamma, bounded_real_storage(system, gamma))
-    gamma = norm * (1.0 + _CLAIMED[-1])
+    gamma = norm * (1.0 + above)
     return TransparencyClaim(aim, gamma, bounded_real_storage(system, gamma))

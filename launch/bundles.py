@@ -13,8 +13,10 @@ import numpy as np
 
 from manyhands.design.contract import DeviceShare
 from manyhands.design.declared import DeclaredEnvironment
+from manyhands.design.environment import NetworkBox
+from manyhands.design.network import Network
 from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.launch.port_bounds import PortBounds, limits_at, tool_bounds
+from manyhands.launch.port_bounds import PortBounds, budgets, limits_at, tool_bounds
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import IPC, Reach
 from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
@@ -95,8 +97,18 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),
+        taus=tuple(rung.tau for rung in rungs),
+        budgets=budgets(session),
+        storage=None if model is not None else _storage(prepared),
     )
     return bundles
+
+
+def _storage(prepared: Prepared) -> Matrix | None:
+    """P with the mechanical energy 1/2 eta^T P eta, J, of an environment that is a network; None for any other."""
+    environment = prepared.loop.environment
+    network = environment.nominal if isinstance(environment, NetworkBox) else environment
+    return network.energy_matrix() if isinstance(network, Network) else None
 
 
 def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, ModelName | None]:

@@ -43,3 +43,21 @@ COLUMNS: Final = (
     Column("refused", names.NOT_ADMITTED, ".0f", 9),
 )
 """In the order in which they are shown."""
+
+LEAST_SHOWN: Final = 1e-3
+"""J below which nobody is said to have moved anybody."""
+
+MOST_SHOWN: Final = 6
+"""Pairs that are shown, those with the most energy."""
+
+
+def energy_line(figures: Mapping[str, float]) -> str:
+    """Who moved whom, and who is held to an energy budget, in a line; empty for nothing."""
+    pairs = ((value, *key.removeprefix(names.MOVED).partition("/")) for key, value in figures.items()
+             if key.startswith(names.MOVED) and value >= LEAST_SHOWN)  # fmt: skip
+    moved = [f"{supplier} → {receiver} {value:.3g}" for value, supplier, _, receiver in sorted(pairs, reverse=True)]
+    scaled = [key.removeprefix(names.SCALED) for key, value in figures.items() if key.startswith(names.SCALED)]
+    parts = [f"who moved whom [J]: {', '.join(moved[:MOST_SHOWN])}"] if moved else []
+    if len(moved) > MOST_SHOWN:
+        parts[0] += f" and {len(moved) - MOST_SHOWN} more"
+    return "; ".join([*parts, *([f"held to an energy budget: {', '.join(scaled)}"] if scaled else [])])

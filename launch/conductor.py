@@ -181,6 +181,10 @@ class Conductor:
         """End the session because of what a node has measured; ``reason`` is told as its fault."""
         return self._fail(reason) if self.phase is Phase.RUNNING else []
 
+    def tell(self, sentence: str, now: int) -> None:
+        """Something happened that the session withstands."""
+        self._recovery.tell(sentence, now)
+
     @property
     def awaited(self) -> tuple[str, ...]:
         """Remote nodes that have not joined yet; people start those, and people take their time."""

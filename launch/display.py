@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.columns import COLUMNS
+from manyhands.launch.columns import COLUMNS, energy_line
 from manyhands.launch.conductor import NodeState, Phase
 from manyhands.launch.outcome import Progress
 from manyhands.launch.output import has_room, lost_at
@@ -31,9 +31,14 @@ def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
         yield shown.update
 
 
+def printable(text: str) -> str:
+    """``text`` without what a terminal would obey: names and sentences of files and guests may hold its commands."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in text)
+
+
 def say(console: Console, text: str) -> None:
-    """Print a message as it is: no markup, and no line breaks but its own."""
-    console.print(text, markup=False, soft_wrap=True)
+    """Print a message as it is: no markup, no line breaks but its own, and nothing that a terminal would obey."""
+    console.print(printable(text), markup=False, soft_wrap=True)
 
 
 _LINE_EVERY = 2.0  # s between two plain lines
@@ -112,7 +117,8 @@ class LiveTable:
             table.add_row(name, role.value, str(telemetry.tick), rate,
                           *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        return Group(table, *(Text(f"! {notice}", style="yellow") for notice in notices))
+        energy = [Text(line) for told in progress.telemetry.values() if (line := energy_line(told.figures))]
+        return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
         """Ticks a second since a telemetry of at least half a second ago."""

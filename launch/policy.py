@@ -2,12 +2,22 @@
 
 A certificate assumes that a force acts at most tau after its sample, and that samples come every T. Each device counts
 the ticks in which that did not hold; here the counts of its telemetry are made into a decision.
+
+What a device had to wait for *another* user is not its own: the environment charges late couplings
+(:mod:`manyhands.nodes.environment.late_arrivals`), and freezes who is late again and again. Of each telemetry of a
+device the ticks that were charged to couplings other than its own are taken off, and the rest is judged. The
+environment's word may come later than the device's; so a telemetry is judged once it has.
+
+A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
+margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
+time, so that the number of changes grows with the logarithm of time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Protocol
@@ -19,6 +29,25 @@ SHARE: Final = 0.01
 
 IN_A_ROW: Final = 2
 """Telemetry messages that must break it one after the other: one may be a disturbance that is over already."""
+
+
+UNSURE: Final = 0.25
+"""Of the ticks in which a device waited for others, so many more may be theirs before it is told that it is late."""
+
+CALM: Final = 5.0
+"""Seconds in which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
+
+MARGIN: Final = 0.8
+"""Part of a rung's delay that is used before a coupling climbs to it; it is softened when more than all of it is."""
+
+MOST_DOUBLINGS: Final = 10
+"""Of :data:`CALM`: an hour and a half at most."""
+
+MOST_HELD: Final = 8
+"""Telemetry messages of a device that are held at most until the environment has told of their ticks."""
+
+MOST_WAITS: Final = 32
+"""Telemetry messages of the environment that are kept: a device's are a few behind at most."""
 
 
 class Policy(StrEnum):
@@ -97,18 +126,36 @@ class EndSession:
 Decision = Notice | ShiftCoupling | EndSession
 
 
+@dataclass(frozen=True)
+class _Told:
+    """One telemetry of a device.
+
+    Attributes:
+        tick: the tick after its last.
+        counts: of breaches so far.
+        figures: all of them.
+        taus: the delay of each of its ticks, s; empty where it does not say.
+    """
+
+    tick: int
+    counts: Mapping[Breach, float]
+    figures: Mapping[str, float]
+    taus: Sequence[float]
+
+
 @dataclass
 class _Watched:
     """What the last telemetry of a device said, and for how many in a row each assumption has not held."""
 
     tick: int
-    counts: dict[Breach, float]
+    counts: Mapping[Breach, float]
     in_a_row: dict[Breach, int]
     worst: list[float]  # the longest delay in each of the latest messages, s
+    calm: list[int]  # by rung: ticks in a row for which it would have done
 
 
 class BreachPolicy:
-    """Judges the telemetry of every device; couplings only ever get softer."""
+    """Judges the telemetry of every device."""
 
     def __init__(
         self,
@@ -133,32 +180,119 @@ class BreachPolicy:
         self._ladder = ladder
         self._rungs = rungs
         self._watched: dict[str, _Watched] = {}
+        self._held: dict[str, deque[_Told]] = {}
+        self._waits: deque[tuple[int, Mapping[str, Collection[int]]]] = deque(maxlen=MOST_WAITS)
+        self._climbed: set[str] = set()  # and not softened since
+        self._doublings: dict[str, int] = {}
 
     def forget(self, device: str) -> None:
         """``device`` has a new process, which counts from 0."""
         self._watched.pop(device, None)
+        self._held.pop(device, None)
 
-    def judge(self, device: str, tick: int, figures: Mapping[str, float]) -> list[Decision]:
-        """What follows from a device's telemetry up to ``tick``. Of anybody else, or of no sense, nothing does."""
+    def judge(self, device: str, tick: int, figures: Mapping[str, float], taus: Sequence[float] = ()) -> list[Decision]:
+        """What follows from a device's telemetry up to ``tick``. Of anybody else, or of no sense, nothing does.
+
+        Args:
+            device: its name.
+            tick: the tick after the telemetry's last.
+            figures: the telemetry's.
+            taus: the delay of each of its ticks, s; empty where it does not say.
+        """
         counts = {breach: figures.get(name, 0.0) for breach, name in _COUNTS.items()}
         if device not in self._chains or not all(math.isfinite(count) and count >= 0.0 for count in counts.values()):
             return []
+        told = _Told(tick, counts, figures, taus)
+        if not self._waits or tick <= self._waits[-1][0]:
+            return self._judge(device, told)
+        held = self._held.setdefault(device, deque())
+        held.append(told)
+        return self._judge(device, held.popleft()) if len(held) > MOST_HELD else []
+
+    def take_waits(self, tick: int, late: Mapping[str, Collection[int]]) -> list[Decision]:
+        """What follows once the environment has told, up to ``tick``, in which ticks each coupling was late."""
+        if self._waits and tick <= self._waits[-1][0]:
+            self._waits.clear()  # a new process, and the ticks are its
+        self._waits.append((tick, late))
         out: list[Decision] = []
-        if counts[Breach.DELAY] > 0.0:  # at once, whatever comes of it
-            out.append(Notice(device, self._assumption(device, figures)))
+        for device, held in self._held.items():
+            while held and held[0].tick <= tick:
+                out += self._judge(device, held.popleft())
+        return out
+
+    def _judge(self, device: str, told: _Told) -> list[Decision]:
+        tick, counts = told.tick, told.counts
+        out: list[Decision] = []
         before = self._watched.get(device)
-        if before is None or tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach):
-            self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [])
+        if before is not None and (tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach)):
+            before = None  # another process
+        begin = tick - len(told.taus)
+        since, already = (begin, 0.0) if before is None else (before.tick, before.counts[Breach.DELAY])
+        for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
+        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
+        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
+        # who was waited for often was waited for in ticks, too, of which the environment cannot be sure
+        unsure = max(SHARE * (tick - since), UNSURE * len(for_others)) if for_others else 0.0
+        if counts[Breach.DELAY] - already > len(for_others) + unsure:  # its own, and at once, whatever comes of it
+            out.append(Notice(device, self._assumption(device, told.figures, longest)))
+        if before is None:
+            calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))
+            self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [], calm)
             return out
-        before.worst = [*before.worst, _longest_delay(figures)][-IN_A_ROW:]
+        before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
-            broken = counts[breach] - before.counts[breach] > SHARE * (tick - before.tick)
+            broken = counts[breach] - before.counts[breach] - len(for_others) > SHARE * (tick - before.tick)
             before.in_a_row[breach] = before.in_a_row[breach] + 1 if broken else 0
             if before.in_a_row[breach] == IN_A_ROW:
                 before.in_a_row[breach] = 0
                 out += self._remedy(device, breach, min(before.worst))
         before.tick, before.counts = tick, counts
+        return out + self._climb(device, before, own)
+
+    def _waited_for_others(self, device: str, begin: int, end: int) -> set[int]:
+        """The ticks from ``begin`` on, before ``end``, in which a coupling was late that is not the device's."""
+        chain = self._chains[device]
+        late = (ticks for _, told in self._waits for coupling, ticks in told.items() if coupling not in chain)
+        return {tick for ticks in late for tick in ticks if begin <= tick < end}
+
+    def _climb(self, device: str, watched: _Watched, own: Sequence[float]) -> list[Decision]:
+        """The couplings of ``device`` that go back to the next stiffer rung; ``own``: its delays, the longest first."""
+        ladder = self._ladder
+        if ladder is None or not own:
+            return []
+        needed = own[min(int(SHARE * len(own)), len(own) - 1)]
+        for rung, tau in enumerate(ladder.taus):
+            watched.calm[rung] = watched.calm[rung] + len(own) if needed <= MARGIN * tau else 0
+        couplings = self._chains[device] if ladder.independent else self._all_couplings
+        softest = max((self._rungs.get(coupling, 0) for coupling in couplings), default=0)
+        groups = [(coupling,) for coupling in couplings] if ladder.independent else [couplings]
+        out: list[Decision] = []
+        for group in groups if softest else ():
+            rung = max(self._rungs.get(coupling, 0) for coupling in group) - 1
+            if rung < 0 or not all(self._calm(group, rung)):
+                continue
+            out += [ShiftCoupling(coupling, rung) for coupling in group]
+            self._climbed.update(group)
+            for other in self._devices_of(group):
+                self._watched[other].calm = [0] * len(ladder.taus)
+            text = f"{', '.join(group)}: back to rung {rung}, for every delay was within {ladder.taus[rung] * 1e6:g} us"
+            out.append(Notice(f"{group[0]} back to {rung}", text))
         return out
+
+    def _calm(self, group: Sequence[str], rung: int) -> Iterator[bool]:
+        """Whether each device of these couplings has needed no more than ``rung`` for long enough."""
+        doublings = max(self._doublings.get(coupling, 0) for coupling in group)
+        wanted = CALM / self._period * 2.0**doublings
+        for device in self._devices_of(group):
+            watched = self._watched.get(device)
+            yield watched is not None and watched.calm[rung] >= wanted
+
+    def _devices_of(self, group: Sequence[str]) -> list[str]:
+        return [device for device, chain in self._chains.items() if set(chain) & set(group)]
+
+    @property
+    def _all_couplings(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(coupling for chain in self._chains.values() for coupling in chain))
 
     def _remedy(self, device: str, breach: Breach, measured: float) -> list[Decision]:
         """``measured``: a delay, s, that each of the messages in question reached; one outlier does not decide."""
@@ -181,10 +315,13 @@ class BreachPolicy:
         rung = next((r for r, tau in enumerate(taus) if tau >= measured), len(taus) - 1)
         couplings = self._chains[device]
         if not self._ladder.independent:  # only all together are certified
-            couplings = tuple(dict.fromkeys(coupling for chain in self._chains.values() for coupling in chain))
+            couplings = self._all_couplings
         stiffer = [coupling for coupling in couplings if self._rungs.get(coupling, 0) < rung]
         out: list[Decision] = [ShiftCoupling(coupling, rung) for coupling in stiffer]
         if stiffer:
+            for coupling in self._climbed.intersection(stiffer):
+                self._doublings[coupling] = min(self._doublings.get(coupling, 0) + 1, MOST_DOUBLINGS)
+            self._climbed.difference_update(stiffer)
             text = f"{what}; {', '.join(stiffer)} softened to rung {rung}, certified for {taus[rung] * 1e6:g} us"
             out.append(Notice(f"{device} rung {rung}", text))
         if measured > taus[-1]:
@@ -192,10 +329,10 @@ class BreachPolicy:
             out.append(Notice(f"{device} beyond", text))
         return out
 
-    def _assumption(self, device: str, figures: Mapping[str, float]) -> str:
+    def _assumption(self, device: str, figures: Mapping[str, float], longest: float) -> str:
         median = figures.get(f"{names.TAU}_p50", math.nan)
         return (
-            f"{device}: a force was applied {_longest_delay(figures) * 1e6:.0f} us after its sample (median "
+            f"{device}: a force was applied {longest * 1e6:.0f} us after its sample (median "
             f"{median:.0f} us); the certificate assumes {self._tau * 1e6:g} us"
         )
 

@@ -14,7 +14,9 @@ import numpy as np
 from manyhands.design.peak_gain import output_bounds
 from manyhands.design.statespace import StateSpace
 from manyhands.launch.session import Session
+from manyhands.launch.session.limits import HAND_STORE
 from manyhands.nodes.bundle import Limits
+from manyhands.nodes.environment.energy import Budget
 
 PortBounds = tuple[float | None, ...]
 """By port of the session; None for no bound."""
@@ -35,6 +37,17 @@ def limits_at(session: Session, ports: Sequence[str]) -> Limits:
     }
     force, displacement, speed = zip(*(by_port[port] for port in ports), strict=True)
     return Limits(force, displacement, speed)
+
+
+def budgets(session: Session) -> tuple[Budget, ...]:
+    """What each coupling may put into the others: what its devices may, of each the part of its axes that it holds."""
+    of_port: dict[str, tuple[float, float, float]] = {}
+    for name, device in session.devices.items():
+        limits, ports = device.limits, session.ports_of(name)
+        stroke = 2.0 * sum(force * reach for force, reach in zip(limits.force, limits.displacement, strict=True))
+        whole = (limits.power, limits.energy, min(HAND_STORE, stroke))
+        of_port |= {port: (whole[0] / len(ports), whole[1] / len(ports), whole[2] / len(ports)) for port in ports}
+    return tuple(Budget(*map(sum, zip(*(of_port[port] for port in ports), strict=True))) for ports in session.blocks)
 
 
 def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBounds, PortBounds]:

@@ -73,7 +73,7 @@ class Recovery:
             now: monotonic ns.
             alive: whether its process is still to be seen to end.
         """
-        self._tell(f"{node} {how}", now)
+        self.tell(f"{node} {how}", now)
         out = self._drop(node, self._future(self.budget.died(node, now)), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
@@ -108,7 +108,7 @@ class Recovery:
         self._since.pop(node, None)
         self.budget.ran(node, now)
         self.incidents.restarts[node] += 1
-        self._tell(f"{node} is back", now)
+        self.tell(f"{node} is back", now)
         start = replace(self.start, tick=max(1, self.reached))  # not 0: it is not at the beginning
         return [Send(node, start), *self._repeated_shifts(node), *self.proceed(now)]
 
@@ -186,7 +186,8 @@ class Recovery:
         """Whether ``node`` is, or will be once its process has ended, in the state ``end``."""
         return self.states[node] is end or (self.states[node] is NodeState.LEAVING and self._then[node] is end)
 
-    def _tell(self, sentence: str, now: int) -> None:
+    def tell(self, sentence: str, now: int) -> None:
+        """Something happened ``now``, monotonic ns, that the session withstands."""
         self.incidents.tell(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
 
     def _drop(self, node: str, future: NodeState, alive: bool, now: int) -> list[Instruction]:
@@ -201,7 +202,7 @@ class Recovery:
             if self.states[peer] is NodeState.RUNNING:
                 out.append(Send(peer, Absent(node)))
             elif self.states[peer] in RETURNING:  # it shakes hands with somebody who will not answer
-                self._tell(f"{peer} cannot return: {node} was lost meanwhile", now)
+                self.tell(f"{peer} cannot return: {node} was lost meanwhile", now)
                 out += self._end_process(peer)
                 out += self._drop(peer, self._future(allowed=True), peer not in self.remote, now)  # no fault of its own
         return out

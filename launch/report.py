@@ -49,12 +49,20 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
         ticks = min(max(figures[names.ENFORCED_TICKS], 0.0), MAX_COUNT)
         entry["enforcement"] = {"ticks": int(ticks), "energy": figures[names.ENFORCED_ENERGY]}
+    energy = _energy(figures)
+    if energy:
+        entry["energy"] = energy
+    late = names.lateness_by_coupling(counts, figures)
+    if late:
+        entry["late_couplings"] = {
+            name: {"ticks": one.ticks, "seconds": one.time / 1e6, "frozen": one.frozen} for name, one in late.items()
+        }
     granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
     if granted:
         entry["realtime"] = granted
     if {names.PEAK_SPEED, names.FINAL_SPEED} <= figures.keys():
         entry |= {speed: figures[speed] for speed in (names.PEAK_SPEED, names.FINAL_SPEED)}
-    for count in (names.TAU_BREACHES, names.PERIOD_BREACHES, names.CLIPPED, names.SATURATED, names.RUNG):
+    for count in (names.TAU_BREACHES, names.PERIOD_BREACHES, names.CLIPPED, names.SATURATED, names.LET_GO, names.RUNG):
         if count in counts:
             entry[count] = counts[count]
     incidents = {key: counts.get(name, 0) for key, name in _INCIDENTS.items()} | {"restarts": restarts}
@@ -69,6 +77,22 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     if dropped:
         entry["dropped"] = {key.removeprefix("dropped_"): n for key, n in dropped.items()}
     return entry
+
+
+def _energy(figures: Mapping[str, float]) -> dict[str, Any]:
+    """Who moved whom, J: by coupling what it put into others and received, by pair, and who was scaled."""
+    kinds = {"given": names.GIVEN, "received": names.RECEIVED, "moved": names.MOVED, "scaled": names.SCALED,
+             "stopped": names.STOPS}  # fmt: skip
+    out: dict[str, Any] = {}
+    for kind, prefix in kinds.items():
+        found = {key.removeprefix(prefix): value for key, value in figures.items() if key.startswith(prefix)}
+        if kind in ("scaled", "stopped"):
+            found = {key: int(min(max(value, 0.0), MAX_COUNT)) for key, value in found.items()}
+        if found:
+            out[kind] = found
+    if names.UNOWNED in figures:
+        out[names.UNOWNED] = figures[names.UNOWNED]
+    return out
 
 
 def run_report(

@@ -26,7 +26,7 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.guard import Guard, LimitExceeded
+from manyhands.nodes.device.guard import Guard
 from manyhands.nodes.environment.black_box import EnforcedCore
 from manyhands.nodes.environment.cores import environment_core
 from manyhands.nodes.environment.model import ModelFailure
@@ -136,7 +136,6 @@ class Simulation:
             traces: filled with what each node would tell of its ticks.
 
         Raises:
-            LimitExceeded: a device went beyond its displacement or its speed, which would end a session.
             ModelFailure: the environment's model gave no usable forces, which would end it too.
             ValueError: a fault of no coupling, that ends before it begins, or two of one coupling at a time.
         """
@@ -144,7 +143,7 @@ class Simulation:
         blocks = {name: block for block, name in enumerate(self.couplings)}
         m = len(self._session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
-        p = np.zeros(m)
+        said, p = np.zeros(m), np.zeros(m)
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
         couplings = self._heard(())
         silent: set[str] = set()
@@ -159,15 +158,13 @@ class Simulation:
                     silent.add(name)
                     self.environment.freeze(blocks[name])
                 couplings = self._heard(silent)
-            for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
+            for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k)))
-                breach = guard.breach(displacement)
-                if breach is not None:
-                    raise LimitExceeded(f"{name}, {k * self._session.period:.6g} s after the start: {breach}")
                 device.sample(displacement)
                 x[k, ports] = displacement
+                said[ports] = guard.tell(displacement)
             for _, coupling, ports in couplings:
-                p[ports] = coupling.free_position(x[k, ports].tolist())
+                p[ports] = coupling.free_position(said[ports].tolist())
             f_v[k] = self.environment.react(p.tolist())
             if model is not None and model.failure is not None:
                 raise ModelFailure(model.failure)

@@ -14,6 +14,9 @@ from manyhands.design.coupling import SpringDamper
 from manyhands.design.differences import asked_text
 from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix
+from manyhands.launch.columns import energy_line
+from manyhands.launch.display import printable
+from manyhands.nodes import telemetry as names
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding  # exact arithmetic is loaded where something is proved
@@ -145,6 +148,12 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         table.add_row(name, str(node["ticks"]), str(node.get("late", "")), *percentiles, ledger, speeds)
     console.print(table)
+    for node in report["nodes"].values():
+        if "energy" in node:
+            entry = node["energy"]
+            figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
+            figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
+            console.print(energy_line(figures), markup=False, soft_wrap=True)
     for name, node in report["nodes"].items():
         counts = {**node.get("refused", {}), **node.get("dropped", {})}
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
@@ -183,4 +192,4 @@ def _shortened(findings: tuple[Finding, ...]) -> list[Finding]:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("[", "\\[")
+    return printable(text).replace("[", "\\[")

@@ -30,6 +30,7 @@ from manyhands.launch.conductor import (
     StartProcess,
     Terminate,
 )
+from manyhands.launch.energy_incidents import EnergyIncidents
 from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
 from manyhands.launch.gallery import Showing, condition_frame, describe, observation_frame
 from manyhands.launch.interrupt import Interrupt
@@ -113,6 +114,7 @@ class Supervisor:
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
         )
         self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
+        self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._audience = Audience(session)
@@ -278,6 +280,9 @@ class Supervisor:
                         self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
                         self._carry_out(self._conductor.stop(reason), hub, processes)
+            for sentence in self._energy.hear(sender, message):
+                self._conductor.tell(sentence, self._clock.now())
+            message = names.shown(message)
             self._audience.tell(sender, message)
             told = observation_frame(sender, message)
             self._recorder.tell(told)
@@ -325,6 +330,7 @@ class Supervisor:
         self._telemetry.pop(name, None)
         self._told.forget(name)
         self._assumptions.forget(name)
+        self._energy.forget(name)
         try:
             self._start_process(name, processes)
             for node in self._graph.together(name):

@@ -28,6 +28,7 @@ from manyhands.nodes.bundle_parts import (
 )
 from manyhands.nodes.bundle_sources import BrowserHand, RecordedMotion, SimulatedHand, Source, plain_source, source_from
 from manyhands.nodes.bundle_values import array, floats, plain, system
+from manyhands.nodes.environment.energy import Budget
 from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
 
@@ -155,6 +156,9 @@ class EnvironmentBundle:
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
+        taus: the longest delay that each rung of the ladder covers, s, from the certificate's on.
+        budgets: what each coupling may put into the others, in the order of the peers.
+        storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
 
     Raises:
         ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
@@ -171,6 +175,9 @@ class EnvironmentBundle:
     enforce: bool = False
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
+    taus: tuple[float, ...] = (0.0,)
+    budgets: tuple[Budget, ...] = ()
+    storage: Matrix | None = None
 
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
@@ -180,6 +187,10 @@ class EnvironmentBundle:
                 f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
                 "model's level to be enforced, and a level wherever one is"
             )
+        if len(self.budgets) != len(self.feedthrough):
+            raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
+        if self.storage is not None and (self.E is None or self.storage.shape != self.E.A.shape):
+            raise ValueError(f"found a storage of shape {self.storage.shape}; expected that of E's matrix A")
         numbers = {len(matrices) for matrices in self.feedthrough_rungs.values()}
         if not self.feedthrough_rungs:
             return
@@ -271,7 +282,7 @@ def _flag(data: Any) -> bool:
 
 def _tau(data: Any) -> float:
     if not _is_time(data):
-        raise ValueError(f"found {data!r:.40} as the tau of a rung; expected a number of seconds")
+        raise ValueError(f"found {data!r:.40} as a tau; expected a number of seconds")
     return float(data)
 
 
@@ -309,6 +320,9 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
+    "taus": lambda data: tuple(map(_tau, data)),
+    "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
+    "storage": _optional_array,
     "limits": _limits,
     "tool_magnitude": _bounds,
     "tool_step": _bounds,

@@ -88,7 +88,7 @@ class Joint:
             link: the connection.
             admits: the signal that comes from there.
             indices: where its values belong.
-            clock: by which a wait knows how long it has lasted; a realtime one.
+            clock: by which a wait knows how long it has lasted, and a gate what has passed; a realtime one.
             bounds: what its values keep within.
         """
         self.own, self.peer, self.link, self.indices = own, peer, link, indices
@@ -97,7 +97,7 @@ class Joint:
         self.new = False
         self.tick, self.told, self.zero, self.stray = -1, 0, False, b""
         self._admits, self._bounds, self._clock = admits, bounds, clock
-        self.gate = Gate(admits, len(peer.ports), bounds)
+        self.gate = Gate(admits, len(peer.ports), bounds, clock)
         self._part = indices if isinstance(indices, slice) else None
         self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
         self._writer: SignalWriter | None = None  # it sends one kind of signal, which is known when it does
@@ -265,7 +265,7 @@ class Joint:
             self.lose()
             return Heard.NOTHING
         self.handshake, self.hello, self.new = None, handshake.peer, True
-        before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds)
+        before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
         self._last, self.tick = b"", -1
         return Heard.MET

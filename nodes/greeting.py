@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from manyhands.nodes.bundle import Common, Peer
+from manyhands.nodes.bundle import SIMULATED, Common, Peer
 from manyhands.nodes.exchange import Indices, Joint
 from manyhands.protocol.clock import Clock, Instant, from_seconds
 from manyhands.protocol.gate import Bounds
@@ -26,17 +26,21 @@ HANDSHAKE_TIME = from_seconds(20.0)
 def bounds_by_peer(
     common: Common, role: Role, magnitude: Sequence[float | None], step: Sequence[float | None]
 ) -> dict[str, Bounds]:
-    """Bounds of the signals of every peer of ``role``, from those of the node's own ports; None for no bound."""
+    """Bounds of the signals of every peer of ``role``, from those of the node's own ports; None for no bound.
+
+    Under the simulated clock a tick is one period, whatever the stamps say and however long it takes.
+    """
 
     def of(bound: float | None) -> float:
         return math.inf if bound is None else bound
 
+    period = None if common.clock == SIMULATED else from_seconds(common.period)
     by_port = {port: (of(m), of(s)) for port, m, s in zip(common.ports, magnitude, step, strict=True)}
     return {
         peer.name: Bounds(
             tuple(by_port[p][0] for p in peer.ports),
             tuple(by_port[p][1] for p in peer.ports),
-            from_seconds(common.period),
+            period,
         )
         for peer in common.peers
         if peer.role is role

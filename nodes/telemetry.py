@@ -5,14 +5,18 @@ Lengths of time are in microseconds, energies in joules, speeds in m/s; traces a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.passivity_controller import PassivityController
+from manyhands.protocol.messages import Telemetry
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, FREE_POSITION, LEDGER, MASS_POSITION, TAU, TOOL_POSITION
 
 __all__ = [
@@ -34,6 +38,7 @@ STALE = "stale"
 PERIOD = "period_us"
 TAU_BREACHES = "tau_breaches"
 CLIPPED = "clipped"  # ticks whose force a device clipped: a coupling misbehaves
+LET_GO = "let_go"  # times that a device was beyond its displacement or speed, and exerted no force any more
 SATURATED = "saturated"  # ticks whose force a coupling clipped: not those of the certificate
 REFUSED = "refused_"  # and why: connections that the process did not admit
 NOT_ADMITTED = "not_admitted"  # connections and frames together, for a glance
@@ -44,6 +49,10 @@ JUMPS = "jumps"  # times that a node went on at a later tick than its own
 RELEASED = "released"  # periods in which a device exerted no force, for it heard of none
 RUNG = "rung"  # of the ladder of couplings
 TAU_WORST = "tau_worst_us"  # since the last telemetry
+WAITED_IN = "waited:"  # and which coupling: a trace of those of its telemetry's ticks in which the others waited for it
+WAITED_TICKS = "waited_ticks_"  # and which coupling: ticks in which the others waited for it alone
+WAITED_TIME = "waited_us_"  # and which coupling: what that made the others wait
+FROZEN_LATE = "frozen_late_"  # and which coupling: times that it was frozen for it
 PERIOD_BREACHES = "period_breaches"  # ticks that came another time after the one before than the certificate assumes
 DROPPED_TELEMETRY = "dropped_telemetry"
 DROPPED_LOG = "dropped_log"
@@ -56,6 +65,12 @@ GRASPS = "grasps"  # positions that it was given, of which were
 GRASPS_CLIPPED = "grasps_clipped"  # beyond what it is drawn to, and
 GRASPS_REFUSED = "grasps_refused"  # besides, what was said there that was no position of this device
 GRASPS_LAPSED = "grasps_lapsed"  # times that a hand fell silent without letting go
+GIVEN = "given_"  # and which coupling: J that the others have received of its energy
+RECEIVED = "received_"  # and which coupling: J that it has received of the others'
+MOVED = "moved_"  # supplier, "/" and receiver: J
+SCALED = "scaled_"  # and which coupling: ticks in which it was held to less than it did, for its energy budget
+STOPS = "stops_"  # and which coupling: times that nothing was left of it
+UNOWNED = "unowned"  # J that users received of the environment's own
 ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
 
@@ -82,6 +97,81 @@ def enforcement_figures(controller: PassivityController | None) -> dict[str, flo
     if controller is None:
         return {}
     return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """What a coupling made the others wait.
+
+    Attributes:
+        ticks: in which it came after the others, or not at all.
+        time: that it cost the others, us.
+        frozen: times that it was frozen for it.
+    """
+
+    ticks: int
+    time: float
+    frozen: int
+
+    def sentence(self, name: str) -> str:
+        """The same for a person; ``name``: the coupling's."""
+        return (
+            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and it was frozen "
+            f"for that {self.frozen} times"
+        )
+
+
+def lateness_counts(lateness: Mapping[str, Lateness]) -> dict[str, int]:
+    """Late ticks by coupling, and how often it was frozen for them."""
+    ticks = {f"{WAITED_TICKS}{name}": one.ticks for name, one in lateness.items()}
+    return ticks | {f"{FROZEN_LATE}{name}": one.frozen for name, one in lateness.items()}
+
+
+def lateness_times(lateness: Mapping[str, Lateness]) -> dict[str, float]:
+    """What each made the others wait, us."""
+    return {f"{WAITED_TIME}{name}": one.time for name, one in lateness.items()}
+
+
+def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> Lateness | None:
+    """What the environment told of the coupling ``name``; None if nothing, or nothing of sense."""
+    told = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
+    ticks, time, frozen = (math.nan if value is None else value for value in told)
+    if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
+        return None
+    return Lateness(int(ticks), time, int(frozen))
+
+
+def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
+    """Who moved whom, and who was held to a budget; of what has not happened nothing is said."""
+    figures = {UNOWNED: energy.unowned}
+    for name, values in (
+        (GIVEN, energy.given),
+        (RECEIVED, energy.received),
+        (SCALED, energy.scaled),
+        (STOPS, energy.stops),
+    ):
+        figures |= {f"{name}{party}": float(value) for party, value in zip(parties, values, strict=True)}
+    for supplier, row in zip(parties, energy.moved, strict=False):
+        figures |= {f"{MOVED}{supplier}/{to}": value for to, value in zip(parties, row, strict=True)}
+    return {name: value for name, value in figures.items() if value != 0.0}
+
+
+def lateness_by_coupling(counts: Mapping[str, float], figures: Mapping[str, float]) -> dict[str, Lateness]:
+    """What the environment told of all couplings that made the others wait."""
+    told = {
+        key.removeprefix(WAITED_TICKS): lateness_of(key.removeprefix(WAITED_TICKS), counts, figures)
+        for key in counts
+        if key.startswith(WAITED_TICKS)
+    }
+    return {name: lateness for name, lateness in told.items() if lateness is not None}
+
+
+def shown(telemetry: Telemetry) -> Telemetry:
+    """What others than the supervisor are shown of a telemetry: without the ticks in which couplings were late."""
+    if not any(name.startswith(WAITED_IN) for name in telemetry.traces):
+        return telemetry
+    traces = {name: trace for name, trace in telemetry.traces.items() if not name.startswith(WAITED_IN)}
+    return Telemetry(telemetry.tick, telemetry.figures, traces)
 
 
 def stray_frames(joints: Iterable[Joint]) -> dict[str, float]:

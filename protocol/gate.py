@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.protocol.clock import Duration
+from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.codec import LAYOUTS
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import SignalMessage, Values
@@ -34,7 +34,13 @@ ROUNDING: Final = 1e-9
 """What bounds yield to rounding, relative: to the magnitude, and to step and magnitude together for a step."""
 
 MOST_PERIODS: Final = 6
-"""Periods at most that may have passed between two samples, for the step between them: a device waits no longer."""
+"""Periods that a step may take at most, and that a peer's steps may be ahead of the receiver's clock.
+
+A device waits no longer for its force, so that an honest signal is late by no more.
+"""
+
+DRIFT: Final = 1e-3
+"""By how much a peer's clock may be faster than the receiver's, relative."""
 
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
@@ -47,8 +53,12 @@ class Bounds:
     Attributes:
         magnitude: greatest absolute value.
         step: greatest absolute change from one tick to the next; None for no bound.
-        period: length of a tick, ns. A tick that was late is longer: with a period, the step is bounded for each that
-            has passed between the two stamps, up to :data:`MOST_PERIODS`.
+        period: T, ns, where ticks last as long as they do by a clock; None where each is exactly one period. A tick
+            that was late is longer: with a period, a step may be as many times as great as periods have passed between
+            the two stamps, up to :data:`MOST_PERIODS`. What stamps claim is the peer's word, so all steps together are
+            held against the receiver's clock: over any time t that passes there, for each port,
+
+                sum |step| <= bound ((1 + DRIFT) t / T + MOST_PERIODS).
 
     Raises:
         ValueError: an entry is negative or not a number, or the two differ in length.
@@ -76,8 +86,10 @@ class Gate:
     """
 
     __slots__ = (
+        "_balance",
         "_before",
         "_bounded",
+        "_clock",
         "_end",
         "_floats",
         "_length",
@@ -85,20 +97,33 @@ class Gate:
         "_magnitude",
         "_number",
         "_period",
+        "_periods_a_step",
+        "_rate",
+        "_seen",
         "_start",
         "_step",
         "dropped",
         "stamp",
     )
 
-    def __init__(self, kind: type[SignalMessage], width: int, bounds: Bounds | None = None) -> None:
+    def __init__(
+        self, kind: type[SignalMessage], width: int, bounds: Bounds | None = None, clock: Clock | None = None
+    ) -> None:
         """Wait for signals of ``kind`` with ``width`` values, ``bounds`` one for each of them.
 
+        Args:
+            kind: of signals.
+            width: values of a signal.
+            bounds: what they keep within; None for finite values.
+            clock: the receiver's, needed for bounds with a period.
+
         Raises:
-            ValueError: ``bounds`` are for another width.
+            ValueError: ``bounds`` are for another width, or have a period where there is no clock.
         """
         if bounds is not None and len(bounds.magnitude) != width:
             raise ValueError(f"found bounds of {len(bounds.magnitude)} values; expected {width}")
+        if bounds is not None and bounds.period is not None and clock is None:
+            raise ValueError("found bounds with a period and no clock; expected the receiver's clock")
         self._number, _ = LAYOUTS[kind]
         self._floats = struct.Struct(f"<{width}d")
         self._length = USUAL.size + self._floats.size
@@ -114,8 +139,14 @@ class Gate:
             s * (1.0 + ROUNDING) + (ROUNDING * m if math.isfinite(m) else 0.0)
             for s, m in zip(step, magnitude, strict=True)
         )
+        # of a port without a bound, or with 0, no step takes any time
+        self._periods_a_step = tuple(min(1.0 / s, sys.float_info.max) if s > 0.0 else 0.0 for s in self._step)
         self._before: tuple[float, ...] | None = None  # the values admitted last
         self._period = None if bounds is None else bounds.period
+        self._clock = clock if self._period else None
+        self._rate = (1.0 + DRIFT) / self._period if self._period else 0.0  # periods a ns
+        self._balance = float(MOST_PERIODS)  # periods of steps that the peer may yet be ahead
+        self._seen = Instant(0)  # when the last signal was admitted
         self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
         self.stamp: int = 0
 
@@ -155,12 +186,19 @@ class Gate:
         values = self._floats.unpack_from(frame, size)
         if self._bounded:
             before = self._before or values  # the first has nothing to be compared with
-            for value, last, most, step in zip(values, before, self._magnitude, self._step, strict=True):
-                if not (-most <= value <= most and -step <= value - last <= step):
-                    if -most <= value <= most and abs(value - last) <= step * self._periods(stamp):
-                        continue
+            taken = 0.0  # periods that the greatest of the steps takes within its bound
+            for value, last, most, step, periods in zip(
+                values, before, self._magnitude, self._step, self._periods_a_step, strict=True
+            ):
+                moved = abs(value - last)
+                if not (-most <= value <= most and (moved <= step or moved <= step * self._periods(stamp))):
                     self.dropped["out_of_range" if all(map(math.isfinite, values)) else "not_finite"] += 1
                     return None
+                if moved * periods > taken:
+                    taken = moved * periods
+            if self._clock is not None and not self._affords(taken, self._clock.now()):
+                self.dropped["out_of_range"] += 1
+                return None
             self._before = values
         elif not all(map(math.isfinite, values)):  # for a few ports six times as fast as numpy's isfinite().all()
             self.dropped["not_finite"] += 1
@@ -168,8 +206,16 @@ class Gate:
         self.stamp = stamp
         return values
 
+    def _affords(self, taken: float, now: Instant) -> bool:
+        """Whether a step of so many periods keeps within the time that has passed here; it is charged if it does."""
+        left = self._balance + (now - self._seen) * self._rate - taken
+        if left < 0.0:
+            return False
+        self._balance, self._seen = min(left, float(MOST_PERIODS)), now
+        return True
+
     def _periods(self, stamp: int) -> int:
-        """How many periods have passed since the signal admitted last, by the stamps."""
+        """How many periods have passed since the signal admitted last, by the stamps: what the peer claims."""
         if self._period is None:
             return 1
         return min(max(round((stamp - self.stamp) / self._period), 1), MOST_PERIODS)

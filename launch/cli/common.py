@@ -26,7 +26,6 @@ from manyhands.launch.session import PythonEnvironment, Session, SessionError
 from manyhands.launch.topology import LinkTooWide
 from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
-from manyhands.nodes.device.guard import LimitExceeded
 from manyhands.nodes.environment.model import ModelError, ModelFailure
 from manyhands.protocol.key_files import KeyFileError
 from manyhands.protocol.transport import TransportError
@@ -197,7 +196,7 @@ def errors() -> Iterator[None]:
     except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
-    except (LimitExceeded, ModelFailure) as error:
+    except ModelFailure as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_FAILED) from error
     except OSError as error:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of
-from manyhands.launch.display import say, status
+from manyhands.launch.display import printable, say, status
 from manyhands.launch.exits import EXIT_FAILED
 from manyhands.launch.files import claimed, require_target
 from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
@@ -137,7 +137,7 @@ def _print(found: Info, damages: list[Damage]) -> None:
     table.add_column("rate [Hz]", justify="right")
     for channel in found.channels:
         rate = "" if channel.rate is None else f"{channel.rate:.6g}"
-        table.add_row(Text(channel.topic), str(channel.messages), rate)
+        table.add_row(Text(printable(channel.topic)), str(channel.messages), rate)
     out.print(table)
     for name, size in found.attachments.items():
         say(out, f"attachment {name}: {size} bytes")

@@ -62,7 +62,9 @@ def simulate(
     with errors(), ExitStack() as claims:
         from rich.progress import Progress
 
+        from manyhands.launch.columns import energy_line
         from manyhands.launch.simulation import Simulation
+        from manyhands.nodes.telemetry import energy_figures
 
         loaded = load_named(session, overrides)
         ticks = kept_ticks(loaded, duration)
@@ -86,6 +88,11 @@ def simulate(
                 f"{name}: peak speed {device.peak_speed:.3g} m/s, speed at the end {device.speed:.3g} m/s, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
+        if line := energy_line(energy_figures(simulation.environment.energy, tuple(simulation.couplings))):
+            say(out, line)
+        for name, guard in simulation.guards.items():
+            if guard.let_go:
+                say(err, f"warning: {name} was beyond its limits and let go (times: {guard.let_go}); last: {guard.why}")
 
 
 @commands.command(epilog="Example: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json")

@@ -19,7 +19,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.columns import COLUMNS
+from manyhands.launch.columns import COLUMNS, energy_line
 from manyhands.launch.looking.listing import rounded, session_object, shown
 from manyhands.launch.looking.watching import Seeing
 from manyhands.nodes.observer.scene import Health, NodeScene, Scene
@@ -87,6 +87,11 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
         health = scene.link_health(link)
         if health is not Health.OK:
             yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
+    for name, late in scene.frozen_late.items():
+        yield late.sentence(name), "yellow"
+    for node in scene.nodes.values():
+        if line := energy_line(node.figures):
+            yield line, ""
     condition = scene.condition
     if condition is None:
         return

@@ -89,7 +89,10 @@ def bounded(run: Run, node: str) -> Check:
 
 
 def limits_kept(run: Run, node: str, bundle: DeviceBundle) -> list[Check]:
-    """A device's displacement and force within its limits, and its speed where ticks are no later than they should."""
+    """A device's force within its limit; displacement, and speed where ticks are no later than they should, likewise.
+
+    Beyond one of the last two it has let go, and exerts no force.
+    """
     x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
     found = [
         ("displacement", np.abs(x), bundle.limits.displacement, "m"),
@@ -99,16 +102,16 @@ def limits_kept(run: Run, node: str, bundle: DeviceBundle) -> list[Check]:
         step = np.abs(np.diff(x, axis=0, prepend=x[:1]))
         found.append(("step", step, tuple(run.recorded.period * v for v in bundle.limits.speed), "m"))
     out = []
+    exerted = np.any(f != 0.0, axis=1, keepdims=True)
     for name, values, limits, unit in found:
         most = np.broadcast_to(np.array(limits), values.shape)
-        first = first_of(values > most, ports, values, most)
+        beyond = (values > most) & exerted
+        first = first_of(beyond, ports, values, most)
         numbers = int(np.isfinite(values).sum())
         verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
         told = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
-        what = f"its {name} is within its limit"
-        out.append(
-            Check("limits", node, what, verdict, numbers, first, int((values > most).sum()), (), 0.0, _LIMITS, told)
-        )
+        what = f"its {name} is within its limit" + ("" if name == "force" else ", or it exerts no force")
+        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, told))
     return out
 
 

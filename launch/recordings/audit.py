@@ -34,12 +34,13 @@ from manyhands.launch.recordings.hands import hand_of
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.recomputed import Recomputed
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rows import first_sign, rows_of
+from manyhands.launch.recordings.rows import changes, first_sign, rows_of
 from manyhands.launch.recordings.run import Run
 from manyhands.launch.recordings.world import Blocks, increments, recompute_environment
 from manyhands.launch.topology import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.device.guard import Guard
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
 
 Array = NDArray[np.float64]
@@ -156,6 +157,8 @@ class _Auditing:
             self._wide([*couplings], names.FORCE),
             {},
         )
+        for name, device in devices.items():
+            self._follow_guard(name, device, x, f, blocks.f)
         out: list[Check] = []
         shifts: dict[str, list[tuple[int, int]]] = {}
         for name, coupling in couplings.items():
@@ -188,6 +191,35 @@ class _Auditing:
             out += [agreement.delay_assumed(self._run, name, taus), agreement.period_assumed(self._run, name)]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
+
+    def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array) -> None:
+        """Put into x what a device that has let go told its couplings, and into f the forces that it was asked for.
+
+        Both follow from its displacement; but in real time not to the bit, and there they are not known from there on.
+
+        Args:
+            name: the device.
+            bundle: its part of the session.
+            x: recorded, ticks x ports, m; written.
+            f: what the devices exerted, N; written where that is what it makes of ``asked``.
+            asked: what their couplings handed on, N.
+        """
+        own, run = self._ports[name], self._run
+        if run.recorded.clock != SIMULATED:
+            for window in changes(run.figures.get(name, ()), names.LET_GO)[:1]:
+                x[window.begin :, own] = f[window.begin :, own] = np.nan
+            return
+        guard: Guard | None = None
+        for k in range(run.ticks):
+            at = x[k, own].tolist()
+            if not np.all(np.isfinite(at)):
+                guard = None  # a process that comes back begins anew
+                continue
+            guard = guard or Guard(bundle.limits, self._session.period, bundle.common.ports)
+            x[k, own] = guard.tell(at)
+            wanted = asked[k, own].tolist()
+            if guard.let_go and guard.clip(wanted.copy()) == f[k, own].tolist():
+                f[k, own] = wanted
 
     def _device(self, name: str, bundle: DeviceBundle, shifts: dict[str, list[tuple[int, int]]]) -> list[Check]:
         run = self._run

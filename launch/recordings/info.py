@@ -152,6 +152,12 @@ def read_info(path: Path, progress: Callable[[float], None] | None = None) -> In
     return looking.info()
 
 
+def _node_of(topic: str) -> str:
+    """The node in a topic's name; empty in a name of another form."""
+    _, _, node, *_ = [*topic.split("/"), "", "", ""]
+    return node
+
+
 class _Looking:
     """At one file."""
 
@@ -219,9 +225,7 @@ class _Looking:
             size=self._path.stat().st_size,
             first=first,
             ticks=end,
-            channels=tuple(
-                sorted(self._channels.values(), key=lambda channel: order.get(channel.topic.split("/")[2], 0))
-            ),
+            channels=tuple(sorted(self._channels.values(), key=lambda channel: order.get(_node_of(channel.topic), 0))),
             attachments=self._attachments,
             missing={device: ticks.missing for device, ticks in lacking.items()},
             gaps={device: tuple(sorted(ticks.gaps, key=lambda gap: gap.begin)) for device, ticks in lacking.items()},

@@ -26,7 +26,6 @@ from manyhands.launch.recordings.run import Run, Trace
 from manyhands.launch.recordings.tracing import Traces
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import SIMULATED
-from manyhands.nodes.device.guard import LimitExceeded
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.protocol.topics import DISPLACEMENT, LEDGER, TAU
 
@@ -130,7 +129,7 @@ def replay(prepared: Prepared, run: Run, progress: Callable[[int], None] | None 
     ended = ""
     try:
         simulation.run(ticks, progress, traces=traces)
-    except (LimitExceeded, ModelFailure) as error:
+    except ModelFailure as error:
         ended = str(error)
     return _compared(run, ticks, traces, given, ended)
 

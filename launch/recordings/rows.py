@@ -83,7 +83,8 @@ def first_sign(run: Run, environment: str) -> tuple[int, str]:
     """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
 
     A clutch moves when a coupling is frozen, comes back, or changes its rung, and when the devices have waited so long
-    that they have let go. The environment counts the first three, the devices the last.
+    that they have let go; and when one is held to its energy budget. The devices count who lets go, the environment
+    all the others.
     """
     signs: list[tuple[int, str]] = [(run.ticks, "")]
     told = run.figures.get(environment, ())
@@ -99,6 +100,7 @@ def first_sign(run: Run, environment: str) -> tuple[int, str]:
         ):
             signs += [(w.begin, why) for w in changes(figures, name)[:1]]
         signs += [(w.begin, f"{node} changed its rung") for w in changes(told, f"{names.RUNG}_{node}")[:1]]
+        signs += [(w.begin, f"{node} was held to its budget") for w in changes(told, f"{names.SCALED}{node}")[:1]]
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():

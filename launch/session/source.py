@@ -7,8 +7,10 @@ is left is ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None`
 every key and list item, which is what lets every later error name a line.
 """
 
+import gc
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -18,7 +20,6 @@ from yaml.composer import Composer
 from yaml.events import CollectionStartEvent, ScalarEvent
 from yaml.parser import Parser
 from yaml.reader import Reader
-from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
 from manyhands.design.files import read_regular
@@ -90,9 +91,10 @@ def parse_tree(text: str, source: str) -> SessionTree:
     Raises:
         SessionError: the text is not acceptable YAML, or not a mapping.
     """
-    node = _compose(text, source, has_lines=True)
-    builder = _Builder(source, has_lines=True)
-    data = None if node is None else builder.build(node, ())
+    with _collector_at_rest():
+        node = _compose(text, source, has_lines=True)
+        builder = _Builder(source, has_lines=True)
+        data = None if node is None else builder.build(node, ())
     if not isinstance(data, dict):
         line = 1 if node is None else _line(node)
         found = "an empty file" if data is None else f"{show(data)} at the top"
@@ -114,16 +116,37 @@ else:  # libyaml, which PyYAML's wheels have, takes a tenth of the time: the lar
     from yaml.cyaml import CParser as _Events
 
 
-class _Loader(Composer, _Events, BaseResolver):
+@contextmanager
+def _collector_at_rest() -> Iterator[None]:
+    """Without the garbage collector, which would go over the growing tree again and again: half of the time."""
+    was_at_work = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_at_work:
+            gc.enable()
+
+
+class _Loader(Composer, _Events):
     """PyYAML up to the node graph, without its YAML 1.1 scalars; depth, number and tags are checked as nodes come."""
 
     def __init__(self, text: str, builder: "_Builder") -> None:
         _Events.__init__(self, text)
         Composer.__init__(self)
-        BaseResolver.__init__(self)
         self._builder = builder
         self._depth = 0
         self._count = 0
+
+    def resolve(self, _kind: object, _value: object, _implicit: object) -> str:
+        """No tag: a scalar's kind is found by :func:`plain_scalar`."""
+        return ""
+
+    def descend_resolver(self, _parent: object, _index: object) -> None:
+        """Nothing is resolved by its path."""
+
+    def ascend_resolver(self) -> None:
+        """Likewise."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node, refusing what would recurse or grow too far."""

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from manyhands.launch.columns import energy_line
 from manyhands.nodes.observer.about import About
 from manyhands.nodes.observer.alarms import Alarms, covered_tau
 from manyhands.nodes.observer.decimation import Decimated
@@ -94,6 +95,7 @@ class Feed:
             "tick": scene.tick,
             "rate": _rounded(scene.rate),
             "frozen": scene.frozen,
+            "energy": "".join(energy_line(node.figures) for node in scene.nodes.values()),
             "nodes": self._nodes(cursor),
             "links": [scene.link_health(link) for link in scene.about.links],
             "tracks": self._new_buckets(cursor),

@@ -8,7 +8,7 @@ A device whose force is stale lets go and runs free: it samples, guards and keep
 force, and says its x(k) again and again until it is answered, or told that the session is further on.
 
 The guard looks at a sample before anyone else does, and clips the force last before the driver: a device beyond its
-limits of displacement or speed lets go and ends the session.
+limits of displacement or speed lets go, and takes hold again once it is back within them.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.greeting import establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.log import Event
 from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.reunion import follow
@@ -84,14 +85,14 @@ class DeviceNode:
             clock.sleep_until(due)
             sampled = clock.now()
             x = list(map(float, driver.sample(turns)))  # a driver may fill the same list, or array, every time
-            breach = guard.breach(x, max(1, -((before - sampled + period // 2) // period)))
+            let_go = guard.let_go
+            told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
-            if breach is not None:
-                life.fail(f"{self._common.name}: {breach}")
-                return
+            if guard.let_go != let_go:
+                control.log.note(Event.BREACH, tick=tick, reason=guard.why)
             for joint in joints:
                 if joint.tick != tick:
-                    joint.send(Sample, tick, sampled, x)
+                    joint.send(Sample, tick, sampled, told_x)
             sent = clock.now()
             turns += 1
             told = tick
@@ -99,7 +100,7 @@ class DeviceNode:
                 # who runs free waits once, to the end of the period
                 heard = joint.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if heard is not Heard.SIGNAL:
-                    told = self._await_forces((joint, heard), f, x, tick, sampled, life, control)
+                    told = self._await_forces((joint, heard), f, told_x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return

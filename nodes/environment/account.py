@@ -45,14 +45,25 @@ class Account:
         """Whether there are as many rows as a telemetry has."""
         return self._filled == self._rows
 
-    def publish(self, control: ControlLine, core: Core, figures: Mapping[str, float]) -> None:
-        """Telemetry of the ticks since the last, if there are any."""
+    def publish(
+        self, control: ControlLine, core: Core, figures: Mapping[str, float], late: Mapping[str, list[int]]
+    ) -> bool:
+        """Telemetry of the ticks since the last; whether there are any.
+
+        Args:
+            control: the line to the supervisor.
+            core: the environment.
+            figures: what is told besides.
+            late: by coupling, the ticks since the last telemetry in which it was late.
+        """
         rows, self._filled, self._rows = self._filled, 0, self._every
         if rows == 0:
-            return
+            return False
         traces = {
             names.TOOL_POSITION: np.array(self._tools[:rows]),
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
+            **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
         }
         control.publish(Telemetry(self.ticks, figures, traces))
+        return True

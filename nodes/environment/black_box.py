@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
+from manyhands.nodes.environment.energy import Budget, Energy
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.linear_map import Floats
@@ -132,6 +133,7 @@ class EnforcedCore:
     Attributes:
         ledger: its energy ledger; None when it has promised nothing.
         controller: what keeps the ledger from falling below zero; None where nothing is enforced.
+        energy: who puts how much into whom.
         ill_posed: ticks in which the loop had no unique solution: none, by construction or by the certificate.
     """
 
@@ -144,6 +146,7 @@ class EnforcedCore:
         enforce: bool,
         blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
         ramp: int = RAMP,
+        budgets: Sequence[Budget] | None = None,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -155,6 +158,7 @@ class EnforcedCore:
             enforce: whether the level is kept by a controller.
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
+            budgets: what each coupling may put into the others; None for no bound.
 
         Raises:
             ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that no
@@ -168,6 +172,7 @@ class EnforcedCore:
         self._clutches = tuple(
             Clutch(np.arange(m)[part].tolist(), ramp) for part in ([slice(None)] if blocks is None else blocks)
         )
+        self.energy = Energy([clutch.ports for clutch in self._clutches], budgets, T)
         self._unsettled: list[Clutch] = []
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
@@ -198,8 +203,11 @@ class EnforcedCore:
             self.ledger.enter(self._T * float(-(w @ self._f) + w @ self._Phi @ w))
         if self.controller is not None:
             self.controller.settle()
+        self.energy.enter(self._f.tolist(), self._next.tolist(), self._x_e.tolist())
         self._x_e = self._next
         self._law.advance(self._x_e)
+        if self.energy.restrained:
+            self._restrain()
 
     @property
     def tools(self) -> Floats:
@@ -266,6 +274,14 @@ class EnforcedCore:
             )
         return np.asarray(np.linalg.inv(D_V), dtype=np.float64)
 
+    def _restrain(self) -> None:
+        """Hold every party's ratio to what its budget allows, from the next tick on."""
+        for party, clutch in enumerate(self._clutches):
+            was_settled = clutch.settled
+            clutch.restrain(self.energy.ratio(party))
+            if was_settled and not clutch.settled:
+                self._unsettled.append(clutch)
+
     def _happens(self, block: int, event: Event) -> None:
         clutch = self._clutches[block]
         was_settled = clutch.settled
@@ -303,6 +319,8 @@ class EnforcedCore:
         if going is not None and going.gains(f[going.ports].tolist()):
             going.keep()
             f = self._asked(p, before)
+        while self.energy.restrained and self._overdraws(f):
+            f = self._asked(p, before)
         f_c = self._S * f
         for clutch in self._unsettled:
             ports = clutch.ports
@@ -312,6 +330,17 @@ class EnforcedCore:
             self._linked(p)
         sent: Floats = f_c.tolist()
         return sent
+
+    def _overdraws(self, f: Vector) -> bool:
+        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
+        for party, clutch in enumerate(self._clutches):
+            if self.energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
+                continue
+            ports = clutch.ports
+            if float(f[ports] @ (self._x_e - self._next)[ports]) > self.energy.room(party):
+                clutch.halt()
+                return True
+        return False
 
     def _asked(self, p: Vector, before: Vector) -> Vector:
         """f_e(k) at the clutches' present ratios, after the forces of the tick ``before``, N."""

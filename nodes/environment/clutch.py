@@ -19,6 +19,9 @@ this shortens o. s is chosen by p(k) - p(k-1) alone, which the forces of the tic
 closed through s, and any s is lossless. 1 - s fades as o does, over WORK_OFF of motion. What is left at last, at most
 LET_GO, is let go in one tick in which the force on the tool pushes that way: the clutch then gives up -f_e^T o >= 0,
 and never gains. So that such a tick comes, the lag aims at an end of half LET_GO on that side of zero.
+
+**A restraint** (:meth:`Clutch.restrain`) is a greatest s for a party that is beyond its energy budget
+(:mod:`manyhands.nodes.environment.energy`): s falls to it at once, and rises with it by no more than the ramp does.
 """
 
 from __future__ import annotations
@@ -102,6 +105,7 @@ class Clutch:
 
     __slots__ = (
         "_at",
+        "_most",
         "_p",
         "_ramp",
         "_x_c",
@@ -124,7 +128,7 @@ class Clutch:
         """
         self.ports, self._ramp = list(ports), ramp
         self.phase, self.ratio, self.settled = Phase.COUPLED, 1.0, True
-        self._at = float(ramp)  # j, ticks
+        self._at = self._most = float(ramp)  # j and the greatest one allowed, ticks
         self._p: Floats = [0.0] * len(ports)
         self._x_c = self._x_e = self.reference = self._p
         self.fresh = self.ready = False
@@ -148,6 +152,12 @@ class Clutch:
         if self.settled and self.phase is not Phase.COUPLED:
             self.settled, self.fresh = False, True
 
+    def restrain(self, ratio: float) -> None:
+        """From the next tick on s is at most ``ratio``; a settled clutch that is held below 1 is settled no more."""
+        self._most = self._ramp * (1.0 if ratio >= 1.0 else 2.0 / math.pi * math.asin(math.sqrt(ratio)))
+        if self.settled and ratio < 1.0:
+            self.settled, self.fresh = False, True
+
     def advance(self, p: Floats, f_e: Floats) -> None:
         """Choose s(k).
 
@@ -167,13 +177,23 @@ class Clutch:
         offset = _difference(self._x_e, self._x_c)
         goal = 0.0 if self.phase is Phase.LEAVING else self._goal(offset, _difference(p, self._p), f_e)
         self._p = p
-        self._at += max(-1.0, min(1.0, goal - self._at))
+        self._at = min(self._at + max(-1.0, min(1.0, goal - self._at)), self._most)
         self.ratio = ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
         self.reference = [e + ratio * (to - c) for e, to, c in zip(self._x_e, p, self._x_c, strict=True)]
-        if self._at == 0.0:
+        if self._at == 0.0 and self.phase is Phase.LEAVING:
             self.handle(Event.FALLEN)
-        elif self.phase is Phase.COUPLED and self._at >= self._ramp - 1.0:
+        elif self.phase is Phase.COUPLED and self._at >= self._ramp - 1.0 and self._most >= self._ramp:
             self.ready = dot(offset, offset) <= LET_GO**2 and dot(offset, f_e) <= 0.0
+
+    def halt(self) -> None:
+        """Take s(k) = 0 after all: the tool rests in this tick, and s rises again from 0."""
+        self._at = self.ratio = 0.0
+        self.reference, self.ready = self._x_e, False
+
+    def supply(self, f_e: Floats, deflection: Floats) -> float:
+        """What the tool would put into the environment in this tick, J, under f_e(k), N, with D_V f_c(k), m."""
+        ends = zip(f_e, self._x_e, self.reference, deflection, strict=True)
+        return sum(force * (last - at - self.ratio * by) for force, last, at, by in ends)
 
     def _goal(self, offset: Floats, moved: Floats, f_e: Floats) -> float:
         """Where j should go: RAMP, or less where lagging behind p's motion ``moved`` (m) shortens the offset."""

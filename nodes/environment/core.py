@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
+from manyhands.nodes.environment.energy import BOUND_TICKS, Budget, Energy
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.linear_map import Floats, LinearMap, Rows, dot, linear_map, solve
 from manyhands.nodes.passivity_controller import PassivityController
@@ -50,6 +51,7 @@ class EnvironmentCore:
         failure: why it cannot go on; matrices always can.
         controller: a passivity controller that keeps its promise; none is needed where that is proved.
         ledger: its energy ledger; None when the session is not certified.
+        energy: who puts how much into whom.
         ill_posed: ticks in which blocks were frozen because the loop had no unique solution; 0 under a certificate.
     """
 
@@ -65,6 +67,8 @@ class EnvironmentCore:
         blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
         ramp: int = RAMP,
         masses: int = 0,
+        budgets: Sequence[Budget] | None = None,
+        storage: Vector | None = None,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -76,6 +80,8 @@ class EnvironmentCore:
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
             masses: how many entries of the state, behind the m tools, are positions of masses.
+            budgets: what each coupling may put into the others; None for no bound.
+            storage: the environment stores 1/2 eta^T storage eta, J; None where that is not known.
 
         Raises:
             ValueError: the algebraic loop has no unique solution, the blocks do not hold every port once, or D_V joins
@@ -107,6 +113,8 @@ class EnvironmentCore:
         self.ledger = None if Phi_E is None else Ledger()
         self.ill_posed = 0
         self._clutches = tuple(Clutch(part.tolist(), ramp) for part in parts)
+        self.energy = Energy([clutch.ports for clutch in self._clutches], budgets, T, storage is not None)
+        self._storage, self._bound_in = storage, BOUND_TICKS
         self._unsettled: list[Clutch] = []
         self._regroup = False  # whether the next three are about others than these
         self._f_J: LinearMap = list  # from (eta, r)
@@ -136,7 +144,14 @@ class EnvironmentCore:
         if self.ledger is not None and self._Phi is not None:
             w = [(at - last) / T for at, last in zip(x_e, self._x_e, strict=True)]
             self.ledger.enter(T * (dot(w, self._Phi(w)) - dot(w, self._f)))
+        self.energy.enter(self._f, x_e, self._x_e)
         self._x_e = x_e
+        self._bound_in -= 1
+        if self._bound_in == 0:
+            self._bound_in = BOUND_TICKS
+            self._bound()
+        if self.energy.restrained:
+            self._restrain()
 
     @property
     def tools(self) -> Floats:
@@ -208,6 +223,21 @@ class EnvironmentCore:
         self._D_V = whole
         self._regroup = True
 
+    def _bound(self) -> None:
+        """Tell what is stored, now and then: between, what is burned counts as stored."""
+        if self._storage is not None:
+            eta = np.array(self._eta)
+            self.energy.bound(0.5 * float(eta @ self._storage @ eta))
+
+    def _restrain(self) -> None:
+        """Hold every party's ratio to what its budget allows, from the next tick on."""
+        for party, clutch in enumerate(self._clutches):
+            was_settled = clutch.settled
+            clutch.restrain(self.energy.ratio(party))
+            if was_settled and not clutch.settled:
+                self._unsettled.append(clutch)
+                self._regroup = True
+
     def _happens(self, clutch: Clutch, event: Event) -> None:
         was_settled = clutch.settled
         clutch.handle(event)
@@ -232,6 +262,8 @@ class EnvironmentCore:
         if going is not None and going.ready and going.gains(_of(self._f, going)):
             going.keep()
             self._solve(p)
+        while self.energy.restrained and self._overdraws():
+            self._solve(p)
         f_c = self._f.copy()
         self._concluded = []
         for clutch, deflection in zip(self._unsettled, self._deflections, strict=True):
@@ -244,6 +276,18 @@ class EnvironmentCore:
             self._unsettled.remove(going)
             self._regroup = True
         return f_c
+
+    def _overdraws(self) -> bool:
+        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
+        for party, clutch in enumerate(self._clutches):
+            if self.energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
+                continue
+            f = _of(self._f, clutch)
+            deflection = self._deflections[self._unsettled.index(clutch)]([clutch.ratio * force for force in f])
+            if clutch.supply(f, deflection) > self.energy.room(party):
+                clutch.halt()
+                return True
+        return False
 
     def _solve(self, p: Floats) -> None:
         """f_e(k) at this tick's ratios, and what the rest follows from."""

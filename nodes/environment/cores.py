@@ -44,5 +44,14 @@ def environment_core(
     elif bundle.enforce:
         law = LinearLaw(E, len(bundle.masses))
     else:
-        return EnvironmentCore(E, D_V, bundle.Phi_E, common.period, blocks, masses=len(bundle.masses))
-    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks)
+        return EnvironmentCore(
+            E,
+            D_V,
+            bundle.Phi_E,
+            common.period,
+            blocks,
+            masses=len(bundle.masses),
+            budgets=bundle.budgets,
+            storage=bundle.storage,
+        )
+    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets)

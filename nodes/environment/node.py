@@ -16,7 +16,8 @@ from manyhands.nodes.control import NOT_AT_ALL, ControlLine
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.cores import Core, environment_core
-from manyhands.nodes.environment.places import Places
+from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
+from manyhands.nodes.environment.places import Place, Places
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.feedthrough import feedthrough_digest
 from manyhands.nodes.greeting import bounds_by_peer, establish
@@ -24,7 +25,7 @@ from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
-from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Tool, Values
 from manyhands.protocol.transport import Link
@@ -41,12 +42,20 @@ class EnvironmentNode:
         self._bundle, self._common = bundle, bundle.common
         self._clock, self._patience = RealtimeClock(), patience(bundle.common)
         self._period = from_seconds(bundle.common.period)
+        self._due = 0  # when the devices sample the present tick
         self._joints: list[Joint] = []
         self._feedthrough: dict[str, Values] = {}
         self._core: Core | None = None
         self._places: Places | None = None
         self._account = Account(bundle.common)
         self._frozen_ticks = 0
+        self._passed: tuple[Place, ...] = ()  # who was waited for in this tick before all others were read
+        self._late = LateArrivals(len(bundle.common.peers), self._period, self._allowance(0))
+
+    def _allowance(self, rung: int) -> Duration:
+        """How long after the first another signal may come, while nobody runs a coupling below ``rung``."""
+        covered = self._bundle.taus[rung] or self._common.period  # where nothing is covered, nothing is lost
+        return allowance(self._period, from_seconds(covered))
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
@@ -86,23 +95,30 @@ class EnvironmentNode:
         places = self._places = Places(self._joints, core, self._bundle.feedthrough_rungs, life, start.tick > 0)
         places.last, places.log = start.ticks, control.log
         places.know(self._feedthrough, self._bundle.feedthrough)
-        clock, account = self._clock, self._account
+        clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._patience.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
         # not before the first tick is due: devices are not silent until then
-        tick, now, answered = start.tick, max(clock.now(), Instant(start.epoch)), Instant(2**62)
+        epoch, period = start.epoch, self._period
+        tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
+        self._due = now
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 places.obey(word, control, tick)
             if not (places.all_seated and self._all_heard(places, p, tick)):
                 found = self._wait(places, p, tick, now, life, control)
+                self._passed = ()
                 if found < 0:
                     break
                 if found != tick:
                     self._publish(control, core, places)  # rows follow each other
-                    tick = found
-            now = clock.now()
+                    tick, self._due = found, clock.now()
+                now = clock.now()
+            else:
+                now = places.order[-1].arrived
+            if stale is not None and now - self._due > late.allowance:  # else nobody was late
+                self._judge(places, tick, self._due - answered < CROSSING * period)
             if stale is not None and now - answered > stale:
                 places.let_go(tick)
             f = core.react(p)
@@ -112,6 +128,7 @@ class EnvironmentNode:
             for place in places.seated:
                 place.joint.send(Reaction, tick, place.joint.gate.stamp, f)
             answered = now
+            self._due = now + (epoch - now) % period
             give_way()
             core.settle()
             self._frozen_ticks += not places.all_seated
@@ -136,8 +153,43 @@ class EnvironmentNode:
 
     def _all_heard(self, places: Places, p: Floats, tick: int) -> bool:
         """The ordinary tick: everybody's signal, one after the other; False as soon as one does not come."""
-        turn = self._patience.turn
-        return all(places.hear(place, p, tick, turn) is Heard.SIGNAL for place in places.all)
+        turn, clock = self._patience.turn, self._clock
+        for place in places.order:
+            if places.hear(place, p, tick, turn) is not Heard.SIGNAL:
+                self._pass_over(place, places, p, tick)
+                return False
+            place.arrived = clock.now()
+        return True
+
+    def _pass_over(self, absent: Place, places: Places, p: Floats, tick: int) -> None:
+        """One does not come: read the others, who count as there since its turn came, and it last from now on.
+
+        Where it was the first, nobody knows since when the others are there; they are not known to have waited.
+        """
+        at = places.order.index(absent)
+        if at == 0:
+            self._due = max(self._due, self._clock.now())
+        since = places.order[at - 1].arrived if at else Instant(self._due)
+        for place in places.order[at + 1 :]:
+            if places.hear(place, p, tick, NOT_AT_ALL) is Heard.SIGNAL:
+                place.arrived = since
+        places.read_last(absent)
+        self._passed = (absent,)
+
+    def _judge(self, places: Places, tick: int, crossed: bool) -> None:
+        """Somebody came late: charge who did, freeze who does so again and again, and read the latest last."""
+        late = self._late
+        arrivals = [(place.arrived, place.index) for place in places.order if place.attendance.seat is Seat.SEATED]
+        if not arrivals:
+            return
+        arrivals.sort(key=lambda arrival: arrival[0])  # of equal instants, the one that was read first
+        for place in places.seated:
+            late.begin(place.index, place.attendance.since)
+        for index in late.judge(tick, self._due, crossed, arrivals):
+            places.exclude(places.all[index], tick)
+        # who was read at once is not known to be early, and keeps its turn behind those who are
+        least = AT_ONCE * self._period
+        places.order.sort(key=lambda place: max(least, late.added[place.index]))
 
     def _wait(self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine) -> int:
         """Wait for the awaited, listen to the others, give up who is silent while others are there.
@@ -149,27 +201,32 @@ class EnvironmentNode:
             The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
         """
         freeze, stale, first, listened = self._patience.freeze, self._patience.stale, Instant(2**62), False
+        awaited = set(self._passed)  # in this tick
         while not life.stopping:
-            missing = [place for place in places.all if place.missing(tick)]
+            missing = [place for place in places.order if place.missing(tick)]
             here = any(place.joint.tick == tick for place in places.all)
+            awaited.update(missing)
             if here and not missing and listened:
+                self._late.gone(tick, [place.index for place in awaited if place.joint.tick != tick])
                 places.resumed()
                 return tick
             now = self._clock.now()
             if stale is not None and now - began > stale:
                 places.forget()
-            if here:
-                first = min(first, now, Instant(began + self._period))
+            if here:  # who speaks before the tick is due waits for nobody yet
+                first = max(Instant(self._due), min(first, now, Instant(began + self._period)))
             else:
                 if freeze is not None and now - began > freeze:
                     places.pardon()
                 soonest = places.soonest(tick)  # or nobody would ever bring that tick about
                 if soonest != tick:
                     tick, first = soonest, Instant(2**62)
+                    awaited.clear()
                     continue
                 if places.anybody_early:  # who is told to go on later waits, too
                     first = min(first, now)
             if freeze is not None and listened and missing and now - first >= freeze:
+                self._late.missed(tick, [place.index for place in missing], Duration(now - first))
                 for place in missing:
                     places.give_up(place, tick)
                 first = Instant(2**62)
@@ -182,10 +239,13 @@ class EnvironmentNode:
                 joint = place.joint
                 if not joint.reachable or (joint.tick == tick and joint.here):
                     continue  # who has spoken and is lost since may be on its way back
-                places.hear(place, p, tick, turn)
+                if places.hear(place, p, tick, turn) is Heard.SIGNAL:
+                    # after somebody else's turn it counts as there since that began
+                    place.arrived = now if here and turn == NOT_AT_ALL else self._clock.now()
                 turn, reachable = NOT_AT_ALL, True
                 if places.ahead > tick:
                     tick, first, began = places.ahead, Instant(2**62), now
+                    awaited.clear()
                     places.catch_up(tick)
                     break
             listened = True
@@ -196,31 +256,55 @@ class EnvironmentNode:
         return -1
 
     def report(self) -> Report:
-        """Ticks, ledger, and how often couplings were frozen."""
+        """Ticks, ledger, how often couplings were frozen, and what each made the others wait."""
         places = self._places
+        lateness = self._lateness(places)
         return Report(
             self._account.ticks,
-            self._figures(),
+            {**self._figures(), **names.lateness_times(lateness)},
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
                 names.ABSENCES: 0 if places is None else places.absences,
+                **names.lateness_counts(lateness),
                 **names.dropped_frames(self._joints),
             },
             {},
         )
 
+    def _lateness(self, places: Places | None) -> dict[str, names.Lateness]:
+        """By coupling, of those that made the others wait."""
+        late, all_ = self._late, () if places is None else places.all
+        return {
+            place.joint.peer.name: names.Lateness(
+                late.ticks[place.index], late.waited[place.index] / 1e3, place.frozen_late
+            )
+            for place in all_
+            if late.ticks[place.index]
+        }
+
     def _figures(self) -> dict[str, float]:
         core = self._core
         if core is None:
             return {}
-        return {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
+        return {
+            **names.ledger_figures(core.ledger),
+            **names.enforcement_figures(core.controller),
+            **names.energy_figures(core.energy, [joint.peer.name for joint in self._joints]),
+        }
 
     def _publish(self, control: ControlLine, core: Core, places: Places) -> None:
+        lateness = self._lateness(places)
         figures = {
             names.FROZEN: float(places.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
             **{f"{names.RUNG}_{place.joint.peer.name}": float(place.rung) for place in places.all if place.rung},
+            **names.lateness_counts(lateness),
+            **names.lateness_times(lateness),
             **self._figures(),
             **names.stray_frames(self._joints),
         }
-        self._account.publish(control, core, figures)
+        late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
+        self._late.allowance = self._allowance(min((place.rung for place in places.seated), default=0))
+        if self._account.publish(control, core, figures, late):
+            for ticks in late.values():
+                ticks.clear()

@@ -20,7 +20,7 @@ from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.log import Event as LogEvent
 from manyhands.nodes.log import Log
 from manyhands.nodes.reunion import follow
-from manyhands.protocol.clock import Duration
+from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Absent, Reaction, Rung, Shift, Values
 
 
@@ -35,15 +35,19 @@ class Place:
         wanted: the one that it is to run.
         due: the tick at which it is expected, where it is.
         early: a signal of a tick whose turn has not come, and that tick.
+        arrived: when its latest signal was read, ns.
+        frozen_late: times that it was frozen for being late, or silent.
     """
 
-    __slots__ = ("attendance", "due", "early", "index", "joint", "rung", "wanted")
+    __slots__ = ("arrived", "attendance", "due", "early", "frozen_late", "index", "joint", "rung", "wanted")
 
     def __init__(self, joint: Joint, index: int, seat: Seat) -> None:
         self.joint, self.index, self.attendance = joint, index, Attendance(seat)
         self.rung = self.wanted = 0
         self.due = 0
         self.early: tuple[int, bytes] | None = None
+        self.arrived = Instant(0)
+        self.frozen_late = 0
 
     def missing(self, tick: int) -> bool:
         """Whether its signal of ``tick`` is waited for."""
@@ -57,6 +61,7 @@ class Places:
 
     Attributes:
         all: one for each coupling.
+        order: the same, in the order in which they are read: who was waited for longest comes last.
         seated: those who are sent a tick's forces; kept, so that a tick need not look for them.
         all_seated: whether that is everybody.
         last: the tick after the session's last; 0 for none.
@@ -84,6 +89,7 @@ class Places:
         self._core, self._rungs = core, rungs
         self._digests: dict[str, str] = {}
         self.all = [Place(joint, i, Seat.EXPECTED if resumes else Seat.SEATED) for i, joint in enumerate(joints)]
+        self.order = list(self.all)
         self._of = {place.joint.peer.name: place for place in self.all}
         self._resumes, self._tick = resumes, 0
         self.ahead = self.last = 0
@@ -132,7 +138,19 @@ class Places:
 
     def give_up(self, place: Place, tick: int) -> None:
         """It is silent while others are there: freeze it."""
+        place.frozen_late += 1
         self._event(place, Event.SILENT, tick)
+
+    def exclude(self, place: Place, tick: int) -> None:
+        """It comes late again and again: freeze it. Its signal of ``tick`` is not answered, so that it pauses."""
+        place.frozen_late += 1
+        place.joint.tick = -1
+        self._event(place, Event.LATE, tick)
+
+    def read_last(self, place: Place) -> None:
+        """It was waited for before the others were read, and nobody knows who else was late: read it last now."""
+        self.order.remove(place)
+        self.order.append(place)
 
     def pardon(self) -> None:
         """Nobody has come for so long that those who were given up keep nobody waiting."""
@@ -236,7 +254,8 @@ class Places:
 
     def _hear_ahead(self, place: Place, told: int, awaited: int) -> bool:
         """A signal of a later tick, from who was told to go on there: it is kept until then."""
-        if place.attendance.seat is Seat.SEATED or told - awaited > MOST_AHEAD:
+        attendance = place.attendance
+        if attendance.seat is Seat.SEATED or attendance.pauses(awaited) or told - awaited > MOST_AHEAD:
             return False
         self._event(place, Event.AHEAD, awaited)
         place.early, place.due = (told, place.joint.stray), told
@@ -249,6 +268,9 @@ class Places:
         """Whether its signal of ``tick`` seats it."""
         if place.attendance.seat is Seat.EXPECTED and tick < place.due:
             place.joint.tick = -1  # said before it heard that it is to go on later, as it does
+            return False
+        if place.attendance.pauses(tick):
+            place.joint.tick = -1  # nobody waits for it; it says so again when the pause is over
             return False
         if self._event(place, Event.SIGNAL, tick) and place.wanted == place.rung:  # otherwise it changes its rung first
             self._core.engage(place.index)

@@ -100,6 +100,9 @@ def causes(scene: Scene, now: Instant) -> Iterator[Cause]:
             f"{scene.frozen} of the session's couplings {'is' if scene.frozen == 1 else 'are'} frozen",
             "Their users take no part until they are heard in time again; the others go on, still certified.",
         )
+    for name, late in scene.frozen_late.items():
+        advice = "See what its user's machine or network does; design for a longer tau where that is all it can do."
+        yield Cause(f"{name} late", Level.WARNING, late.sentence(name), advice, True)
     yield from _unheard(scene, now)
 
 

@@ -155,6 +155,13 @@ class Scene:
         return round(sum(value for value in told if 0.0 < value < math.inf))
 
     @property
+    def frozen_late(self) -> dict[str, names.Lateness]:
+        """Couplings that were frozen because the others waited for them again and again, as the environment says."""
+        worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
+        late = [item for told in worlds for item in names.lateness_by_coupling(told, told).items()]
+        return {name: lateness for name, lateness in late if lateness.frozen}
+
+    @property
     def health(self) -> Health:
         """How the session is: as its worst node, and FROZEN where any coupling is."""
         worst = max((node.health for node in self.nodes.values()), key=_SEVERITY.__getitem__, default=Health.WAITING)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
 
 from manyhands import __version__
@@ -41,6 +43,11 @@ SEQUENCES: Final = 2**32
 
 MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
+
+_NAME: Final = re.compile(r"\w[\w.-]{0,199}")
+"""A name in a recording. It becomes a table's heading, and a spreadsheet computes what begins with ``=+-@``."""
+
+_LONGEST_TEXT: Final = 200
 
 _NUMBER: Final = {"type": "number", "nullable": True}  # one type alone: viewers refuse a list of them
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
@@ -230,4 +237,13 @@ class Recorded:
             raise ValueError("found metadata without a period, or without the ports of every node; expected both")
         if any(type(name) is not str for names in (*out.ports.values(), out.masses) for name in names):
             raise ValueError("found a port or a mass that is no text in the metadata; expected names")
+        names = (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()))
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise ValueError(
+                    f"found the name {name!r:.60} in the metadata; expected letters, digits, '_', '.', '-'"
+                )
+        for text in (out.certificate, out.clock, out.version):
+            if len(text) > _LONGEST_TEXT or not text.isprintable():
+                raise ValueError("found a long text, or one that is not printable, in the metadata; expected neither")
         return out

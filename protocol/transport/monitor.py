@@ -33,9 +33,9 @@ def close_monitor(socket: "zmq.Socket[bytes]", monitor: "zmq.Socket[bytes]") -> 
 class Fate:
     """What has become of the connection of a socket that connects, from ZeroMQ's events in their order. Pure.
 
-    A connection that ends within its handshake tells nothing of why: so does a host that does not hold the key expected
-    of it, at each attempt, but so does one that was too busy to admit anybody for :data:`HANDSHAKE_MS`, or a tunnel
-    whose far end has no session yet. Only when that has happened again and again is it taken for a wrong key.
+    A connection that ends within its handshake does not tell why. A host that does not hold the key expected of it ends
+    each one at once; one that is too busy to admit anybody ends it after ``HANDSHAKE_MS``. So a wrong key is concluded
+    from many in a row alone.
 
     Attributes:
         trouble: what is wrong now; None while nothing is known to be.

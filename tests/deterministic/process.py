@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
-from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.environment.account import Account
+from manyhands.nodes.environment.cores import Core
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.life import Sight, Stopped
 from manyhands.nodes.log import Event, Log, Value
 from manyhands.nodes.process import Member, Node, _ended
 from manyhands.protocol.clock import Instant, SimulatedClock
+from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.transport import Link
 
+from .guests import Guest, GuestLink
 from .scheduler import Scheduler, Turn, VirtualClock
-from .wires import ProcessTransport, Wires
+from .wires import ProcessTransport, WireLink, Wires
 
 Note = Callable[[str], None]
 
@@ -71,6 +76,12 @@ class Line(ControlLine):
     """A line to the supervisor that says a process id of its own."""
 
     pid = 0
+    silent = False
+
+    def publish(self, telemetry: Telemetry) -> None:
+        """Send telemetry, unless this is a guest that sends none."""
+        if not self.silent:
+            super().publish(telemetry)
 
     def hello(self, endpoints: Mapping[str, str], pid: int) -> None:
         """Introduce the process that this is taken for."""
@@ -94,6 +105,31 @@ class LimitedDriver:
         self._driver.apply(f)
 
 
+class Witness(Protocol):
+    """Who looks at all that happens in a session."""
+
+    def hear(self, sender: str, telemetry: Telemetry) -> None:
+        """The supervisor has heard telemetry of a node that runs."""
+        ...
+
+    def settle(self, tick: int, f: Sequence[float], tools: Sequence[float], node: EnvironmentNode) -> None:
+        """The environment has settled a tick: the forces f_e (N) and the tools x_e (m) at its ports."""
+        ...
+
+
+class WitnessedAccount(Account):
+    """An environment's account whose every tick is seen."""
+
+    def __init__(self, common: Common, witness: Witness, node: EnvironmentNode) -> None:
+        super().__init__(common)
+        self._witness, self._node = witness, node
+
+    def tick(self, tick: int, core: Core) -> None:
+        """``core`` has settled ``tick``."""
+        super().tick(tick, core)
+        self._witness.settle(tick, core._f, core.tools, self._node)  # type: ignore[union-attr]
+
+
 class Process:
     """One process.
 
@@ -106,14 +142,37 @@ class Process:
         held: until when it is stopped.
     """
 
-    def __init__(self, bundle: Bundle, pid: int, wires: Wires, note: Note, violate: Note) -> None:
-        self.name, self.pid = bundle.common.name, pid
+    def __init__(
+        self,
+        bundle: Bundle,
+        pid: int,
+        wires: Wires,
+        note: Note,
+        violate: Note,
+        moved: Callable[[str, Driver, VirtualClock], Driver],
+        guest: Guest | None = None,
+        witness: Witness | None = None,
+    ) -> None:
+        """A process of this bundle; nothing of it runs yet.
+
+        Args:
+            bundle: the node's.
+            pid: no other process of the session has had it.
+            wires: what it is linked by.
+            note: is told of what happens.
+            violate: is told of what does not hold.
+            moved: makes another driver of a device's own, by its name.
+            guest: who leads it; None for an honest one.
+            witness: looks at every tick of the environment.
+        """
+        self._witness = witness
+        self.name, self.pid, self._moved, self._guest = bundle.common.name, pid, moved, guest
         self.life, self.code = VirtualLife(), 0
         self.node: Node | None = None
         self._bundle, self._note, self._violate = bundle, note, violate
         self._scheduler: Scheduler = wires.scheduler
         self._wires = wires
-        self._transport = ProcessTransport(wires, f"{self.name}.{pid}")
+        self._transport = ProcessTransport(wires, f"{self.name}.{pid}", self._led)
         self.held = Instant(0)
         self.turn: Turn | None = None
 
@@ -124,6 +183,7 @@ class Process:
         common = self._bundle.common
         line = Line(self._transport, common, NotedLog(self.name, clock, self._note))
         line.pid = self.pid
+        line.silent = self._guest is not None and not self._guest.strategy.telemetry
         # nothing is asked of this machine's kernel
         member = Member(replace(common, clock=SIMULATED), node, self._transport, line)
         self.code = _ended([member], self.life, remote=False)  # type: ignore[arg-type]
@@ -148,14 +208,23 @@ class Process:
             return (*node._devices, *([] if block is None else [block.environment]))
         return getattr(node, "_joints", ())
 
+    def _led(self, link: WireLink) -> Link:
+        """A link to a peer, in the hands of who leads the process."""
+        if self._guest is None:
+            return link
+        return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)
+
     def _made(self, clock: VirtualClock) -> Node:
         """The node, which is told the virtual time wherever it would ask for the real one."""
         node: Any
         match self._bundle:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
-                driver = LimitedDriver(driver_of(bundle), self.name, limits, self._violate)
+                own = self._moved(self.name, driver_of(bundle), clock)
+                driver = LimitedDriver(own, self.name, limits, self._violate)
                 node = DeviceNode(bundle, driver)
+                if self._guest is not None:
+                    self._guest.lead(node, bundle, self._scheduler)
                 node._realtime = clock
                 if not isinstance(node._clock, SimulatedClock):
                     node._clock = clock
@@ -165,5 +234,7 @@ class Process:
             case EnvironmentBundle() as bundle:
                 node = EnvironmentNode(bundle)
                 node._clock = clock
+                if self._witness is not None:
+                    node._account = WitnessedAccount(bundle.common, self._witness, node)
         made: Node = node
         return made

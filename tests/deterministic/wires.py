@@ -149,8 +149,9 @@ class Wires:
 class ProcessTransport:
     """The :class:`~manyhands.protocol.transport.Transport` of one process."""
 
-    def __init__(self, wires: Wires, process: str) -> None:
-        self._wires, self._process = wires, process
+    def __init__(self, wires: Wires, process: str, led: Callable[[WireLink], Link] = lambda link: link) -> None:
+        """``led``: makes of each link to a peer what the process has of it."""
+        self._wires, self._process, self._led = wires, process, led
         self._links: list[WireLink] = []
 
     def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
@@ -164,7 +165,7 @@ class ProcessTransport:
             self._wires.seen(self._process, peer, frame)
             return wire.connector is not None and wire.connector.put(frame)
 
-        return self._keep(WireLink(wire.binder, put, lambda: wire.connector)), endpoint
+        return self._led(self._keep(WireLink(wire.binder, put, lambda: wire.connector))), endpoint
 
     def connect(self, endpoint: str, peer: str) -> Link:
         """The other end of a bound link; see :class:`~manyhands.protocol.transport.Transport`."""
@@ -176,7 +177,7 @@ class ProcessTransport:
             self._wires.seen(self._process, peer, frame)
             return wire.binder.closed or wire.binder.put(frame)
 
-        return self._keep(WireLink(own, put, lambda: wire.binder))
+        return self._led(self._keep(WireLink(own, put, lambda: wire.binder)))
 
     def join(self, endpoint: str, identity: str) -> Link:
         """A link to the hub; see :class:`~manyhands.protocol.transport.Transport`."""

@@ -6,10 +6,12 @@ import itertools
 import math
 import traceback
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from chaos_kinds import PROMISE
 
+from manyhands.launch.assumptions import Assumptions
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import (
     Conductor,
@@ -23,26 +25,33 @@ from manyhands.launch.conductor import (
     StartProcess,
     Terminate,
 )
+from manyhands.launch.energy_incidents import EnergyIncidents
+from manyhands.launch.policy import ShiftCoupling
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.topology import ENVIRONMENT, topology
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import Places
+from manyhands.nodes.life import Stopped
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
-from .process import Process
-from .scheduler import Killed, Scheduler
+from .guests import Guest
+from .process import Process, Witness
+from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
 KEPT: Final = 120  # notes
+ENDING_TIME: Final = from_seconds(5.0)  # the supervisor's
 LOOK: Final = from_seconds(0.2)  # the supervisor's, at what falls due
 STARTS: Final = (0.5e6, 40e6)  # ns from a process's start to its hello
 SEEN: Final = (50_000, 2_000_000)  # ns from a process's end to when the supervisor sees it
+AWAY: Final = (20_000_000, 200_000_000)  # ns from a guest's end to its coming back
 
 
 class World:
@@ -51,14 +60,26 @@ class World:
     Attributes:
         scheduler: its time.
         conductor: the product's.
+        assumptions: the product's judgement of what devices measure.
         processes: those that live, by node.
         violations: what did not hold, in words.
         notes: what happened lately, in words.
         heard: how many messages that move a node's state the conductor has heard.
         restarts: processes that were started anew.
+        shifts: changes to another rung, in order.
     """
 
-    def __init__(self, prepared: Prepared, clock: str, seed: int, frames: bool = False, ticks: int = 0) -> None:
+    def __init__(
+        self,
+        prepared: Prepared,
+        clock: str,
+        seed: int,
+        frames: bool = False,
+        ticks: int = 0,
+        moved: Callable[[str, Driver, VirtualClock], Driver] = lambda _name, driver, _clock: driver,
+        guest: Guest | None = None,
+        witness: Witness | None = None,
+    ) -> None:
         """Start every process of a session; nothing goes on before :meth:`Scheduler.run`.
 
         Args:
@@ -67,17 +88,27 @@ class World:
             seed: of all that happens.
             frames: whether every frame between nodes is noted, too.
             ticks: of the session; 0 for one that goes on until it is ended.
+            moved: makes another driver of each device's own, by its name.
+            guest: who leads one of the devices, from another machine; None for a session of honest users.
+            witness: looks at every tick and every telemetry; None for nobody.
         """
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
         self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
-        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, budget=budget)
+        self._guest, self._witness = guest, witness
+        self._energy = EnergyIncidents(self.graph, prepared.session.period)
+        remote = frozenset() if guest is None else frozenset({guest.name})
+        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
+        self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
+        self.shifts: list[ShiftCoupling] = []
+        self._moved = moved
         self.processes: dict[str, Process] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
         self.heard = self.restarts = 0
+        self._ending = self.scheduler.now
         self._wires = Wires(self.scheduler, self._hear)
         if frames:
             self._wires.seen = self._see
@@ -150,8 +181,14 @@ class World:
 
     def _start(self, name: str) -> None:
         pid = next(self._pids)
-        process = self.processes[name] = Process(self._bundles[name], pid, self._wires, self.note, self.violate)
-        if self.conductor.phase is Phase.RUNNING:
+        guest = self._guest if self._guest is not None and name == self._guest.name else None
+        process = Process(
+            self._bundles[name], pid, self._wires, self.note, self.violate, self._moved, guest, self._witness
+        )
+        self.processes[name] = process
+        self.assumptions.forget(name)
+        self._energy.forget(name)
+        if self.conductor.phase is Phase.RUNNING and guest is None:
             self.conductor.started(name, pid)
             self.restarts += 1
         delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
@@ -159,8 +196,8 @@ class World:
 
     def _ended(self, process: Process, error: BaseException | None) -> None:
         """In the process's own thread: its last deed."""
-        code = process.code if error is None else -9 if isinstance(error, Killed) else 1
-        if error is not None and not isinstance(error, Killed):
+        code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
+        if error is not None and not isinstance(error, Killed | Stopped):
             told = "".join(traceback.format_exception(error))
             self.violate(f"{process.name} raised {error!r}\n{told}")
         if self.processes.get(process.name) is process:
@@ -169,8 +206,20 @@ class World:
         self.scheduler.after(delay, lambda: self._see_end(process.name, code))
 
     def _see_end(self, name: str, code: int) -> None:
+        if name in self.conductor.remote:  # nobody sees it end
+            if self.conductor.phase is Phase.RUNNING:
+                self._obey(self.conductor.silent(name, self.scheduler.now))
+            if self.conductor.phase is Phase.RUNNING:
+                self.scheduler.after(self.random.randint(*AWAY), lambda: self._come_back(name))
+            return
         self.note(f"the supervisor sees the end of {name} ({code})")
         self._obey(self.conductor.exited(name, code, self.scheduler.now))
+
+    def _come_back(self, name: str) -> None:
+        """A guest joins again."""
+        if self.conductor.phase is Phase.RUNNING:
+            self.note(f"{name} joins again")
+            self._start(name)
 
     def _see(self, sender: str, peer: str, frame: bytes) -> None:
         message = decode(frame, MAX_CONTROL_BYTES)
@@ -181,6 +230,11 @@ class World:
 
     def _look(self) -> None:
         self._obey(self.conductor.look(self.scheduler.now))
+        if self.conductor.phase is not Phase.ENDING:
+            self._ending = self.scheduler.now
+        elif self.scheduler.now - self._ending >= ENDING_TIME:
+            self._ending = self.scheduler.now
+            self._obey(self.conductor.too_late())
         if self.conductor.phase is not Phase.OVER:
             self.scheduler.after(LOOK, self._look)
 
@@ -188,12 +242,24 @@ class World:
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry):
             least = message.figures.get(names.LEDGER_MIN, 0.0)
-            if least < PROMISE:
+            if least < PROMISE and (self._guest is None or sender != self._guest.name):
                 self.violate(f"{sender}: found a ledger of {least:g} J; expected none below {PROMISE:g} J")
         elif not isinstance(message, Probe):
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
         self._obey(self.conductor.hear(sender, message, self.scheduler.now))
+        if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
+            if self._witness is not None:
+                self._witness.hear(sender, message)
+            for deed in self.assumptions.check(sender, message):
+                if isinstance(deed, ShiftCoupling):
+                    self.note(f"{deed.coupling} is to change to rung {deed.rung}")
+                    self.shifts.append(deed)
+                    self._obey(self.conductor.shift(deed.coupling, deed.rung))
+                else:
+                    self._obey(self.conductor.stop(deed.reason))
+            for sentence in self._energy.hear(sender, message):
+                self.conductor.tell(sentence, self.scheduler.now)
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:

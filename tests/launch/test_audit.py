@@ -392,3 +392,21 @@ def test_what_a_clutch_gives_up_at_last_is_within_the_tolerance(tmp_path: Path) 
         rows["environment", LEDGER][2000:] += 1e-6
 
     assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), gained)))["environment", "work"] == 2000
+
+
+def test_a_device_that_has_let_go_did_as_it_should(prepared: Prepared, tmp_path: Path) -> None:
+    """What its couplings were told, and what it made of their forces, follows from its displacement."""
+    overrides = ["devices.dx.limits={speed: 0.01}", "devices.dy.limits={power: 0.001, energy: 0.002}"]
+    session = load_session(SESSIONS / "example1.yaml", overrides)
+    slow = dataclasses.replace(prepared, session=session)
+    rows = simulated(slow, TICKS)
+    path = written(tmp_path / "a.mcap", recorded_of(slow), attachments_of(slow), rows)
+    beyond = np.abs(np.diff(rows["dx", "x"], axis=0)) > 1e-5
+    assert beyond.any()
+    assert np.all(rows["dx", "f_v"][1:][beyond] == 0.0)
+    assert not [check for check in audited(path).broken if check.party != "environment"]
+    felt = rows["dx", "f_v"].copy()
+    felt[1:][beyond] = 0.5  # it had not let go
+    forged = written(tmp_path / "b.mcap", recorded_of(slow), attachments_of(slow), {**rows, ("dx", "f_v"): felt})
+    broken = {(check.party, check.name) for check in audited(forged).broken}
+    assert {("dx", "limits"), ("cx", "agreement")} <= broken

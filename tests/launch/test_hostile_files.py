@@ -12,6 +12,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,14 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
+from rich.console import Console
+from typer.testing import CliRunner
 
 from manyhands.design.certificate import load as load_certificate
 from manyhands.design.errors import CertificateError
 from manyhands.design.files import open_regular, read_regular
+from manyhands.launch.cli import app
+from manyhands.launch.display import say
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.recording import RecordingError
@@ -33,8 +38,12 @@ from manyhands.launch.session import source as session_source
 from manyhands.launch.view.security import ViewError, read_token
 from manyhands.nodes.bundle import BundleError, DeviceBundle
 from manyhands.nodes.bundle import load as load_bundle
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.protocol.codec import encode
+from manyhands.protocol.keys import KeyFileError, PublicKeys, load_private, new_pair, save_private
+from manyhands.protocol.messages import Observation, Role
 
-from .recordings_made import RECORDED, recording
+from .recordings_made import ALONE, ATTACHED, RECORDED, STARTED, observation, recording
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -203,12 +212,6 @@ def test_a_message_longer_than_any_row_of_its_topic_is_not_parsed(tmp_path: Path
 
 def test_what_a_recorder_packs_best_is_no_bomb(tmp_path: Path) -> None:
     """Every port of a wide session at rest, the same row four thousand times."""
-    from dataclasses import replace
-
-    from manyhands.nodes.recorder.core import RecorderCore
-    from manyhands.protocol.codec import encode
-    from manyhands.protocol.messages import Observation, Role
-
     ports = tuple(f"d.{i}" for i in range(512))
     core = RecorderCore(replace(RECORDED, roles={"d": Role.DEVICE}, ports={"d": ports}, masses=()))
     out = core.cut()
@@ -221,3 +224,110 @@ def test_what_a_recorder_packs_best_is_no_bomb(tmp_path: Path) -> None:
     path.write_bytes(out + core.cut() + core.end())
     info = read_info(path)
     assert (info.ticks, info.cut) == (4_000, None)
+
+
+# --- names in files, on terminals and in tables
+
+
+@pytest.mark.parametrize(
+    "name", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "a\x1b[2J", "a\nb", "a,b", "", "a" * 201, "../a"]
+)
+def test_names_of_a_recording_are_names(name: str, tmp_path: Path) -> None:
+    """Each becomes a heading of ``export --to csv``, in which a spreadsheet computes what begins with =, +, - or @."""
+    path = tmp_path / "r.mcap"
+    for where in ("session", "node", "port", "mass"):
+        recorded = {
+            "session": replace(ALONE, session=name),
+            "node": replace(ALONE, roles={name: Role.DEVICE}, ports={name: ("x",)}),
+            "port": replace(ALONE, ports={"d": (name,)}),
+            "mass": replace(ALONE, masses=(name,)),
+        }[where]
+        path.write_bytes(RecorderCore(recorded).cut())
+        for read in (read_run, read_info):
+            with pytest.raises(RecordingError, match="in the metadata; expected letters, digits") as caught:
+                read(path)
+            assert str(caught.value).isprintable()
+    for strange in (replace(ALONE, certificate="\x1b]0;x\x07"), replace(ALONE, version="v" * 201)):
+        path.write_bytes(RecorderCore(strange).cut())
+        with pytest.raises(RecordingError, match="not printable"):
+            read_run(path)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+a", "@a", "a\x1b[2J", "A,B", "../a", "/etc/passwd", "a\n"])
+def test_names_of_a_session_are_names(name: str, tmp_path: Path) -> None:
+    """Where names in session files are checked: each by its pattern, before anything is made of it."""
+    whole = yaml.safe_load((SESSIONS / "example1.yaml").read_text())
+    for section in ("devices", "couplings"):
+        spoilt = {**whole, section: {**whole[section], name: next(iter(whole[section].values()))}}
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(spoilt))
+        with pytest.raises(SessionError, match="a lowercase letter, then at most 31") as caught:
+            load_session(tmp_path / "s.yaml")
+        assert str(caught.value).isprintable()
+    for spoilt in (
+        {**whole, "session": name},
+        {**whole, "environment": {**whole["environment"], "masses": {name: 1.0}}},
+        {**whole, "observers": {name: {"reads": ["telemetry"]}}},
+    ):
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(spoilt))
+        with pytest.raises(SessionError, match="a lowercase letter") as caught:
+            load_session(tmp_path / "s.yaml")
+        assert str(caught.value).isprintable()
+
+
+def hostile_recording(path: Path) -> None:
+    """Channels and attachments of names that a terminal obeys, or that lead out of a folder."""
+    core = RecorderCore(ALONE, {"../../escaped": b"x", "/tmp/escaped": b"x", "\x1b]0;evil\x07": b"x", **ATTACHED})
+    out = core.cut()
+    for number, topic in enumerate(("\x1b[2Jevil", "no/slashes", "", "/s/\x9b31m/x"), 100):
+        text = topic.encode()
+        body = struct.pack("<HH", number, 0) + struct.pack("<I", len(text)) + text + struct.pack("<I", 4)
+        body += b"json" + struct.pack("<I", 0)
+        out += chunk(struct.pack("<BQ", 0x04, len(body)) + body)
+    core.take(observation("d", 5, 5), STARTED)
+    path.write_bytes(out + core.cut())
+
+
+@pytest.mark.parametrize(
+    "command", [["info"], ["export", "--to", "csv"], ["export", "--to", "npz"], ["audit"], ["replay"]]
+)
+def test_a_hostile_recording_writes_nothing_elsewhere_and_commands_no_terminal(
+    command: list[str], tmp_path: Path
+) -> None:
+    inner = tmp_path / "one" / "two"
+    inner.mkdir(parents=True)
+    hostile_recording(inner / "r.mcap")
+    result = CliRunner().invoke(app, [*command, str(inner / "r.mcap")])
+    assert result.exit_code in (0, 1, 2)
+    assert "Traceback" not in result.output
+    assert not isinstance(result.exception, BaseException) or isinstance(result.exception, SystemExit)
+    assert set("".join(result.output.split())) <= {c for c in result.output if c.isprintable()}
+    made = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")}
+    assert made <= {"one", "one/two", "one/two/r.mcap", "one/two/r.csv", "one/two/r.npz"}
+    assert not Path("/tmp/escaped").exists()
+    if command == ["info"]:
+        assert "evil" in result.output
+
+
+def test_what_a_terminal_obeys_is_not_said() -> None:
+    shown = io.StringIO()
+    say(Console(file=shown, color_system=None, width=200), "a\x1b[2Jb\x07c\x9b31md\ne")
+    assert shown.getvalue() == "a\ufffd[2Jb\ufffdc\ufffd31md\ne\n"
+
+
+def test_a_key_is_not_read_through_a_link_or_from_a_pipe(tmp_path: Path) -> None:
+    """A link in the folder of private keys, or in the place of that folder, is refused (tests/launch/test_keys.py)."""
+    pair = new_pair()
+    save_private(pair, "s", "dx", tmp_path / "dx.key")
+    (tmp_path / "link.key").symlink_to(tmp_path / "dx.key")
+    os.mkfifo(tmp_path / "pipe.key", 0o600)
+    (tmp_path / "zero.key").symlink_to("/dev/zero")
+    for name, found in (("link", "found a link"), ("pipe", "other than a file"), ("zero", "found a link")):
+        with pytest.raises(KeyFileError, match=found):
+            load_private(tmp_path / f"{name}.key", "s", "dx")
+    (tmp_path / "public.json").symlink_to("/dev/zero")
+    with pytest.raises(KeyFileError, match="other than a file"):
+        PublicKeys.load(tmp_path / "public.json")  # it may be a link, but only to a file
+    (tmp_path / "new.key").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileExistsError):
+        save_private(pair, "s", "dx", tmp_path / "new.key")
+    assert not (tmp_path / "elsewhere").exists()

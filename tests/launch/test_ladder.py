@@ -163,6 +163,18 @@ def test_each_process_is_given_its_own_part_of_every_rung(prepared: Prepared, tm
         assert len(softer) == 3
 
 
+@pytest.mark.parametrize(("breach", "rung"), [("soften", -1), ("warn", 0), ("stop", 0)])
+def test_the_environment_is_given_the_longest_delay_that_the_session_can_cover(
+    prepared: Prepared, tmp_path: Path, breach: str, rung: int
+) -> None:
+    assert prepared.ladder is not None
+    faults = prepared.session.faults.model_copy(update={"breach": breach})
+    wished = dataclasses.replace(prepared, session=prepared.session.model_copy(update={"faults": faults}))
+    environment = cut(wished, Run("realtime", tmp_path, ""))["environment"]
+    assert isinstance(environment, EnvironmentBundle)
+    assert environment.longest_tau == prepared.ladder.taus[rung]
+
+
 def numbers_in(text: str) -> set[str]:
     """The numbers that stand in a text, whole: digits within a longer number are none of their own."""
     return set(re.findall(r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?", text))

@@ -125,6 +125,13 @@ def test_a_picture_has_every_node_and_figure_and_what_is_not_well() -> None:
     assert "s (process 17, realtime clock): running, 2 s; silent" in text
 
 
+def test_who_was_frozen_for_being_late_is_named_with_what_it_cost() -> None:
+    late = {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "waited_ticks_cy": 1.0, "waited_us_cy": 600.0}
+    text = printed(scene_of(telemetry("environment", 100, **late, frozen_late_cx=2.0), condition()), 200)
+    assert "the others waited for cx in 53 ticks, 0.117 s in all, and it was frozen for that 2 times" in text
+    assert "waited for cy" not in text
+
+
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
 def test_where_there_is_little_room_figures_are_left_out_and_no_name_is_cut(width: int) -> None:
     scene = scene_of(*(telemetry(name, 100, **FIGURES) for name in ABOUT.nodes), condition())

@@ -47,15 +47,15 @@ def python(
     return done.returncode, (done.stdout or b"").decode("latin-1"), (done.stderr or b"").decode("latin-1")
 
 
-@pytest.mark.parametrize(("how", "why"), [("closed", "Broken pipe"), ("full", "No space left on device")])
-def test_a_session_goes_on_without_its_display_and_reports_it(how: str, why: str, tmp_path: Path) -> None:
+def test_a_session_goes_on_without_its_display_and_reports_it(tmp_path: Path) -> None:
+    """Here nobody reads it any more; a full disk behind it is in tests/system/test_surroundings.py."""
     launch = ("-m", "manyhands", "launch", str(ALONE), "--clock", "simulated", "--duration", "0.3")
-    with broken(how) as err:
+    with broken("closed") as err:
         code, _, _ = python(*launch, "--report", str(tmp_path / "run.json"), err=err)
     assert code == 0
     report = json.loads((tmp_path / "run.json").read_text())
     assert report["nodes"]["d"]["ticks"] == 300
-    assert report["incidents"] == [f"the display was lost (standard error: {why}); the session goes on without it"]
+    assert report["incidents"] == ["the display was lost (standard error: Broken pipe); the session goes on without it"]
 
 
 @pytest.mark.parametrize("how", ["closed", "full"])

@@ -6,11 +6,15 @@ import math
 from dataclasses import dataclass
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.launch.policy import (
+    CALM,
     IN_A_ROW,
+    MARGIN,
+    MOST_DOUBLINGS,
+    MOST_HELD,
     REMEDIES,
     Breach,
     BreachPolicy,
@@ -51,11 +55,29 @@ class Measured:
         counts[names.PERIOD_BREACHES] += late_periods
         self._ticks[device] = self._ticks.get(device, 0) + TICKS
         figures = {**counts, names.TAU_WORST: worst, f"{names.TAU}_p50": 50.0}
-        decisions = self.policy.judge(device, self._ticks[device], figures)
+        return self._carry_out(self.policy.judge(device, self._ticks[device], figures))
+
+    def _carry_out(self, decisions: list[Decision]) -> list[Decision]:
         self.rungs.update({d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)})
         new = [d for d in decisions if not isinstance(d, Notice) or d.key not in self.notices]
         self.notices.update({d.key: d.text for d in decisions if isinstance(d, Notice)})
         return new
+
+    def tell_taus(self, device: str, *taus: tuple[int, float]) -> list[Decision]:
+        """One message of ``device``: so many of its ticks with each delay, us; it is at the rung that was asked for."""
+        each = [tau for ticks, tau in taus for _ in range(ticks)]
+        assert len(each) == TICKS
+        covered = min(Rungs.taus[self.rungs.get(coupling, 0)] for coupling in CHAINS[device]) * 1e6
+        breaches = sum(tau > covered for tau in each)
+        counts = self._counts.setdefault(device, {names.TAU_BREACHES: 0.0, names.PERIOD_BREACHES: 0.0})
+        counts[names.TAU_BREACHES] += breaches
+        self._ticks[device] = self._ticks.get(device, 0) + TICKS
+        figures = {**counts, names.TAU_WORST: max(each), f"{names.TAU}_p50": 50.0}
+        return self._carry_out(self.policy.judge(device, self._ticks[device], figures, [tau * 1e-6 for tau in each]))
+
+    def late(self, until: int, **ticks: range) -> list[Decision]:
+        """The environment tells in which ticks each coupling was late."""
+        return self._carry_out(self.policy.take_waits(until, ticks))
 
     def restart(self, device: str) -> None:
         """It has a new process, which counts from 0."""
@@ -139,7 +161,7 @@ class Test_softening:
         m = Measured(Policy.SOFTEN, Rungs(independent=False))
         assert self.broken(m, "dx", 200.0, 200.0) == {"cx": 1, "cy": 1, "cz": 1}
 
-    def test_further_where_it_does_not_help_and_never_back(self) -> None:
+    def test_further_where_it_does_not_help(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         assert self.broken(m, "dx", 200.0, 200.0) == {"cx": 1}
         assert self.broken(m, "dx", 400.0, 400.0) == {"cx": 2}
@@ -160,6 +182,183 @@ class Test_softening:
         assert ShiftCoupling("cx", 2) in m.policy.judge(
             "dx", 300, {names.TAU_BREACHES: 180.0, f"{names.TAU}_p99": 300.0}
         )
+
+
+class Test_waiting_for_another_user:
+    def test_is_not_judged(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        for end in range(TICKS, 6 * TICKS, TICKS):
+            assert m.late(end, cz=range(end - TICKS, end)) == []
+            assert shifts(m.tell_taus("dx", (TICKS, 2300.0))) == {}
+        assert m.rungs == {}
+
+    def test_is_not_judged_where_a_session_is_to_stop(self) -> None:
+        m = Measured(Policy.STOP)
+        for end in range(TICKS, 6 * TICKS, TICKS):
+            m.late(end, cz=range(end - TICKS, end))
+            assert not any(isinstance(d, EndSession) for d in m.tell_taus("dx", (TICKS, 2300.0)))
+
+    def test_is_not_told_as_its_own(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.late(TICKS, cz=range(TICKS - 50, TICKS))
+        m.tell_taus("dx", (50, 50.0), (50, 2300.0))
+        m.late(2 * TICKS, cz=range(2 * TICKS - 50, 2 * TICKS))
+        m.tell_taus("dx", (50, 50.0), (50, 2300.0))
+        assert m.notices == {}
+        m.late(3 * TICKS, cz=range(3 * TICKS - 50, 3 * TICKS))
+        m.tell_taus("dx", (20, 240.0), (30, 50.0), (50, 2300.0))
+        assert m.notices.keys() == {"dx"}
+        assert "240 us" in m.notices["dx"]
+
+    def test_for_its_own_coupling_it_is(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        decided: dict[str, int] = {}
+        for end in range(TICKS, 4 * TICKS, TICKS):
+            m.late(end, cx=range(end - TICKS, end))
+            decided |= shifts(m.tell_taus("dx", (TICKS, 2300.0)))
+        assert decided == {"cx": 3}
+
+    def test_the_rest_is_judged_and_by_the_longest_delay_of_the_rest(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        for end in range(TICKS, 4 * TICKS, TICKS):
+            m.late(end, cz=range(end - TICKS, end - 50))
+            m.tell_taus("dx", (50, 2300.0), (50, 200.0))
+        assert m.rungs == {"cx": 1}
+
+    def test_a_message_is_held_until_the_environment_has_told_of_its_ticks(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.late(50)
+        assert m.tell_taus("dx", (TICKS, 50.0)) == []
+        assert m.tell_taus("dx", (60, 2300.0), (40, 50.0)) == []
+        assert m.tell_taus("dx", (60, 2300.0), (40, 50.0)) == []
+        assert shifts(m.late(150, cz=range(100, 150))) == {}
+        assert shifts(m.late(350, cz=(*range(150, 160), *range(200, 260)))) == {}  # type: ignore[arg-type]
+        assert m.rungs == {}
+        assert shifts(m.tell_taus("dx", (60, 240.0), (40, 50.0))) == {}
+        assert shifts(m.tell_taus("dx", (60, 240.0), (40, 50.0))) == {}
+        assert shifts(m.late(500)) == {"cx": 1}
+
+    def test_an_environment_that_falls_silent_is_not_waited_for(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.late(50)
+        decided = [shifts(m.tell_taus("dx", (TICKS, 240.0))) for _ in range(MOST_HELD + 3)]
+        assert decided == [{}] * (MOST_HELD + 2) + [{"cx": 1}]
+
+    def test_an_environment_that_comes_back_counts_anew(self) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        m.late(10_000, cz=range(10_000))
+        m.late(50)
+        for end in (100, 200, 300):
+            m.late(end)
+            m.tell_taus("dx", (TICKS, 240.0))
+        assert m.rungs == {"cx": 1}
+
+
+def messages(seconds: float) -> int:
+    """So many messages of a device in so many seconds."""
+    return round(seconds / (TICKS * 1e-3))
+
+
+class Test_climbing:
+    def softened(self, *devices: str, ladder: Rungs | None = None) -> Measured:
+        """Devices that had long delays."""
+        m = Measured(Policy.SOFTEN, ladder or Rungs())
+        for _ in range(3):
+            for device in devices:
+                m.tell_taus(device, (TICKS, 450.0))
+        return m
+
+    def calm(self, m: Measured, device: str, tau: float = 30.0) -> int:
+        """How many messages with such delays it takes until something changes."""
+        for count in range(1, 10_000):
+            if shifts(m.tell_taus(device, (TICKS, tau))):
+                return count
+        raise AssertionError("nothing changes")
+
+    def test_rung_by_rung_once_the_cause_is_gone_for_long_enough(self) -> None:
+        m = self.softened("dz")
+        assert m.rungs == {"cz": 2}
+        assert self.calm(m, "dz") == messages(CALM)
+        assert m.rungs == {"cz": 1}
+        assert self.calm(m, "dz") == messages(CALM)
+        assert m.rungs == {"cz": 0}
+        assert not any(shifts(m.tell_taus("dz", (TICKS, 30.0))) for _ in range(3 * messages(CALM)))
+
+    @pytest.mark.parametrize(("tau", "climbs"), [(250.0 * MARGIN, True), (250.0 * MARGIN + 1, False)])
+    def test_with_a_margin(self, tau: float, climbs: bool) -> None:
+        m = self.softened("dz")
+        for _ in range(2 * messages(CALM)):
+            m.tell_taus("dz", (TICKS, tau))
+        assert m.rungs == {"cz": 1 if climbs else 2}
+
+    @pytest.mark.parametrize(("late", "climbs"), [(1, True), (2, False)])
+    def test_but_for_what_every_machine_has_now_and_then(self, late: int, climbs: bool) -> None:
+        m = self.softened("dz")
+        for _ in range(messages(CALM)):
+            m.tell_taus("dz", (TICKS - late, 30.0), (late, 450.0))
+        assert m.rungs == {"cz": 1 if climbs else 2}
+
+    def test_only_when_all_devices_of_the_coupling_are_calm(self) -> None:
+        m = self.softened("dy")
+        assert m.rungs == {"cx": 2, "cy": 2}
+        for _ in range(3 * messages(CALM)):
+            m.tell_taus("dy", (TICKS, 30.0))
+        assert m.rungs == {"cx": 2, "cy": 0}  # dx, which cx has as well, has not said anything
+        assert self.calm(m, "dx") == 1 + messages(CALM)  # whatever was before the first message is nobody's window
+        assert m.rungs == {"cx": 1, "cy": 0}
+
+    def test_all_together_where_only_that_is_certified(self) -> None:
+        m = self.softened("dz", ladder=Rungs(independent=False))
+        assert m.rungs == {"cx": 2, "cy": 2, "cz": 2}
+        for _ in range(messages(CALM)):
+            for device in CHAINS:
+                assert shifts(m.tell_taus(device, (TICKS, 30.0))) == {}
+        together = {"cx": 1, "cy": 1, "cz": 1}  # dz, which has told before, has been calm for long enough already
+        assert [shifts(m.tell_taus(device, (TICKS, 30.0))) for device in CHAINS] == [{}, together, {}]
+
+    def test_who_was_made_to_wait_is_calm(self) -> None:
+        m = self.softened("dz")
+        for number in range(3, 3 + messages(CALM)):
+            m.late((number + 1) * TICKS, cx=range(number * TICKS, number * TICKS + 40))
+            m.tell_taus("dz", (40, 2300.0), (60, 30.0))
+        assert m.rungs == {"cz": 2}  # six tenths of its ticks are its own
+        assert self.calm(m, "dz") <= messages(CALM)
+        assert m.rungs == {"cz": 1}
+
+    def test_a_device_that_does_not_tell_its_delays_does_not_climb(self) -> None:
+        m = self.softened("dz")
+        for _ in range(2 * messages(CALM)):
+            m.tell("dz", 0, worst=30.0)
+        assert m.rungs == {"cz": 2}
+
+    def test_who_is_softened_again_after_a_climb_has_to_be_calm_for_twice_as_long(self) -> None:
+        m, waits = self.softened("dz"), []
+        for _ in range(4):
+            waits.append(self.calm(m, "dz"))
+            assert m.rungs == {"cz": 1}
+            assert self.calm(m, "dz", 450.0) == IN_A_ROW
+            assert m.rungs == {"cz": 2}
+        assert waits == [messages(CALM) * 2**n for n in range(4)]
+
+
+stretches = st.lists(st.tuples(st.integers(1, 150), st.sampled_from([30.0, 200.0, 240.0, 450.0])), max_size=12)
+
+
+@settings(max_examples=30)
+@given(stretches)
+def test_changes_grow_with_the_logarithm_of_time(stretches: list[tuple[int, float]]) -> None:
+    """Whatever the delays do, no coupling climbs more often than stretches of calm that double fit into the time."""
+    m = Measured(Policy.SOFTEN, Rungs())
+    climbs = ticks = 0
+    for count, tau in stretches:
+        for _ in range(count):
+            before = m.rungs.get("cz", 0)
+            m.tell_taus("dz", (TICKS, tau))
+            climbs += m.rungs.get("cz", 0) < before
+            ticks += TICKS
+    doublings = math.log2(1.0 + ticks * 1e-3 / CALM)
+    assert doublings < MOST_DOUBLINGS
+    assert climbs <= (len(Rungs.taus) - 1) * (1.0 + doublings)
 
 
 @pytest.mark.parametrize("policy", Policy)
@@ -197,7 +396,7 @@ counts = st.floats() | st.sampled_from([0.0, 1.0, 1e300, math.nan, math.inf, -1.
     st.booleans(),
     st.lists(st.tuples(st.sampled_from([*CHAINS, "cx", "stranger"]), st.integers(0, 300), counts, counts, counts)),
 )
-def test_whatever_is_told_couplings_only_get_softer_and_notices_are_few(
+def test_without_the_delay_of_each_tick_couplings_only_get_softer_and_notices_are_few(
     policy: Policy, independent: bool, messages: list[tuple[str, int, float, float, float]]
 ) -> None:
     m = Measured(policy, Rungs(independent=independent))

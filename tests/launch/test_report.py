@@ -34,7 +34,7 @@ KEYS = [
     *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
     *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
     *(names.LEDGER_MIN_TICK, names.LEDGER_MARGIN, names.FROZEN_TICKS, names.JUMPS, names.RELEASED, names.RUNG),
-    "late_own",
+    *("late_own", f"{names.WAITED_TICKS}x", f"{names.WAITED_TIME}x", f"{names.FROZEN_LATE}x"),
 ]
 some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
 numbers = st.floats() | st.sampled_from([math.inf, -math.inf, math.nan])
@@ -63,6 +63,16 @@ def test_an_honest_nodes_entry() -> None:
         "refused": {"no_key": 5},
         "dropped": {"old_tick": 4},
     }
+
+
+def test_who_made_the_others_wait_and_for_how_long() -> None:
+    counts = {"waited_ticks_cz": 53, "frozen_late_cz": 2, "waited_ticks_cx": 1, "waited_ticks_cy": 4}
+    entry = node_entry(Role.ENVIRONMENT, Report(100, {"waited_us_cz": 117e3, "waited_us_cx": 600.0}, counts, {}))
+    assert entry["late_couplings"] == {
+        "cz": {"ticks": 53, "seconds": 0.117, "frozen": 2},
+        "cx": {"ticks": 1, "seconds": 0.0006, "frozen": 0},
+    }
+    assert "late_causes" not in entry
 
 
 def test_what_a_role_does_not_have_is_absent() -> None:

@@ -12,11 +12,12 @@ import pytest
 import uvicorn
 
 from manyhands.launch.looking.sessions import Running
+from manyhands.launch.view import application as application_module
 from manyhands.launch.view import connections as module
 from manyhands.launch.view import server as server_module
 from manyhands.launch.view.application import application
 from manyhands.launch.view.connections import ANSWERED_WITHIN, MOST_CONNECTIONS, MOST_OF_AN_ADDRESS, Connections
-from manyhands.launch.view.security import Doorstep, Token
+from manyhands.launch.view.security import Doorstep, Token, is_loopback
 from manyhands.launch.view.server import config_of, listen, until_told, without_tracebacks
 from manyhands.launch.view.watch import Watch
 from manyhands.protocol.clock import Instant, RealtimeClock
@@ -161,13 +162,13 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
     monkeypatch.setattr(server_module, "LOOK_EVERY", 0.01)
 
     @contextlib.asynccontextmanager
-    async def served(token: Token | None) -> AsyncIterator[Served]:
+    async def served(token: Token | None, host: str) -> AsyncIterator[Served]:
         refused: Counter[str] = Counter()
         clock = Later()
         connections, watch = Connections(refused), Watch(Running(tmp_path, ABOUT), clock)
-        with listen("127.0.0.1", 0) as listening, without_tracebacks(refused):
+        with listen(host, 0) as listening, without_tracebacks(refused):
             port = listening.getsockname()[1]
-            app = application(watch, Doorstep("127.0.0.1", port), token, connections)
+            app = application(watch, Doorstep(host, port), token, connections)
             server = uvicorn.Server(config_of(app, connections, clock))
             task = asyncio.create_task(until_told(server, watch, connections, listening))
             made = Served(port, refused, clock)
@@ -180,9 +181,9 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
                 await task
                 watch.close()
 
-    def run(do: Callable[[Served], Awaitable[None]], token: Token | None = None) -> None:
+    def run(do: Callable[[Served], Awaitable[None]], token: Token | None = None, host: str = "127.0.0.1") -> None:
         async def all_of_it() -> None:
-            async with asyncio.timeout(60), served(token) as page:
+            async with asyncio.timeout(60), served(token, host) as page:
                 await do(page)
 
         asyncio.run(all_of_it())
@@ -227,6 +228,35 @@ def test_pages_that_never_say_their_token_keep_nobody_out(serving: Callable[...,
             assert (await frame_of(page))[0] == 1
 
     serving(do, Token(TOKEN))
+
+
+def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
+    serving: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(application_module, "WRONG_TOKEN_COSTS", 0.0)
+    wrong = (b'{"token": ""}', b'{"token": "0123456789abcdeg"}', b"{}", b'{"grasp": "right", "position": [0, 0]}')
+
+    async def do(served: Served) -> None:
+        for said in wrong:
+            page = await served.page()
+            page[1].write(framed(said))
+            kind, why = await frame_of(page)  # the first thing that is told
+            assert (kind, why[:2]) == (8, application_module.NOT_ADMITTED.to_bytes(2, "big"))
+        assert served.refused == {"wrong_token": len(wrong)}
+        page = await served.page()
+        page[1].write(framed(b'{"token": "%s"}' % TOKEN.encode()))
+        assert b'"session"' in (await frame_of(page))[1]
+        reader, _ = await served.connect(b"GET / HTTP/1.1\r\nHost: elsewhere.example:%d\r\n\r\n" % served.port)
+        assert b"421" in await reader.readline()
+
+    serving(do, Token(TOKEN), host="0.0.0.0")
+
+
+@pytest.mark.parametrize(
+    "host", ["0.0.0.0", "::", "", "0", "127.1", "::ffff:192.0.2.7", "192.0.2.7", "localhost.example"]
+)
+def test_a_host_that_is_not_known_to_be_the_loopback_asks_for_a_token(host: str) -> None:
+    assert not is_loopback(host)
 
 
 def test_what_is_no_text_is_refused_and_counted_without_a_traceback(

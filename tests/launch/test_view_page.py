@@ -356,10 +356,11 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
         _port: int,
         token: Token | None,
         ready: Callable[[str], None],
-        _refused: dict[str, int],
+        refused: Counter[str],
     ) -> None:
         served_.append((host, token))
         ready(address_of(Doorstep(host, 80), token))
+        refused.update({"too_slow": 1, "too_many": 3})
 
     monkeypatch.setattr("manyhands.launch.view.server.serve", serve)
     monkeypatch.setattr(
@@ -371,6 +372,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
 def test_on_loopback_the_address_is_enough(told: list[tuple[str, Token | None]]) -> None:
     done = CliRunner().invoke(app, ["view"])
     assert (done.exit_code, told) == (0, [("127.0.0.1", None)])
+    assert done.output.endswith("refused: too_many 3, too_slow 1\n")
 
 
 def test_elsewhere_a_token_is_drawn_and_printed_once(told: list[tuple[str, Token | None]]) -> None:

@@ -51,6 +51,11 @@ def test_a_session_that_is_well_has_none() -> None:
         (conditioned(lost=("left",)), Level.FAULT, "left: lost"),
         (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), Level.FAULT, "vl: its ledger fell to -0.25 J"),
         (observed("left", 100, NO_TRACE, tau_worst_us=301.0), Level.WARNING, "later than the 300 us"),
+        (
+            observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
+            Level.WARNING,
+            "waited for vl in 53 ticks, 0.117 s in all, and it was frozen for that 2 times",
+        ),
         (observed("environment", 100, NO_TRACE, frozen=2.0), Level.WARNING, "2 of the session's couplings are frozen"),
     ],
 )
@@ -59,6 +64,12 @@ def test_what_raises_an_alarm(frame: bytes, level: Level, words: str) -> None:
     assert (alarm.level, alarm.since, alarm.cleared) == (level, START, None)
     assert words in alarm.text
     assert alarm.advice
+
+
+@pytest.mark.parametrize("frozen", [0.0, -1.0, np.inf, np.nan])
+def test_who_was_late_now_and_then_and_not_frozen_for_it_is_not_named(frozen: float) -> None:
+    late = {"waited_ticks_vl": 3.0, "waited_us_vl": 900.0, "frozen_late_vl": frozen}
+    assert looked(observed("environment", 100, NO_TRACE, **late))[1].listed() == []
 
 
 def test_late_ticks_raise_one() -> None:

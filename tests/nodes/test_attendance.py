@@ -55,6 +55,9 @@ def test_only_who_is_seated_or_awaited_can_be_missed_and_only_who_is_gone_can_be
         (Seat.SEATED, Event.AHEAD),
         (Seat.GONE, Event.AHEAD),
         (Seat.GONE, Event.SILENT),
+        (Seat.EXPECTED, Event.LATE),  # with a signal of the tick it is seated
+        (Seat.FROZEN, Event.LATE),
+        (Seat.GONE, Event.LATE),
     }
 
 
@@ -103,6 +106,25 @@ def test_who_is_waited_for_in_vain_again_and_again_is_expected_after_a_pause_tha
         tick += pauses[-1]
     assert pauses == [0, FIRST_PAUSE, 2 * FIRST_PAUSE, 4 * FIRST_PAUSE, 8 * FIRST_PAUSE, 16 * FIRST_PAUSE, *[256] * 3]
     assert LONGEST_PAUSE == 256
+
+
+@pytest.mark.parametrize("event", [Event.BEHIND, Event.AHEAD, Event.SIGNAL])
+def test_whatever_it_says_in_its_pause_it_is_not_expected(event: Event) -> None:
+    attendance = Attendance()
+    attendance.on(Event.LATE, FORGIVEN)
+    assert not any(attendance.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))
+    assert attendance.seat is Seat.FROZEN
+    assert attendance.on(event, FORGIVEN + FIRST_PAUSE)
+
+
+def test_who_is_late_again_and_again_pauses_from_the_first_time_on() -> None:
+    attendance, tick, pauses = Attendance(), FORGIVEN, []
+    for _ in range(8):
+        attendance.on(Event.LATE, tick)
+        pauses.append(pause_after(attendance, tick))
+        tick += pauses[-1]
+        assert attendance.on(Event.SIGNAL, tick)
+    assert pauses == [FIRST_PAUSE << n for n in range(6)] + [LONGEST_PAUSE] * 2
 
 
 @pytest.mark.parametrize(("stays", "pause"), [(FORGIVEN - 1, 2 * FIRST_PAUSE), (FORGIVEN, 0)])

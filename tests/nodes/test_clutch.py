@@ -17,6 +17,7 @@ from manyhands.design.network import Link, Network
 from manyhands.design.statespace import StateSpace
 from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK_OFF, Clutch, Event, Phase
 from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.energy import Budget
 
 from .cores import react
 
@@ -28,7 +29,7 @@ Deed = Literal["freeze", "engage", "disengage"]
 class World:
     """A random environment and coupling; the parties behind the ports move as they like."""
 
-    def __init__(self, seed: int, blocks: list[list[int]], ramp: int = 20) -> None:
+    def __init__(self, seed: int, blocks: list[list[int]], ramp: int = 20, budget: float = 0.0) -> None:
         self.rng = np.random.default_rng(seed)
         self.m = sum(map(len, blocks))
         self.blocks, self.ramp = blocks, ramp
@@ -44,7 +45,8 @@ class World:
         self.D_V = np.zeros((self.m, self.m))
         for block in blocks:
             self.D_V[np.ix_(block, block)] = self.feedthrough(len(block))
-        self.core = EnvironmentCore(self.E, self.D_V, np.zeros((self.m, self.m)), T, blocks, ramp)
+        budgets = [Budget(budget, budget, budget)] * len(blocks) if budget else None
+        self.core = EnvironmentCore(self.E, self.D_V, np.zeros((self.m, self.m)), T, blocks, ramp, budgets=budgets)
 
     def feedthrough(self, size: int) -> np.ndarray:
         """D_V of a block of springs and dampers."""
@@ -184,11 +186,18 @@ def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
 
 
 @settings(max_examples=60)
-@given(seed=st.integers(0, 2**32 - 1), blocks=partitions, plan=deeds, pause=st.integers(0, 2))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    blocks=partitions,
+    plan=deeds,
+    pause=st.integers(0, 2),
+    budget=st.sampled_from([0.0, 1e-3, 1e-4, 1e-5]),
+)
 def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
-    seed: int, blocks: list[list[int]], plan: list[tuple[int, int, Deed]], pause: int
+    seed: int, blocks: list[list[int]], plan: list[tuple[int, int, Deed]], pause: int, budget: float
 ) -> None:
-    world = World(seed, blocks)
+    """Whatever freezes, leaves and joins, and whoever is held to an energy budget."""
+    world = World(seed, blocks, budget=budget)
     core, oracle, rng = world.core, Oracle(world), world.rng
     at: dict[int, list[tuple[int, Deed]]] = {}
     tick = 0
@@ -204,6 +213,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         p = p + v
         told = p.copy()
         before = states(core, len(blocks))
+        allowed = [core.energy.ratio(i) for i in range(len(blocks))]
         for i, block in enumerate(blocks):
             if pause and core._clutches[i].phase is Phase.FROZEN:
                 told[block] = np.nan if pause == 1 else 1e9
@@ -224,7 +234,10 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
             assert oracle.given_up <= LET_GO * float(np.linalg.norm(oracle.f_e[block])) + oracle.rounding
         for i in range(len(blocks)):
             # rounded at most once on either side
-            assert abs(core.ratio(i) - before[i][0]) <= math.pi / (2.0 * world.ramp) + 1e-12 or core.ratio(i) == 0.0
+            moved = abs(core.ratio(i) - before[i][0])
+            assert core.ratio(i) <= allowed[i] + 1e-12
+            # a restraint is obeyed at once
+            assert moved <= math.pi / (2.0 * world.ramp) + 1e-12 or core.ratio(i) in (0.0, pytest.approx(allowed[i]))
     assert core.ledger is not None
     assert core.ledger.minimum >= 0.0
     assert core.ill_posed == 0

@@ -12,6 +12,7 @@ import pytest
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.preparation import prepare
 from manyhands.launch.session import load_session
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.cores import environment_core
@@ -47,7 +48,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
         core.settle()
         account.tick(tick, core)
     assert account.due
-    account.publish(line, core, {"frozen": 0.0})
+    account.publish(line, core, {"frozen": 0.0}, {})
     (told,) = line.telemetry
     assert (told.tick, told.figures) == (len(p), {"frozen": 0.0})
     x_e, q = told.traces["x_e"], told.traces["q"]
@@ -77,9 +78,25 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
         core.react([0.001 * tick, 0.0, 0.0])
         core.settle()
         account.tick(tick, core)
-    account.publish(line, core, {})
-    account.publish(line, core, {})
+    account.publish(line, core, {}, {})
+    account.publish(line, core, {}, {})
     (told,) = line.telemetry
     assert told.tick == 7
     assert told.traces["x_e"].shape == (7, 3)
     assert account.ticks == 7
+
+
+def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) -> None:
+    bundle = environment()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
+    assert not account.publish(line, core, {}, {"cz": [3]})  # nothing is sent: they are for the next one
+    core.react([0.0, 0.0, 0.0])
+    core.settle()
+    account.tick(0, core)
+    assert account.publish(line, core, {}, {"cz": [3, 5]})
+    (told,) = line.telemetry
+    assert told.traces[names.WAITED_IN + "cz"].tolist() == [[3.0], [5.0]]
+    others = names.shown(told)
+    assert others.traces.keys() == told.traces.keys() - {names.WAITED_IN + "cz"}
+    assert (others.tick, others.figures) == (told.tick, told.figures)
+    assert names.shown(others) is others

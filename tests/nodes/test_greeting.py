@@ -74,11 +74,14 @@ def test_D_V_is_for_the_environment_alone() -> None:
 
 
 def test_bounds_go_with_their_ports() -> None:
-    bounds = bounds_by_peer(COMMON, Role.DEVICE, [0.1, None, 0.3], [0.01, 0.02, None])
+    realtime = dataclasses.replace(COMMON, clock="realtime")
+    bounds = bounds_by_peer(realtime, Role.DEVICE, [0.1, None, 0.3], [0.01, 0.02, None])
     assert bounds == {
         "left": Bounds((0.1, 0.3), (0.01, math.inf), Duration(1_000_000)),
         "right": Bounds((math.inf,), (0.02,), Duration(1_000_000)),
     }
+    bounds = bounds_by_peer(COMMON, Role.DEVICE, [0.1, None, 0.3], [0.01, 0.02, None])
+    assert [bound.period for bound in bounds.values()] == [None, None]
     with pytest.raises(ValueError, match="zip"):
         bounds_by_peer(COMMON, Role.DEVICE, [0.1], [0.1])
 

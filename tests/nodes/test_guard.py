@@ -1,4 +1,4 @@
-"""A device's limits: what is let pass, what is clipped, and what ends the session."""
+"""A device's limits: what is let pass, what is clipped, and how it lets go and takes hold again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Limits
-from manyhands.nodes.device.guard import Guard
+from manyhands.nodes.device.guard import RETURN, Guard
 from manyhands.nodes.saturation import Saturation
 
 T = 1e-3
@@ -97,3 +97,73 @@ def test_a_speed_is_that_of_one_period() -> None:
     slow = Guard(LIMITS, 1.0, AXES)
     assert slow.breach([0.0] * 2) is None
     assert slow.breach([0.0, 0.5]) is None
+
+
+def test_a_device_that_never_leaves_its_limits_is_told_as_it_is() -> None:
+    g = guard()
+    for x in ([0.0, 0.0], [0.001, 0.0005], [0.2, 0.5]):
+        assert g.tell(x, 1000) is x
+        assert g.clip([1.0, 1.0]) == [1.0, 1.0]
+    assert (g.let_go, g.holds) == (0, True)
+
+
+def test_a_device_beyond_its_speed_lets_go_and_takes_hold_again_by_a_ramp() -> None:
+    g = guard()
+    g.tell([0.0, 0.0])
+    assert g.tell([0.01, 0.0]) == [pytest.approx(0.002), 0.0]  # as far as its speed allows
+    assert (g.let_go, g.holds, g.clip([1.0, 1.0])) == (1, False, [0.0, 0.0])
+    assert "speed of 10 m/s at arm.0" in g.why
+    for _ in range(RETURN):
+        assert g.tell([0.011, 0.0]) == [pytest.approx(0.002), 0.0]
+        assert g.clip([1.0, 1.0]) == [0.0, 0.0]
+    felt = []
+    for _ in range(RETURN):
+        g.tell([0.011, 0.0])
+        felt.append(g.clip([1.0, 1.0])[0])
+    assert felt == sorted(felt)
+    assert felt[0] < 1e-3
+    assert max(np.diff(felt)) <= np.pi / 2.0 / RETURN
+    assert felt[-1] == 1.0
+    assert g.tell([0.012, 0.0]) == [pytest.approx(0.003), 0.0]  # where it is told to be stays behind, not how it moves
+    assert g.let_go == 1
+
+
+def test_who_is_held_beyond_its_displacement_stays_out() -> None:
+    g = guard()
+    for _ in range(3 * RETURN):
+        told = g.tell([0.3, 0.0])
+        assert told == [0.2, 0.0]
+        assert g.clip([1.0, 1.0]) == [0.0, 0.0]
+    assert g.let_go == 1
+
+
+def test_what_is_no_number_is_told_to_nobody() -> None:
+    g = guard()
+    g.tell([0.1, 0.0])
+    for x in ([math.nan, 0.0], [0.1, math.inf], [0.1, 0.0]):
+        assert g.tell(x) == [0.1, 0.0]
+        assert g.clip([1.0, 1.0]) == [0.0, 0.0]
+
+
+@given(
+    steps=st.lists(st.floats(-0.02, 0.02), min_size=1, max_size=60),
+    forces=st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=60),
+    calm=st.integers(RETURN, 2 * RETURN),
+)
+def test_letting_go_and_taking_hold_makes_no_energy(steps: list[float], forces: list[float], calm: int) -> None:
+    """What is told to be done on the device is done, but in a tick in which it is beyond its speed."""
+    g = Guard(Limits((8.0,), (1e3,), (1.0,)), T, ("arm",))
+    x = told = done = said = force = applied = 0.0
+    g.tell([0.0])
+    for k in range(6 * calm):
+        step = steps[k % len(steps)] if k % calm < len(steps) else 0.5e-3 * math.sin(k)
+        let_go = g.let_go
+        (now,) = g.tell([x + step])
+        assert abs(now - told) <= T * (1.0 + 1e-9)
+        if g.let_go == let_go:
+            done += applied * step
+            said += force * (now - told)
+        x, told = x + step, now
+        force = forces[k % len(forces)]
+        (applied,) = g.clip([force])
+    assert said == pytest.approx(done, abs=1e-9)

@@ -18,6 +18,7 @@ from manyhands.nodes.bundle import Peer
 from manyhands.nodes.environment.attendance import FIRST_PAUSE, Seat
 from manyhands.nodes.environment.clutch import RAMP
 from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.late_arrivals import LateArrivals
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.environment.places import LEAD, MOST_AHEAD, Place, Places
 from manyhands.nodes.exchange import Heard, Joint
@@ -582,6 +583,26 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
+def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(world: World) -> None:
+    for place in world.places.all:
+        world.say(place.joint.peer.name)
+        assert world.hear(place) is Heard.SIGNAL
+    world.places.exclude(world.cy, world.tick)
+    world.finish()
+    assert (world.cy.attendance.seat, world.cy.frozen_late) == (Seat.FROZEN, 1)
+    assert 0 not in world.forces("cy")  # nor is it answered
+    for _ in range(FIRST_PAUSE - 1):
+        world.say("cy")  # it knows the tick
+        assert world.hear(world.cy) is Heard.NOTHING
+        world.say("cy", world.tick + 2)
+        assert world.hear(world.cy) is Heard.NOTHING
+        world.together(but="cy")
+    assert world.cy.attendance.seat is Seat.FROZEN
+    world.say("cy")
+    assert world.hear(world.cy) is Heard.SIGNAL
+    assert world.cy.attendance.seat is Seat.SEATED
+
+
 class Silence:
     """A line to a supervisor who says nothing."""
 
@@ -593,6 +614,8 @@ def waiting(world: World) -> int:
     """The tick that an environment which waits in real time goes on at; by a clock that every look puts forward."""
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
+    node._late = LateArrivals(len(world.places.all), Duration(10**6), Duration(10**6))
+    node._due, node._passed = 0, ()
     node._period, node._patience = Duration(10**6), Patience(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
     world.life.look = lambda _now: None
     tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]

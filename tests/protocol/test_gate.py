@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from manyhands.protocol.clock import Duration
+from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import LAYOUTS, decode, encode
-from manyhands.protocol.gate import DROP_REASONS, MOST_PERIODS, ROUNDING, Bounds, Gate
+from manyhands.protocol.gate import DRIFT, DROP_REASONS, MOST_PERIODS, ROUNDING, Bounds, Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
 from manyhands.protocol.signal_head import LONGEST, read_head, type_of
@@ -267,27 +267,147 @@ def test_bounds_of_another_width_are_refused() -> None:
         Gate(Sample, 3, BOUNDS)
 
 
-def stamped(gate: Gate, *signals: tuple[int, float]) -> list[bool]:
-    """Which signals are admitted, of stamps in ms and values, tick after tick."""
-    return [
-        gate.admit(encode(Sample(tick, stamp * 1_000_000, np.array([value]))), tick) is not None
-        for tick, (stamp, value) in enumerate(signals)
-    ]
+T = 1_000_000  # ns
+STEP = 0.25
+
+
+class Hands:
+    """A receiver's clock, moved by hand."""
+
+    def __init__(self) -> None:
+        self.time = 0.0  # ns
+
+    def now(self) -> Instant:
+        return Instant(round(self.time))
+
+    def sleep_until(self, t: Instant) -> None:
+        raise NotImplementedError
+
+
+def timed(*signals: tuple[float, int, float], bounds: Bounds | None = None) -> list[bool]:
+    """Which signals are admitted, of instants at the receiver (ms), stamps (ms) and values, tick after tick."""
+    clock = Hands()
+    gate = Gate(Sample, 1, bounds or Bounds((10.0,), (STEP,), Duration(T)), clock)
+    admitted = []
+    for tick, (instant, stamp, value) in enumerate(signals):
+        clock.time = instant * T
+        admitted.append(gate.admit(encode(Sample(tick, stamp * T, np.array([value]))), tick) is not None)
+    return admitted
+
+
+def stamped(*signals: tuple[int, float], bounds: Bounds | None = None) -> list[bool]:
+    """The same where every stamp is true."""
+    return timed(*((stamp, stamp, value) for stamp, value in signals), bounds=bounds)
 
 
 def test_a_step_is_bounded_for_every_period_that_has_passed_and_for_no_more_than_a_device_is_kept_waiting() -> None:
-    bounds = Bounds((10.0,), (0.25,), Duration(1_000_000))
-    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (6, 0.25), (8, 0.75), (9, 1.25)) == [True, True, True, False]
-    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (5 + MOST_PERIODS, 0.25 * MOST_PERIODS)) == [True, True]
-    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (5000, 0.25 * MOST_PERIODS + 0.01)) == [True, False]
-    assert stamped(Gate(Sample, 1, bounds), (5, 0.0), (0, 0.5)) == [True, False]  # a stamp that goes back gains nothing
-    assert stamped(Gate(Sample, 1, Bounds((10.0,), (0.25,))), (5, 0.0), (8, 0.75)) == [True, False]
-    assert stamped(Gate(Sample, 1, bounds), (5, 9.9), (11, 10.1)) == [True, False]  # within its step, beyond its reach
+    assert stamped((5, 0.0), (6, 0.25), (8, 0.75), (9, 1.25)) == [True, True, True, False]
+    assert stamped((5, 0.0), (5 + MOST_PERIODS, 0.25 * MOST_PERIODS)) == [True, True]
+    assert stamped((5, 0.0), (5000, 0.25 * MOST_PERIODS + 0.01)) == [True, False]
+    assert stamped((5, 0.0), (0, 0.5)) == [True, False]  # a stamp that goes back gains nothing
+    assert stamped((5, 9.9), (11, 10.1)) == [True, False]  # within its step, beyond its reach
+
+
+def test_without_a_period_a_tick_is_one_whatever_the_stamps_claim() -> None:
+    assert stamped((5, 0.0), (8, 0.75), bounds=Bounds((10.0,), (STEP,))) == [True, False]
+
+
+def test_bounds_with_a_period_need_a_clock() -> None:
+    with pytest.raises(ValueError, match="expected the receiver's clock"):
+        Gate(Sample, 1, Bounds((10.0,), (STEP,), Duration(T)))
+
+
+def test_who_claims_the_longest_of_ticks_in_every_tick_gets_ahead_once() -> None:
+    clock = Hands()
+    gate = Gate(Sample, 1, Bounds((1e3,), (STEP,), Duration(T)), clock)
+    at = 0.0
+    for tick in range(100):
+        clock.time += T
+        further = at + STEP * MOST_PERIODS if tick else 0.0
+        if gate.admit(encode(Sample(tick, MOST_PERIODS * T * tick, np.array([further]))), tick) is not None:
+            at = further
+    assert at <= STEP * (99 * (1.0 + DRIFT) + MOST_PERIODS)  # by the stamps alone it was 594 steps
+
+
+def test_who_sends_faster_than_time_passes_gets_no_further() -> None:
+    signals = [(0.1 * tick, tick, STEP * tick) for tick in range(12)]
+    assert timed(*signals) == [tick <= 6 for tick in range(12)]
+
+
+@given(
+    data=st.lists(
+        st.tuples(
+            st.floats(0.0, 20.0),  # periods that pass at the receiver
+            st.integers(0, 10**13) | st.integers(0, 200).map(lambda k: k * T),  # any stamp
+            st.floats(-1.0, 1.0),  # of the greatest step that the claim would allow
+            st.booleans(),
+        ),
+        max_size=60,
+    )
+)
+@example(data=[(1.0, MOST_PERIODS * k * T, (-1.0) ** k, False) for k in range(40)])
+def test_no_stamps_let_a_peer_go_further_than_time_has_passed(data: list[tuple[float, int, float, bool]]) -> None:
+    clock = Hands()
+    gate = Gate(Sample, 2, Bounds((1e3, 1e3), (STEP, STEP), Duration(T)), clock)
+    most = STEP * (1.0 + ROUNDING) + ROUNDING * 1e3  # what a bound yields to rounding
+    windows: list[tuple[float, float]] = []  # when it began, and the path since
+    at, was = np.zeros(2), None
+    for tick, (passed, stamp, share, both) in enumerate(data):
+        clock.time += passed * T
+        claimed = MOST_PERIODS * STEP * share
+        values = at + np.array([claimed, claimed if both else 0.0])
+        if gate.admit(encode(Sample(tick, stamp, values)), tick) is None:
+            continue
+        step = 0.0 if was is None else float(np.max(np.abs(values - was)))
+        at = was = values
+        windows = [(began, path + step) for began, path in windows]
+        windows.append((clock.time, 0.0))
+        for began, path in windows:
+            periods = (1.0 + DRIFT) * (clock.time - began) / T + MOST_PERIODS
+            assert path <= most * periods * (1.0 + 1e-9)
+
+
+@given(
+    ticks=st.lists(st.tuples(st.floats(0.0, 5.0), st.sampled_from([0.0, 0.0, 0.2, 0.9])), min_size=2, max_size=80),
+    ppm=st.integers(-1000, 1000),
+    offset=st.integers(10**9, 10**15),
+)
+@example(ticks=[(delay, 0.0) for delay in (0.0, 5.0, 0.0, 5.0, 5.0, 0.0)], ppm=1000, offset=10**9)
+@example(ticks=[(0.1, 0.0)] * 4000, ppm=1000, offset=10**9)
+@example(ticks=[(0.1, 0.0), (5.0, 0.9)] * 300, ppm=-1000, offset=10**9)
+def test_an_honest_hand_at_its_limit_is_never_refused(ticks: list[tuple[float, float]], ppm: int, offset: int) -> None:
+    """It samples late, by another clock, and its signals take anything up to what a device waits for an answer."""
+    clock = Hands()
+    gate = Gate(Sample, 1, Bounds((1e4,), (STEP,), Duration(T)), clock)
+    fast = 1.0 + 1e-6 * ppm
+    slot, before, value, way = 0, 0.0, 0.0, 1.0
+    for tick, (delay, late) in enumerate(ticks):
+        sampled = (slot + late) * T  # by its own clock
+        passed = (sampled - before) / T
+        value += way * STEP * min(passed, max(1, round(passed)))  # its own guard's limit
+        way = -way if abs(value) > 100.0 else way
+        clock.time = max(clock.time, sampled / fast + delay * T)
+        frame = encode(Sample(tick, offset + round(sampled), np.array([value])))
+        assert gate.admit(frame, tick) is not None
+        before = sampled
+        slot = max(slot + 1, min(math.ceil(clock.time * fast / T), math.floor(sampled / T) + MOST_PERIODS - 1))
+
+
+def test_who_comes_back_after_long_is_admitted_from_where_it_is() -> None:
+    clock = Hands()
+    gate = Gate(Sample, 1, Bounds((10.0,), (STEP,), Duration(T)), clock)
+    assert gate.admit(encode(Sample(0, 0, np.array([0.0]))), 0) is not None
+    clock.time = 5000.0 * T
+    gate.forget()
+    assert gate.admit(encode(Sample(1, 5000 * T, np.array([9.0]))), 1) is not None
+    clock.time += T
+    assert gate.admit(encode(Sample(2, 5001 * T, np.array([9.0 + STEP]))), 2) is not None
 
 
 def test_what_is_forgotten_bounds_no_step() -> None:
     gate = Gate(Sample, 1, Bounds((10.0,), (0.25,)))
-    assert stamped(gate, (0, 0.0), (1, 5.0)) == [True, False]
+    assert gate.admit(encode(Sample(0, 0, np.array([0.0]))), 0) is not None
+    assert gate.admit(encode(Sample(1, T, np.array([5.0]))), 1) is None
     gate.forget()
     assert gate.admit(encode(Sample(2, 0, np.array([5.0]))), 2) is not None
     assert gate.admit(encode(Sample(3, 0, np.array([0.0]))), 3) is None

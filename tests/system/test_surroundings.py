@@ -69,24 +69,29 @@ def drop_rights() -> None:
         resource.setrlimit(limit, (0, 0))
 
 
-def test_in_real_time_without_rights_and_where_letters_are_ascii(tmp_path: Path) -> None:
+def test_in_real_time_without_rights_or_a_display_and_where_letters_are_ascii(tmp_path: Path) -> None:
     """Folder, session file and report have other letters; the table that is printed, too."""
     folder = tmp_path / "üτ"
     folder.mkdir()
     (folder / "s.yaml").write_text(ALONE.read_text(encoding="utf-8"), encoding="utf-8")
     locale = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "NO_COLOR": "1"}
-    done = subprocess.run(
-        [*LAUNCH[:-1], folder / "s.yaml", "--duration", "0.3", "--report", folder / "run.json"],
-        preexec_fn=drop_rights,
-        env={**os.environ, **locale},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [*LAUNCH[:-1], folder / "s.yaml", "--duration", "0.3", "--report", folder / "run.json"],
+            preexec_fn=drop_rights,
+            env={**os.environ, **locale},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=full,
+            timeout=120,
+            check=False,
+        )
+    assert done.returncode == 0
     assert b"\\u03c4 p50" in done.stdout
-    device = json.loads((folder / "run.json").read_text())["nodes"]["d"]
+    report = json.loads((folder / "run.json").read_text())
+    lost = "the display was lost (standard error: No space left on device); the session goes on without it"
+    assert lost in report["incidents"]
+    device = report["nodes"]["d"]
     assert device["ticks"] == 300
     assert (device["realtime"]["fifo"], device["realtime"]["memory_locked"]) == (False, False)
 

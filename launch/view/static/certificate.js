@@ -39,6 +39,7 @@ export class Certificate {
   }
 
   show(session) {
+    say(byId("energy"), session.picture?.energy ?? "");
     if (this.about.certificate === null) return;
     let [worst, most, late] = [0, 0, false];
     for (const { figures, covered } of session.nodes.values()) {

@@ -1,0 +1,223 @@
+"""What must hold for the others in a session with a hostile guest, watched tick by tick and judged at the end."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+from typing import Any, Final
+
+from manyhands.launch.preparation import Prepared
+from manyhands.launch.topology import topology
+from manyhands.nodes import exchange
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.environment.late_arrivals import BURST, SHARE
+from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.gate import DRIFT, MOST_PERIODS, Bounds, Gate
+from manyhands.protocol.messages import Role, SignalMessage, Telemetry
+
+from .scheduler import Scheduler
+from .world import World
+
+TRANSIENT: Final = BURST + 10
+"""Late ticks of an honest device, at most, that each coupling of a guest may cause before it is frozen: its bucket.
+
+Besides, :data:`SHARE` of all ticks for ever, and :data:`AGAIN` for each time that it is let in again.
+"""
+
+SLACK: Final = 1e-6
+"""J, of rounding, in the comparison of two accounts of energy."""
+
+AGAIN: Final = 6
+"""The same for each time that the guest is frozen, or goes."""
+
+
+class Wrong(StrEnum):
+    """What may not happen to the others."""
+
+    LATE = "late beyond what is covered"
+    FROZEN = "frozen"
+    SOFTENED = "softened"
+    SCALED = "scaled"
+    NAMED = "named"
+    ENDED = "the session ended"
+    STALLED = "the session stood still"
+    PROMISE = "a ledger or a force limit broken"
+    ENERGY = "more energy received than the budget"
+    SPEED = "moved faster than the limit"
+    UNNAMED = "the guest acted against and not named"
+
+
+class Innocence:
+    """What is seen of one session; a :class:`~tests.deterministic.process.Witness`.
+
+    Attributes:
+        late: by honest device, ticks whose force acted later than the certificate covers.
+        received: J that the others' ports have taken, net.
+        most_received: the most that this ever was.
+    """
+
+    def __init__(self, prepared: Prepared, guest: str | None, rest: bool) -> None:
+        """Nothing is seen yet.
+
+        Args:
+            prepared: the session.
+            guest: the hostile device; None where everybody is honest.
+            rest: whether the honest hands rest: then all energy that others receive is the guest's.
+        """
+        self._graph = topology(prepared.session)
+        assert prepared.certificate is not None
+        self._tau = 1e6 * prepared.certificate.tau  # us
+        self.guest = guest
+        mine = {guest} | {link.binder for link in self._graph.links_of(guest)} if guest is not None else set()
+        self.honest = [name for name in self._graph.nodes if name not in mine]
+        self._devices = [name for name in self.honest if self._graph.nodes[name] is Role.DEVICE]
+        ports = prepared.session.ports
+        self._ports = [i for i, port in enumerate(ports) if guest is None or port.split(".")[0] != guest]
+        self.late: Counter[str] = Counter()
+        self.last_late = -1
+        self._before: Sequence[float] | None = None
+        self.received = self.most_received = 0.0
+        self._rest = rest and guest is not None
+        self._couplings = list(prepared.session.couplings)
+        self._guests = [i for i, coupling in enumerate(self._couplings) if coupling not in self.honest]
+        limits = None if guest is None else prepared.session.devices[guest].limits
+        self._power, self._energy = (0.0, 0.0) if limits is None else (limits.power, limits.energy)
+        self._T, self._began = prepared.session.period, -1
+        self._least = 0.0  # of what the guest has given less P t
+        self._too_much = ""
+
+    def hear(self, sender: str, telemetry: Telemetry) -> None:
+        """Count an honest device's late ticks."""
+        if sender not in self._devices or names.TAU not in telemetry.traces:
+            return
+        taus = telemetry.traces[names.TAU][:, 0]
+        for row, tau in enumerate(taus):
+            if tau > self._tau:
+                self.late[sender] += 1
+                self.last_late = max(self.last_late, telemetry.tick - len(taus) + row)
+
+    def settle(self, tick: int, f: Sequence[float], tools: Sequence[float], node: EnvironmentNode) -> None:
+        """Count what the others' ports take."""
+        before, self._before = self._before, list(tools)
+        if before is not None:
+            self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
+            self.most_received = max(self.most_received, self.received)
+        if self.guest is not None and not self._too_much:
+            self._weigh(tick, node)
+
+    def _weigh(self, tick: int, node: EnvironmentNode) -> None:
+        """Hold what the others have received of the guest against its budget, over every stretch of ticks."""
+        if self._began < 0:
+            self._began = tick
+        allowed = self._power * self._T * (tick + 1 - self._began)
+        given = 0.0 if node._core is None else sum(node._core.energy.given[i] for i in self._guests)
+        self._least = min(self._least, given - allowed)
+        if given - allowed - self._least > self._energy + SLACK:
+            self._too_much = (
+                f"{given - allowed - self._least:.3g} J beyond {self._power:g} W by tick {tick}, its account says"
+            )
+        if self._rest and self.received - allowed > self._energy + SLACK:
+            self._too_much = (
+                f"{self.received - allowed:.3g} J beyond {self._power:g} W by tick {tick}, at the others' ports"
+            )
+
+    def verdict(self, world: World, returns: int) -> list[tuple[Wrong, str]]:
+        """What did not hold, once the session is over; ``returns``: how often the guest came back."""
+        found: list[tuple[Wrong, str]] = []
+        places = world.places
+        acted = False
+        absent = sum(p.attendance.absences for p in places.all if p.joint.peer.name not in self.honest) if places else 0
+        allowed = len(self._guests) * (TRANSIENT + SHARE * world.tick) + AGAIN * max(absent, returns)
+        for device, count in self.late.items():
+            if count > allowed and self.guest is not None:  # honest ones may be late
+                found.append(
+                    (Wrong.LATE, f"{device} was late in {count} ticks of {allowed:.0f}, last in {self.last_late}")
+                )
+        for place in [] if places is None else places.all:
+            name, absences = place.joint.peer.name, place.attendance.absences
+            if name in self.honest and absences:
+                found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
+            acted = acted or (name not in self.honest and absences > 0)
+        core = None if world.environment is None else world.environment._core
+        for i, coupling in enumerate(self._couplings) if core is not None else ():
+            scaled = core.energy.scaled[i]
+            if scaled and coupling in self.honest:
+                found.append((Wrong.SCALED, f"{coupling} was scaled in {scaled} ticks"))
+            acted = acted or (coupling not in self.honest and core.energy.stops[i] > 0)
+        if self._too_much:
+            found.append((Wrong.ENERGY, self._too_much))
+        for coupling, rung in world.conductor.rungs.items():
+            if rung and coupling in self.honest:
+                found.append((Wrong.SOFTENED, f"{coupling} was softened to rung {rung}"))
+        told = [
+            *world.assumptions.notices.values(),
+            *world.conductor.incidents.sentences,
+            *world.conductor.faults,
+        ]
+        for sentence in told:
+            if self.guest is not None and self._blames(sentence):  # otherwise it may be said what is the case
+                found.append((Wrong.NAMED, sentence))
+        if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
+            found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
+        found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
+        return found
+
+    def _blames(self, sentence: str) -> bool:
+        """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""
+        if self.guest is not None and self.guest in sentence:
+            return False
+        subject = re.match(r"(?:at [\d.-]+ s: )?(\w+)", sentence)
+        return subject is not None and subject[1] in self.honest
+
+
+@contextmanager
+def watched_gates(scheduler: Scheduler, simulated: bool, wrong: list[tuple[Wrong, str]]) -> Iterator[None]:
+    """Meanwhile every gate is held to the path that its peer may go in the time that has truly passed."""
+
+    class WatchedGate(Gate):
+        """A gate, and what it should admit at most over any stretch of its signals."""
+
+        __slots__ = ("_ahead", "_least", "_step_of", "_ticks", "_was")
+
+        def __init__(self, kind: type[SignalMessage], width: int, bounds: Bounds | None = None, *more: Any) -> None:
+            super().__init__(kind, width, bounds, *more)
+            self._step_of = None if bounds is None else bounds.step
+            self._was: tuple[float, ...] | None = None
+            self._ahead = self._least = 0.0  # periods of steps admitted beyond those passed, and the least of it
+            self._ticks = 0
+
+        def forget(self) -> None:
+            super().forget()
+            self._was = None
+
+        def admitted(self, frame: bytes, tick: int) -> tuple[float, ...] | None:
+            values = super().admitted(frame, tick)
+            if values is None or self._step_of is None:
+                return values
+            self._ticks += 1
+            passed = float(self._ticks) if simulated else scheduler.now / period * (1.0 + DRIFT)
+            was, self._was = self._was, values
+            if was is None:
+                self._ahead, self._least = 0.0, -passed
+                return values
+            self._ahead += max(abs(a - b) / step for a, b, step in zip(values, was, self._step_of, strict=True))
+            ahead = self._ahead - passed
+            self._least = min(self._least, ahead)
+            if ahead - self._least > (1.0 if simulated else MOST_PERIODS) + 1e-3 and not told:
+                told.append(True)
+                wrong.append(
+                    (Wrong.SPEED, f"{ahead - self._least:.1f} periods' steps ahead of the time at tick {tick}")
+                )
+            return values
+
+    period = from_seconds(1e-3)
+    told: list[bool] = []
+    before, exchange.Gate = exchange.Gate, WatchedGate  # type: ignore[misc]
+    try:
+        yield
+    finally:
+        exchange.Gate = before  # type: ignore[misc]

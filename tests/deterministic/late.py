@@ -1,0 +1,96 @@
+"""Sessions of which some users sample late: drivers that take their time, and what telemetry tells of everybody."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
+
+from manyhands.launch.conductor import Phase
+from manyhands.launch.preparation import Prepared
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.device.driver import Driver
+from manyhands.protocol.clock import Instant
+from manyhands.protocol.codec import decode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Telemetry
+
+from .scheduler import VirtualClock
+from .world import World
+
+PERIOD = 1_000_000  # ns
+
+Delay = Callable[[int], float]
+"""By how many periods a device's sample comes late, by the number of its sample."""
+
+
+class Late:
+    """A driver whose samples take their time."""
+
+    def __init__(self, driver: Driver, clock: VirtualClock, delay: Delay) -> None:
+        self._driver, self._delay = driver, delay
+        self._now, self._sleep_until = clock.now, clock.sleep_until
+        self.axes = driver.axes
+        self.apply, self.release, self.idle = driver.apply, driver.release, driver.idle
+        self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
+
+    def sample(self, tick: int) -> Sequence[float]:
+        """The displacement, after a while."""
+        self._sleep_until(Instant(self._now() + int(self._delay(tick) * PERIOD)))
+        return self._driver.sample(tick)
+
+
+class Session(World):
+    """A session in real time of so many ticks, and all that its nodes told.
+
+    Attributes:
+        told: the telemetry of each node.
+    """
+
+    def __init__(
+        self, prepared: Prepared, ticks: int, delays: Mapping[str, Delay], early: Collection[str] = (), seed: int = 1
+    ) -> None:
+        """Run it.
+
+        Args:
+            prepared: the session, designed.
+            ticks: how many.
+            delays: of the devices that are late, by name.
+            early: of these, the devices that do not wait until a tick is due: they sample once they are answered.
+            seed: of all that is left open.
+        """
+        self.told: dict[str, list[Telemetry]] = defaultdict(list)
+
+        def moved(name: str, driver: Driver, clock: VirtualClock) -> Driver:
+            if name not in delays:
+                return driver
+            late = Late(driver, clock, delays[name])
+            if name in early:
+                clock.sleep_until = lambda _t: None  # type: ignore[method-assign]
+            return late
+
+        super().__init__(prepared, "realtime", seed, ticks=ticks, moved=moved)
+        self.scheduler.watch = lambda: self.conductor.phase is Phase.OVER and not self.processes
+        self.scheduler.run()
+        self.scheduler.join()
+
+    def taus(self, device: str) -> np.ndarray:
+        """The delay of each tick, us, by tick; not a number where the device had none."""
+        ticks = max(told.tick for told in self.told[device])
+        out = np.full(ticks, np.nan)
+        for told in self.told[device]:
+            tau = told.traces[names.TAU][:, 0]
+            out[told.tick - len(tau) : told.tick] = tau
+        return out
+
+    def lateness(self, coupling: str) -> names.Lateness | None:
+        """What the environment says in the end that a coupling made the others wait."""
+        report = self.conductor.reports["environment"]
+        return names.lateness_of(coupling, report.counts, report.figures)
+
+    def _hear(self, sender: str, frame: bytes) -> None:
+        message = decode(frame, MAX_CONTROL_BYTES)
+        if isinstance(message, Telemetry):
+            self.told[sender].append(message)
+        super()._hear(sender, frame)

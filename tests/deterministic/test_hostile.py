@@ -1,0 +1,44 @@
+"""Hostile guests within their bounds cost the others nothing but a stated transient, by a fixed set of seeds.
+
+Others, by the thousand: ``python -m tests.deterministic.hostile``.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from .guests import Motion, Stamps, Strategy, Timing
+from .hostile import Case, case, run
+
+PATIENT = 300  # ticks: enough to be frozen, expected again and frozen again
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_hostile_guests_harm_nobody(seed: int) -> None:
+    outcome = run(case(seed), PATIENT)
+    assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_honest_sessions_do_not_notice(seed: int) -> None:
+    outcome = run(case(seed, honest=True), PATIENT)
+    assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
+    assert outcome.ticks >= PATIENT
+
+
+@pytest.mark.parametrize("clock", ["simulated", "realtime"])
+def test_lying_stamps_gain_nothing(clock: str) -> None:
+    """Six periods claimed in every tick by who moves six times as fast as its limit."""
+    lies = Strategy(stamps=Stamps.LONG, periods=6, motion=Motion.BANG, frequency=2.0)
+    outcome = run(Case(1, clock, 1, "plain", False, lies), PATIENT)
+    assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
+
+
+@pytest.mark.parametrize("late", [0.2, 0.6, 1.1, 2.2, 2.9])
+def test_who_is_late_within_patience_costs_the_others_no_more_than_a_transient(late: float) -> None:
+    outcome = run(Case(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
+    assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
+
+
+def test_a_seed_decides_all_that_happens() -> None:
+    assert run(case(3), 100) == run(case(3), 100)

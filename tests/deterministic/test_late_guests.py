@@ -1,0 +1,127 @@
+"""Users whose samples come late, within what the environment waits for, and what becomes of the others.
+
+Whole sessions in virtual time, in the product's real-time clock, with its conductor and its judgement of delays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+import numpy as np
+import pytest
+from chaos_kinds import FOLDER, RESTLESS
+
+from manyhands.launch import policy
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.environment.late_arrivals import BURST, SHARE
+
+from .late import Delay, Session
+
+TELEMETRY = 100  # ticks
+SETTLED = 2 * TELEMETRY
+"""A guest that is late in every other tick at least is frozen by then, and back a few times."""
+
+
+@cache
+def prepared() -> Prepared:
+    """Three users, certified for 0.3 ms, with a ladder for 0.5 and 1 ms."""
+    return prepare(load_session(FOLDER.parent / "launch" / "sessions" / "example1-delayed.yaml", RESTLESS))
+
+
+def uncovered(session: Session, device: str, begin: int) -> float:
+    """Share of the ticks from ``begin`` on whose force came later than the certificate covers."""
+    taus = session.taus(device)[begin:]
+    return float(np.mean(taus[~np.isnan(taus)] > prepared().ladder.taus[0] * 1e6))  # type: ignore[union-attr]
+
+
+def named(session: Session) -> set[str]:
+    """Couplings that people are told about for having made others wait."""
+    return {key.removesuffix(" late") for key in session.assumptions.notices if key.endswith(" late")}
+
+
+def softened(session: Session) -> set[str]:
+    return {shift.coupling for shift in session.shifts if shift.rung > 0}
+
+
+def sound(session: Session) -> Session:
+    assert session.violations == []
+    assert session.conductor.faults == []
+    return session
+
+
+@pytest.mark.parametrize(
+    "delays",
+    [
+        {"dx": lambda _: 2.2},  # which is read first, at the beginning
+        {"dz": lambda _: 0.7},
+        {"dx": lambda tick: 0.7 * (tick % 2)},
+        {"dy": lambda tick: 2.2 * (tick % 2), "dz": lambda tick: 2.2 * (1 - tick % 2)},
+    ],
+    ids=["always", "a little", "every other tick", "two in turns"],
+)
+def test_who_is_late_within_patience_is_frozen_and_the_others_stay_certified(delays: dict[str, Delay]) -> None:
+    session = sound(Session(prepared(), 600, delays))
+    guests = {f"c{device[1:]}" for device in delays}
+    for device in {"dx", "dy", "dz"} - delays.keys():
+        assert uncovered(session, device, SETTLED) <= (len(guests) + 1) * SHARE
+        assert session.lateness(f"c{device[1:]}") is None
+    for guest in guests:
+        lateness = session.lateness(guest)
+        assert lateness is not None
+        assert BURST < lateness.ticks < BURST + 20
+        assert lateness.frozen > 2
+    assert named(session) == guests
+    assert softened(session) <= guests
+
+
+@pytest.mark.parametrize("delay", [lambda _: 0.0, lambda tick: 0.8 * (tick % 2)], ids=["always", "and late in turns"])
+def test_who_samples_before_a_tick_is_due_makes_nobody_late(delay: Delay) -> None:
+    session = sound(Session(prepared(), 300, {"dz": delay}, early={"dz"}))
+    assert session.lateness("cx") is None
+    assert session.lateness("cy") is None
+    assert softened(session) <= {"cz"}
+    assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
+
+
+def test_what_it_cost_is_what_the_others_waited() -> None:
+    session = sound(Session(prepared(), 300, {"dz": lambda _: 2.2}))
+    lateness = session.lateness("cz")
+    assert lateness is not None
+    waited = np.nansum(session.taus("dx") - np.nanmedian(session.taus("dx")[SETTLED:]))
+    assert lateness.time == pytest.approx(waited, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "delays",
+    [
+        {"dz": lambda tick: 2.2 * (200 <= tick < 240)},
+        {"dz": lambda tick: 2.8 * (tick < 40)},
+        dict.fromkeys(("dx", "dy", "dz"), lambda _: 1.3),
+        {device: lambda tick, n=n: 2.0 * (tick % 7 == n) for n, device in enumerate(("dx", "dy", "dz"))},
+    ],
+    ids=["a burst", "a slow start", "all alike", "all in turns"],
+)
+def test_who_is_late_for_a_while_or_as_the_others_are_is_not_frozen(delays: dict[str, Delay]) -> None:
+    session = sound(Session(prepared(), 700, delays))
+    assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
+    assert named(session) == set()
+    if len(delays) == 1:
+        assert softened(session) == set()
+
+
+def rungs(session: Session, coupling: str) -> Iterable[int]:
+    """Those that it was asked to run, in order."""
+    return (shift.rung for shift in session.shifts if shift.coupling == coupling)
+
+
+def test_a_coupling_climbs_again_when_the_cause_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(policy, "CALM", 0.3)
+    session = sound(Session(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
+    for device in ("dx", "dy", "dz"):  # 0.3 ms and what is its own: more than rung 0 covers, less than rung 1
+        assert list(rungs(session, f"c{device[1:]}")) == [1, 0]
+        assert session.conductor.reports[device].counts[names.RUNG] == 0
+        assert uncovered(session, device, 1200) == 0.0
+    assert named(session) == set()

@@ -1,0 +1,181 @@
+"""A guest that lies within its limits, against its energy budget: whole sessions, simulated in one process."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from manyhands.launch.columns import MOST_SHOWN, energy_line
+from manyhands.launch.energy_incidents import QUIET, EnergyIncidents
+from manyhands.launch.port_bounds import budgets
+from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.report import node_entry
+from manyhands.launch.session import load_session
+from manyhands.launch.simulation import Simulation
+from manyhands.launch.summary import print_report
+from manyhands.launch.topology import topology
+from manyhands.nodes.environment.black_box import EnforcedCore
+from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.energy import Budget
+from manyhands.protocol.messages import Report, Role, Telemetry
+
+EXAMPLE = Path(__file__).parents[2] / "launch" / "sessions" / "example1.yaml"
+QUIET_HANDS = [f"devices.{name}.hand.force=0" for name in ("dx", "dy", "dz")]
+T = 1e-3
+
+
+class Liar:
+    """A driver that says any motion, whatever force it is told to exert."""
+
+    axes = 1
+
+    def __init__(self, frequency: float, amplitude: float) -> None:
+        self._omega, self._amplitude = 2.0 * math.pi * frequency * T, amplitude
+
+    def sample(self, tick: int) -> list[float]:
+        return [self._amplitude * math.sin(self._omega * tick)]
+
+    def apply(self, f: object) -> None:
+        """The hand does not give way."""
+
+    def release(self) -> None:
+        """The same."""
+
+    def idle(self) -> None:
+        """Nothing is put off."""
+
+    def intended_work(self) -> float:
+        return 0.0
+
+    def figures(self) -> dict[str, float]:
+        return {}
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@pytest.fixture(scope="module")
+def designed() -> Prepared:
+    """Example 1: what its hands do, and its limits, are no part of the design."""
+    return prepare(load_session(EXAMPLE))
+
+
+@pytest.mark.parametrize(("frequency", "enforce"), [(3.0, "false"), (6.0, "false"), (6.0, "true")])
+def test_the_others_receive_no_more_of_a_guest_than_its_budget(
+    designed: Prepared, frequency: float, enforce: str
+) -> None:
+    """Without a budget the one at 6 Hz puts 10 J into the others in 2.5 s."""
+    limits = "devices.dx.limits={speed: 2, power: 0.5, energy: 1}"
+    session = load_session(EXAMPLE, [*QUIET_HANDS, limits, f"environment.enforce={enforce}"])
+    simulation = Simulation(
+        replace(designed, session=session), {"dx": Liar(frequency, min(0.2, 1.9 / (2.0 * math.pi * frequency)))}
+    )
+    energy, settle = simulation.environment.energy, simulation.environment.settle
+    given, ratios = [0.0], []
+
+    def watched() -> None:
+        settle()
+        given.append(energy.given[0])
+        ratios.append([simulation.environment.ratio(block) for block in range(3)])
+
+    simulation.environment.settle = watched  # type: ignore[method-assign]
+    recording = simulation.run(2500)
+    excess = np.array(given) - 0.5 * T * np.arange(len(given))
+    assert np.max(excess - np.minimum.accumulate(excess)) <= 1.0 * (1.0 + 1e-9)
+    # what the others' mechanisms have really received, by their own samples and forces
+    work = np.sum(recording.f_v[:-1, 1:] * np.diff(recording.x[:, 1:], axis=0))
+    assert work <= 1.0 + 0.5 * 2.5
+    assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # nobody else is charged,
+    assert np.min(np.array(ratios)[:, 1:]) == 1.0  # nor scaled
+    assert isinstance(simulation.environment, EnforcedCore if enforce == "true" else EnvironmentCore)
+    assert energy.stops[0] >= 1
+    assert energy.scaled[0] > 100
+    assert all(ledger.minimum >= -1e-9 for name, ledger in simulation.ledgers.items() if name != "dx")
+
+
+def test_a_strong_honest_hand_is_not_scaled(designed: Prepared) -> None:
+    """20 N at 3 Hz, under the defaults."""
+    session = load_session(EXAMPLE, ['devices.dx.hand.force="20*sin(2*pi*3*t)"'])
+    simulation = Simulation(replace(designed, session=session))
+    simulation.run(2000)
+    assert simulation.environment.energy.scaled == [0, 0, 0]
+    assert simulation.environment.energy.given[0] > 0.1
+
+
+def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
+    limits = [
+        "devices.dx.limits={force: 8, speed: 2, displacement: 0.2}",
+        "devices.dy.limits={power: 3, energy: 4}",
+    ]
+    assert budgets(load_session(EXAMPLE, limits)) == (
+        Budget(16.0, 3.2, 3.2),
+        Budget(3.0, 4.0, 10.0),
+        Budget(40.0, 40.0, 10.0),
+    )
+
+
+class TestSentences:
+    def told(self, tick: int, **figures: float) -> Telemetry:
+        return Telemetry(tick, {name.replace("__", "/"): value for name, value in figures.items()}, {})
+
+    def incidents(self) -> EnergyIncidents:
+        return EnergyIncidents(topology(load_session(EXAMPLE)), T)
+
+    def test_who_let_go_is_told_with_who_moved_it(self) -> None:
+        incidents = self.incidents()
+        assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
+        assert incidents.hear("environment", self.told(99, moved_cx__cy=1.0)) == []
+        (sentence,) = incidents.hear(
+            "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
+        )
+        assert sentence.startswith("dy was beyond its limits")
+        assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
+
+    def test_who_moved_itself_is_told_so(self) -> None:
+        incidents = self.incidents()
+        incidents.hear("dy", self.told(100, let_go=1.0))
+        (sentence,) = incidents.hear("environment", self.told(100, moved_cy__cx=3.0))
+        assert sentence.endswith("nobody else has moved it")
+
+    def test_a_party_beyond_its_budget_is_told_and_not_ten_times_a_second(self) -> None:
+        incidents = self.incidents()
+        (sentence,) = incidents.hear("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
+        assert sentence.startswith("cx (dx) was beyond its energy budget")
+        assert sentence.endswith("it has put 1.25 J into the others so far")
+        assert incidents.hear("environment", self.told(200, stops_cx=2.0)) == []
+        later = 100 + round(QUIET / T)
+        assert len(incidents.hear("environment", self.told(later, stops_cx=3.0))) == 1
+        assert incidents.hear("environment", self.told(2 * later, stops_cx=3.0)) == []
+
+
+class TestLine:
+    def test_who_moved_whom_is_a_line_with_the_most_first(self) -> None:
+        figures = {"moved_cx/cy": 1.25, "moved_cz/cy": 3.0, "moved_cy/cx": 1e-4, "scaled_cz": 12.0, "ledger": 9.0}
+        assert energy_line(figures) == "who moved whom [J]: cz → cy 3, cx → cy 1.25; held to an energy budget: cz"
+
+    def test_of_many_the_first_are_shown(self) -> None:
+        figures = {f"moved_a/b{i}": 1.0 + i for i in range(MOST_SHOWN + 2)}
+        assert energy_line(figures).endswith(" and 2 more")
+
+    def test_nothing_is_no_line(self) -> None:
+        assert energy_line({"ledger": 1.0}) == ""
+
+    def test_it_is_printed_with_the_report(self) -> None:
+        report = Report(7, {"moved_cx/cy": 1.25, "given_cx": 1.25, "received_cy": 1.25, "scaled_cx": 3.0}, {}, {})
+        entry = node_entry(Role.ENVIRONMENT, report)
+        assert entry["energy"] == {
+            "given": {"cx": 1.25},
+            "received": {"cy": 1.25},
+            "moved": {"cx/cy": 1.25},
+            "scaled": {"cx": 3},
+        }
+        out = io.StringIO()
+        nodes = {"environment": entry}
+        print_report(Console(file=out), {"session": "s", "duration": 1.0, "clock": "simulated", "nodes": nodes})
+        assert "who moved whom [J]: cx → cy 1.25; held to an energy budget: cx" in out.getvalue()
