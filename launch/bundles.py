@@ -97,7 +97,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),
-        taus=tuple(rung.tau for rung in rungs),
+        longest_tau=rungs[-1 if session.faults.breach == "soften" else 0].tau,
         budgets=budgets(session),
         storage=None if model is not None else _storage(prepared),
     )

@@ -156,7 +156,8 @@ class EnvironmentBundle:
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
-        taus: the longest delay that each rung of the ladder covers, s, from the certificate's on.
+        longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
+            softens couplings, else the certificate's; 0 where none is covered.
         budgets: what each coupling may put into the others, in the order of the peers.
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
 
@@ -175,7 +176,7 @@ class EnvironmentBundle:
     enforce: bool = False
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
-    taus: tuple[float, ...] = (0.0,)
+    longest_tau: float = 0.0
     budgets: tuple[Budget, ...] = ()
     storage: Matrix | None = None
 
@@ -320,7 +321,7 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
-    "taus": lambda data: tuple(map(_tau, data)),
+    "longest_tau": _tau,
     "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
     "storage": _optional_array,
     "limits": _limits,

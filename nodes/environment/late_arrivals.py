@@ -51,7 +51,7 @@ def allowance(period: Duration, tau: Duration) -> Duration:
 
     Args:
         period: T, ns.
-        tau: the longest delay that everybody's present coupling covers, ns.
+        tau: the longest delay that the session can cover, ns.
     """
     return Duration(max(round(LEAST_ALLOWANCE * period), tau // 2))
 

@@ -50,12 +50,8 @@ class EnvironmentNode:
         self._account = Account(bundle.common)
         self._frozen_ticks = 0
         self._passed: tuple[Place, ...] = ()  # who was waited for in this tick before all others were read
-        self._late = LateArrivals(len(bundle.common.peers), self._period, self._allowance(0))
-
-    def _allowance(self, rung: int) -> Duration:
-        """How long after the first another signal may come, while nobody runs a coupling below ``rung``."""
-        covered = self._bundle.taus[rung] or self._common.period  # where nothing is covered, nothing is lost
-        return allowance(self._period, from_seconds(covered))
+        covered = from_seconds(bundle.longest_tau or bundle.common.period)  # where nothing is covered, nothing is lost
+        self._late = LateArrivals(len(bundle.common.peers), self._period, allowance(self._period, covered))
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
@@ -304,7 +300,6 @@ class EnvironmentNode:
             **names.stray_frames(self._joints),
         }
         late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
-        self._late.allowance = self._allowance(min((place.rung for place in places.seated), default=0))
         if self._account.publish(control, core, figures, late):
             for ticks in late.values():
                 ticks.clear()

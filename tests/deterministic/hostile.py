@@ -25,7 +25,7 @@ from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.session import load_session
 
 from .account import account
-from .guests import Guest, Leaving, Strategy, strategy
+from .guests import Guest, Leaving, Strategy, Timing, strategy
 from .guests import honest as fair
 from .innocence import Innocence, Wrong, watched_gates
 from .world import World
@@ -38,6 +38,11 @@ BUDGETED: Final = LIMITS | {"power": 1, "energy": 0.2}
 """Of the guest: what it may put into the others is far less than it can."""
 STRONG: Final = {"force": 60, "displacement": 1, "speed": 8}
 """Where a hand pushes with 20 N: its budget is the default."""
+TOLERATED: Final = 1.0
+"""Periods of lateness up to which the ladder, whose last rung covers as much, softens the others rather than freezes.
+
+A guest is charged from half of it on; one that is now below and now above that is frozen later than it softens.
+"""
 TICKS: Final = 500
 GIVEN_UP: Final = 60_000_000_000
 """ns of virtual time: far more than so many ticks take, at three periods each and with every pause."""
@@ -149,7 +154,12 @@ def prepared(users: int, layout: str, moving: bool, strong: bool = False) -> Pre
 def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     """Run one session, for so many ticks of its environment."""
     design, plan = prepared(one.users, one.layout, one.moving, one.honest), one.strategy
-    innocence = Innocence(design, None if one.honest else GUEST, rest=not one.moving)
+    innocence = Innocence(
+        design,
+        None if one.honest else GUEST,
+        not one.moving,
+        plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED,
+    )
     guest = Guest(GUEST, plan, Random(f"guest {one.seed}"))
     world = World(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
     if one.honest:

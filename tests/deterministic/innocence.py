@@ -22,8 +22,10 @@ from manyhands.protocol.messages import Role, SignalMessage, Telemetry
 from .scheduler import Scheduler
 from .world import World
 
-TRANSIENT: Final = BURST + 10
-"""Late ticks of an honest device, at most, that each coupling of a guest may cause before it is frozen: its bucket.
+TRANSIENT: Final = 2 * BURST
+"""Late ticks of an honest device, at most, that each coupling of a guest may cause before it is frozen.
+
+Its bucket, and as many in which it comes within the allowance (docs/decisions/0028-who-is-late.md).
 
 Besides, :data:`SHARE` of all ticks for ever, and :data:`AGAIN` for each time that it is let in again.
 """
@@ -60,17 +62,21 @@ class Innocence:
         most_received: the most that this ever was.
     """
 
-    def __init__(self, prepared: Prepared, guest: str | None, rest: bool) -> None:
+    def __init__(self, prepared: Prepared, guest: str | None, rest: bool, tolerated: bool = False) -> None:
         """Nothing is seen yet.
 
         Args:
             prepared: the session.
             guest: the hostile device; None where everybody is honest.
             rest: whether the honest hands rest: then all energy that others receive is the guest's.
+            tolerated: whether the guest is late by what the ladder was made for: others may be softened for it, and
+                what is covered is its last rung's delay.
         """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None
-        self._tau = 1e6 * prepared.certificate.tau  # us
+        assert prepared.ladder is not None
+        self._tolerated = tolerated
+        self._tau = 1e6 * (prepared.ladder.taus[-1] if tolerated else prepared.certificate.tau)  # us
         self.guest = guest
         mine = {guest} | {link.binder for link in self._graph.links_of(guest)} if guest is not None else set()
         self.honest = [name for name in self._graph.nodes if name not in mine]
@@ -86,6 +92,10 @@ class Innocence:
         self._guests = [i for i, coupling in enumerate(self._couplings) if coupling not in self.honest]
         limits = None if guest is None else prepared.session.devices[guest].limits
         self._power, self._energy = (0.0, 0.0) if limits is None else (limits.power, limits.energy)
+        if limits is not None:  # one late tick at the greatest force and speed may be worth more than half a bucket
+            blocks = len(self._guests)
+            tick = MOST_PERIODS * prepared.session.period * limits.force[0] * limits.speed[0]
+            self._energy += blocks * max(0.0, tick - 0.5 * limits.energy / blocks)
         self._T, self._began = prepared.session.period, -1
         self._least = 0.0  # of what the guest has given less P t
         self._too_much = ""
@@ -151,7 +161,7 @@ class Innocence:
         if self._too_much:
             found.append((Wrong.ENERGY, self._too_much))
         for coupling, rung in world.conductor.rungs.items():
-            if rung and coupling in self.honest:
+            if rung and coupling in self.honest and not self._tolerated:
                 found.append((Wrong.SOFTENED, f"{coupling} was softened to rung {rung}"))
         told = [
             *world.assumptions.notices.values(),
@@ -159,7 +169,9 @@ class Innocence:
             *world.conductor.faults,
         ]
         for sentence in told:
-            if self.guest is not None and self._blames(sentence):  # otherwise it may be said what is the case
+            if (
+                self.guest is not None and not self._tolerated and self._blames(sentence)
+            ):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
         if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
             found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
