@@ -76,7 +76,7 @@ TABLE = {
     "limits-negative": (4, "devices.dx.limits.displacement", "-0.2", "in m greater than 0"),
     "limits-infinite": (4, "devices.dx.limits.speed", ".inf", "in m/s greater than 0, and finite"),
     "limits-unit": (4, "devices.dx.limits.speed", "'2 m/s'", "a number in m/s, without the unit"),
-    "limits-key": (4, "devices.dx.limits.forse", "unknown key 'forse'", "speed (did you mean 'force'?)"),
+    "limits-key": (4, "devices.dx.limits.forse", "unknown key 'forse'", "speed, power, energy (did you mean 'force'?)"),
     "limits-number": (4, "devices.dx.limits", "8", "a mapping with the keys force, displacement, speed"),
     "limits-per-axis": (4, "devices.dx.limits.force", "a list of 2", "a list of 1, one for each axis"),
     # hands
