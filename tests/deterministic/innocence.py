@@ -62,7 +62,7 @@ class Innocence:
         most_received: the most that this ever was.
     """
 
-    def __init__(self, prepared: Prepared, guest: str | None, rest: bool, tolerated: bool = False) -> None:
+    def __init__(self, prepared: Prepared, guest: str | None, rest: bool, tolerated: bool, told: bool) -> None:
         """Nothing is seen yet.
 
         Args:
@@ -71,11 +71,12 @@ class Innocence:
             rest: whether the honest hands rest: then all energy that others receive is the guest's.
             tolerated: whether the guest is late by what the ladder was made for: others may be softened for it, and
                 what is covered is its last rung's delay.
+            told: whether it may be told of the others what they measure: the guest is within the allowance at times.
         """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None
         assert prepared.ladder is not None
-        self._tolerated = tolerated
+        self._tolerated, self._told = tolerated, told
         self._tau = 1e6 * (prepared.ladder.taus[-1] if tolerated else prepared.certificate.tau)  # us
         self.guest = guest
         mine = {guest} | {link.binder for link in self._graph.links_of(guest)} if guest is not None else set()
