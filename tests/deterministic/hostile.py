@@ -155,13 +155,8 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     """Run one session, for so many ticks of its environment."""
     design, plan = prepared(one.users, one.layout, one.moving, one.honest), one.strategy
     tolerated = plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED
-    told = tolerated or plan.timing in (Timing.CREEPING, Timing.RANDOM)
-    innocence = Innocence(
-        design,
-        None if one.honest else GUEST,
-        not one.moving,
-        plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED,
-    )
+    measured = tolerated or plan.timing in (Timing.CREEPING, Timing.RANDOM)
+    innocence = Innocence(design, None if one.honest else GUEST, not one.moving, tolerated, measured)
     guest = Guest(GUEST, plan, Random(f"guest {one.seed}"))
     world = World(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
     if one.honest:

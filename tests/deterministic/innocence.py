@@ -37,6 +37,10 @@ AGAIN: Final = 6
 """The same for each time that the guest is frozen, or goes."""
 
 
+TELEMETRY: Final = 100
+"""Ticks after which the environment has told of what it did."""
+
+
 class Wrong(StrEnum):
     """What may not happen to the others."""
 
@@ -100,6 +104,7 @@ class Innocence:
         self._T, self._began = prepared.session.period, -1
         self._least = 0.0  # of what the guest has given less P t
         self._too_much = ""
+        self._acted = -1  # the first tick with somebody frozen
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """Count an honest device's late ticks."""
@@ -115,6 +120,9 @@ class Innocence:
         """Count what the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
+            places = node._places
+            if self._acted < 0 and places is not None and not places.all_seated:
+                self._acted = tick
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
             self.most_received = max(self.most_received, self.received)
         if self.guest is not None and not self._too_much:
@@ -174,10 +182,18 @@ class Innocence:
                 self.guest is not None and not self._tolerated and self._blames(sentence)
             ):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
-        if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
+        if (
+            acted
+            and self._told_by(world)
+            and not any(self.guest is not None and self.guest in sentence for sentence in told)
+        ):
             found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
         return found
+
+    def _told_by(self, world: World) -> bool:
+        """Whether it was so long ago that the environment has told of it."""
+        return self._acted >= 0 and world.tick - self._acted > TELEMETRY
 
     def _blames(self, sentence: str) -> bool:
         """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""
