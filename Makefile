@@ -36,6 +36,7 @@ campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
 		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
 	done
+	MANYHANDS_UNMOVED_SESSIONS=120 $(BIN)/pytest -q tests/design/test_unmoved_masses.py
 	$(BIN)/python -m tests.attack.campaign --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
 
 # coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md

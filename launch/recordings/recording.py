@@ -162,19 +162,23 @@ class Collector:
         return np.full((ticks, len(self._ports[device])), np.nan)
 
     @property
+    def tick(self) -> int:
+        """The number of ticks of the device that told most."""
+        return max(self._next.values())
+
+    @property
     def missing(self) -> Mapping[str, int]:
         """Ticks of the run that a device's telemetry did not tell, by device, those devices that miss some.
 
         A realtime run may lose telemetry rather than be disturbed; a device may also stop telling, or never begin.
         """
-        ticks = max(self._next.values())
+        ticks = self.tick
         missing = {device: self._lost[device] + ticks - told for device, told in self._next.items()}
         return {device: count for device, count in missing.items() if count > 0}
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
         """The whole run: what a device did not tell is NaN, up to the last tick that any device told."""
-        ticks = max(self._next.values())
-        columns = [self._column(device, ticks) for device in self._ports]
+        columns = [self._column(device, self.tick) for device in self._ports]
         return Recording(
             session,
             certificate,

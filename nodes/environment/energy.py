@@ -209,7 +209,7 @@ class Energy:
 
     def room(self, party: int) -> float:
         """What the party may put into the world in a tick, J: its room, and what it only gives back."""
-        return max(0.0, self._bucket[party] - self._own[party]) + self._held[party]
+        return self._bucket[party] - self._own[party] + self._held[party]
 
     def bound(self, stored: float) -> None:
         """The world stores no more than ``stored`` J: what it has burned goes off everybody's share."""

@@ -8,4 +8,4 @@ Four rooms, imported one way (``design | protocol`` <- ``nodes`` <- ``launch``):
 * :mod:`manyhands.launch`: session files, the supervisor, the command line.
 """
 
-__version__ = "0.5.0"
+__version__ = "0.6.0"

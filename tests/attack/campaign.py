@@ -137,11 +137,12 @@ def ladders(rng: np.random.Generator, out: Tally, forgeries: int) -> Tally:
         if not all(accepted(rung) for rung in here):
             out.add(kind, began, None, [])
             continue
-        proof = prove_ladder(here, int(rng.integers(len(here))))
+        common = int(rng.integers(len(here)))
+        proof = prove_ladder(here, common)
         if not (proof.one_loop.holds and proof.together.holds):
             out.add(kind, began, None, [])
             continue
-        out.add(kind, began, judge_ladder(here, proof.independent.holds, rng), here)
+        out.add(kind, began, judge_ladder(here, common, proof.independent.holds, rng), here)
     return out
 
 

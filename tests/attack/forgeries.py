@@ -92,6 +92,18 @@ def _level(key: str) -> Callable[[Generator, Data], None]:
     return change
 
 
+def _joined_level(rng: Generator, data: Data) -> None:
+    """Phi_E as one matrix that joins blocks: greater by g g' than before, and so as true of E."""
+    at, stated = {port: i for i, port in enumerate(data["ports"])}, data["levels"]["Phi_E"]
+    Phi = np.array(stated) if isinstance(stated, list) else np.zeros((len(at), len(at)))
+    for name, rows in {} if isinstance(stated, list) else stated.items():
+        ports = [at[port] for port in data["structure"][name]]
+        Phi[np.ix_(ports, ports)] = rows
+    g = rng.normal(size=len(at)) * np.sqrt(float(np.abs(Phi).max()) * 10.0 ** rng.uniform(-4.0, 0.5))
+    Phi = Phi + np.outer(g, g)
+    data["levels"]["Phi_E"] = ((Phi + Phi.T) / 2.0).tolist()
+
+
 def _osp(rng: Generator, data: Data) -> None:
     device = data["devices"][_block(rng, data["devices"])]
     device["osp"] = touched(rng, device["osp"], True)
@@ -222,6 +234,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "Delta_D": _level("Delta_D"),
     "Delta_V": _level("Delta_V"),
     "Phi_E": _level("Phi_E"),
+    "joined Phi_E": _joined_level,
     "osp": _osp,
     "storage": _storage,
     "tau": _tau,
@@ -270,6 +283,8 @@ def forged_rung(rng: Generator, data: Data) -> Data:
     out: Data = json.loads(json.dumps(data))
     out["margins"] = {}
     levels = out["levels"]
+    if rng.random() < 0.3:
+        _joined_level(rng, out)
     if rng.random() < 0.4:
         for _ in range(int(rng.integers(0, 3))):
             _level(str(rng.choice(["Delta_D", "Delta_V", "Phi_E"])))(rng, out)

@@ -100,14 +100,23 @@ def _alone(data: Data, ticks: float) -> float:
     return value if value > CERTAIN else 0.0
 
 
-def judge_ladder(rungs: Sequence[Data], independent: bool, rng: np.random.Generator, draws: int = 4) -> Judgement:
-    """Hold a ladder against what it claims: mixtures of rungs, together where they are not independent."""
+def judge_ladder(
+    rungs: Sequence[Data], common: int, independent: bool, rng: np.random.Generator, draws: int = 4
+) -> Judgement:
+    """Hold a ladder against what it claims: mixtures of rungs, together where they are not independent.
+
+    The environment is the ladder's own, then one exactly at the level of the rung ``common``, which serves all.
+    """
     out = Judgement()
     if independent:
         out.findings += mixture_levels(list(rungs))
         out.suspects += out.findings
     with np.errstate(all="ignore"):
         out += shaken(list(rungs), rng, draws, 2 * draws, "in a mixture of rungs: ", independent)
+        worst_environment = at_level(rng, rungs[common])["environment"]
+        levelled = [{**rung, "environment": worst_environment} for rung in rungs]
+        where = "in a mixture of rungs, with an environment at their level: "
+        out += shaken(levelled, rng, draws, 2 * draws, where, independent)
     return out
 
 

@@ -96,6 +96,6 @@ def test_rungs_whose_mixture_no_device_promises_are_not_independent() -> None:
         assert growth(readers, mixed) > 0.79
         for rung in (0, 1):
             assert growth(readers, Repeating((light,), (Tick((0.0,), (1.0, 1.0), (rung, rung)),))) <= CERTAIN
-    assert judge_ladder(rungs, True, np.random.default_rng(1)).findings
+    assert judge_ladder(rungs, 0, True, np.random.default_rng(1)).findings
     for common in (0, 1):
         assert not prove_ladder(rungs, common).independent.holds

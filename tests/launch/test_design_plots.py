@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -235,8 +236,8 @@ def test_an_interrupt_leaves_the_older_picture(tmp_path: Path, monkeypatch: pyte
     (tmp_path / "singular-values.png").write_bytes(b"older")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
-    def interrupted(_figure: Figure, path: Path, **_options: object) -> None:
-        Path(path).write_bytes(b"half")
+    def interrupted(_figure: Figure, file: BinaryIO, **_options: object) -> None:
+        file.write(b"half")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Figure, "savefig", interrupted)

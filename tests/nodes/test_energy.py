@@ -113,6 +113,8 @@ def test_energy_released_later_is_still_its_suppliers(
         assert energy.moved[0][2] == pytest.approx(left * sum(a for a, _ in supplies) / total, abs=1e-9)
         assert energy.moved[1][2] == pytest.approx(left * sum(b for _, b in supplies) / total, abs=1e-9)
     assert energy.unowned == pytest.approx(0.0, abs=1e-9)
+    energy.supply([0.0, 0.0, -1.0])
+    assert energy.unowned == pytest.approx(1.0, abs=1e-6)  # nothing was left
 
 
 @settings(max_examples=60)
