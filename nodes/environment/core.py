@@ -115,6 +115,7 @@ class EnvironmentCore:
         self._clutches = tuple(Clutch(part.tolist(), ramp) for part in parts)
         self.energy = Energy([clutch.ports for clutch in self._clutches], budgets, T, storage is not None)
         self._storage, self._bound_in = storage, BOUND_TICKS
+        self._begins = budgets is not None
         self._unsettled: list[Clutch] = []
         self._regroup = False  # whether the next three are about others than these
         self._f_J: LinearMap = list  # from (eta, r)
@@ -127,6 +128,9 @@ class EnvironmentCore:
         What p says of a frozen block is not looked at.
         """
         self._rest_of_tick = self._rest
+        if self._begins:
+            self._begins = False
+            self._begin(p)
         if self._unsettled:
             return self._through_clutches(p)
         self._known = known = self._eta + p
@@ -222,6 +226,18 @@ class EnvironmentCore:
         self._force, self._rest = linear_map(self._step[: self._m]), linear_map(self._step[self._m :])
         self._D_V = whole
         self._regroup = True
+
+    def _begin(self, p: Floats) -> None:
+        """Before the first tick: who begins so far from its tool that it would overdraw its budget comes by the ramp.
+
+        The first p has no step that could be bounded, and a device may be switched on anywhere within its reach.
+        """
+        known = self._eta + p
+        f, x_e = self._force(known), self._rest(known)[: self._m]
+        for party, clutch in enumerate(self._clutches):
+            if -dot(_of(f, clutch), _of(x_e, clutch)) > 0.5 * self.energy.room(party):
+                self.freeze(party)
+                self.engage(party)
 
     def _bound(self) -> None:
         """Tell what is stored, now and then: between, what is burned counts as stored."""

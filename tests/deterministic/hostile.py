@@ -38,7 +38,7 @@ BUDGETED: Final = LIMITS | {"power": 1, "energy": 0.2}
 """Of the guest: what it may put into the others is far less than it can."""
 STRONG: Final = {"force": 60, "displacement": 1, "speed": 8}
 """Where a hand pushes with 20 N: its budget is the default."""
-TOLERATED: Final = 1.0
+TOLERATED: Final = 1.25
 """Periods of lateness up to which the ladder, whose last rung covers as much, softens the others rather than freezes.
 
 A guest is charged from half of it on; one that is now below and now above that is frozen later than it softens.
@@ -154,12 +154,9 @@ def prepared(users: int, layout: str, moving: bool, strong: bool = False) -> Pre
 def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     """Run one session, for so many ticks of its environment."""
     design, plan = prepared(one.users, one.layout, one.moving, one.honest), one.strategy
-    innocence = Innocence(
-        design,
-        None if one.honest else GUEST,
-        not one.moving,
-        plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED,
-    )
+    tolerated = plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED
+    measured = tolerated or plan.timing in (Timing.CREEPING, Timing.RANDOM)
+    innocence = Innocence(design, None if one.honest else GUEST, not one.moving, tolerated, measured)
     guest = Guest(GUEST, plan, Random(f"guest {one.seed}"))
     world = World(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
     if one.honest:

@@ -37,6 +37,10 @@ AGAIN: Final = 6
 """The same for each time that the guest is frozen, or goes."""
 
 
+TELEMETRY: Final = 100
+"""Ticks after which the environment has told of what it did."""
+
+
 class Wrong(StrEnum):
     """What may not happen to the others."""
 
@@ -62,7 +66,7 @@ class Innocence:
         most_received: the most that this ever was.
     """
 
-    def __init__(self, prepared: Prepared, guest: str | None, rest: bool, tolerated: bool = False) -> None:
+    def __init__(self, prepared: Prepared, guest: str | None, rest: bool, tolerated: bool, told: bool) -> None:
         """Nothing is seen yet.
 
         Args:
@@ -71,11 +75,12 @@ class Innocence:
             rest: whether the honest hands rest: then all energy that others receive is the guest's.
             tolerated: whether the guest is late by what the ladder was made for: others may be softened for it, and
                 what is covered is its last rung's delay.
+            told: whether it may be told of the others what they measure: the guest is within the allowance at times.
         """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None
         assert prepared.ladder is not None
-        self._tolerated = tolerated
+        self._tolerated, self._told = tolerated, told
         self._tau = 1e6 * (prepared.ladder.taus[-1] if tolerated else prepared.certificate.tau)  # us
         self.guest = guest
         mine = {guest} | {link.binder for link in self._graph.links_of(guest)} if guest is not None else set()
@@ -99,6 +104,7 @@ class Innocence:
         self._T, self._began = prepared.session.period, -1
         self._least = 0.0  # of what the guest has given less P t
         self._too_much = ""
+        self._acted = -1  # the first tick with somebody frozen
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """Count an honest device's late ticks."""
@@ -114,6 +120,9 @@ class Innocence:
         """Count what the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
+            places = node._places
+            if self._acted < 0 and places is not None and not places.all_seated:
+                self._acted = tick
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
             self.most_received = max(self.most_received, self.received)
         if self.guest is not None and not self._too_much:
@@ -173,10 +182,18 @@ class Innocence:
                 self.guest is not None and not self._tolerated and self._blames(sentence)
             ):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
-        if acted and not any(self.guest is not None and self.guest in sentence for sentence in told):
+        if (
+            acted
+            and self._told_by(world)
+            and not any(self.guest is not None and self.guest in sentence for sentence in told)
+        ):
             found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
         return found
+
+    def _told_by(self, world: World) -> bool:
+        """Whether it was so long ago that the environment has told of it."""
+        return self._acted >= 0 and world.tick - self._acted > TELEMETRY
 
     def _blames(self, sentence: str) -> bool:
         """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""

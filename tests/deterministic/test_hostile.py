@@ -9,6 +9,7 @@ import pytest
 
 from .guests import Motion, Stamps, Strategy, Timing
 from .hostile import Case, case, run
+from .innocence import Wrong
 
 PATIENT = 300  # ticks: enough to be frozen, expected again and frozen again
 
@@ -38,6 +39,13 @@ def test_lying_stamps_gain_nothing(clock: str) -> None:
 def test_who_is_late_within_patience_costs_the_others_no_more_than_a_transient(late: float) -> None:
     outcome = run(Case(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
+
+
+def test_who_begins_far_from_its_tool_puts_no_more_into_the_others_than_its_budget() -> None:
+    """The first sample has no step: at once it was 4.8 J, and 1.7 J of that reached the others in a quarter second."""
+    outcome = run(case(100616), 60)
+    assert not [text for kind, text in outcome.wrong if kind is Wrong.ENERGY]
+    assert outcome.received < 0.2
 
 
 def test_a_seed_decides_all_that_happens() -> None:
