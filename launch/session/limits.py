@@ -60,7 +60,7 @@ DEFAULT_SPEED: Final = 100.0
 HAND_POWER: Final = 40.0
 """W that a hand puts into others at most, where a session states nothing: 20 N at 2 m/s."""
 HAND_ENERGY: Final = 100.0
-"""J that it puts into others at once, or stores in the world: what swings of 20 N a stroke in resonance come to."""
+"""J that it puts into others at once, or stores in the world: a hand's 20 N over 5 m of strokes."""
 HAND_STORE: Final = 10.0
 """J that a hand which only gives way may store and give back: 2 kg at 3 m/s, or 500 N/m bent by 0.2 m."""
 
