@@ -24,6 +24,9 @@ imports: $(VENV)/.installed
 
 # what says something of sessions in real time runs alone; the rest in so many processes, 0 being none beside this one
 WORKERS ?= 2
+# matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
+pytest campaign: export OMP_NUM_THREADS = 1
+pytest campaign: export OPENBLAS_NUM_THREADS = 1
 pytest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone"
 	$(BIN)/pytest -m alone
