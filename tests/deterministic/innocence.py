@@ -179,7 +179,7 @@ class Innocence:
         ]
         for sentence in told:
             if (
-                self.guest is not None and not self._tolerated and self._blames(sentence)
+                self.guest is not None and not self._told and self._blames(sentence)
             ):  # otherwise it may be said what is the case
                 found.append((Wrong.NAMED, sentence))
         if (

@@ -49,7 +49,7 @@ def test_who_begins_far_from_its_tool_puts_no_more_into_the_others_than_its_budg
 
 
 def test_of_two_late_couplings_of_a_guest_neither_hides_the_other() -> None:
-    """Who was read at once behind a late one was read first in the next tick, and so nobody was known to have waited."""
+    """Who was read at once behind a late one was read first in the next tick: nobody was known to have waited."""
     outcome = run(case(100525), 400)
     assert Wrong.SOFTENED not in {kind for kind, _ in outcome.wrong}, outcome.wrong
 
