@@ -272,7 +272,7 @@ class Conductor:
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
         told: list[Instruction] = [Send(sender, Stop("reported"))]
         early = self.phase is Phase.RUNNING and not 0 < self.ticks <= report.ticks
-        if early and sender in self.remote and self.budget.restarts > 0 and not self.together:
+        if early and self._does_without(sender):
             self.left[sender] = report
             return told + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
         self.reports[sender] = report
@@ -284,16 +284,22 @@ class Conductor:
         return told
 
     def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
-        """A node ends by its own decision: the session's end, unless it was only on its way back."""
+        """A node ends by its own decision: the session's end, unless it is a guest's or was only on its way back."""
         told: list[Instruction] = [Send(sender, Stop("heard"))]
         if self.phase is Phase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
             return told + self._withstood(lost)
+        if self.phase is Phase.RUNNING and self._does_without(sender):  # or a guest could end it by one word
+            return told + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
         if self.phase is Phase.STARTING and state is NodeState.WELCOMED and sender in self.remote and not self.together:
             return told + self._awaited_again(sender, text)
         told += self._fail(text)
         self._gone_if_remote(sender)
         return told
+
+    def _does_without(self, node: str) -> bool:
+        """Whether the others go on without ``node``, and wait for it to join again: a guest, where that is wanted."""
+        return node in self.remote and self.budget.restarts > 0 and not self.together
 
     def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
         """A guest ends while others are still to join: none of them was told of it, so its place is as it was."""

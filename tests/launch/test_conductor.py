@@ -304,7 +304,22 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.phase is Phase.OVER
         assert c.faults == []
 
-    def test_its_fault_ends_the_session(self) -> None:
+    def test_its_fault_is_its_own_and_it_may_come_back(self) -> None:
+        c = running("dx", restarts=1)
+        assert c.hear("dx", Fault("dx: broken"), 0) == [
+            Send("dx", Stop("heard")),
+            Release("dx"),
+            Send("cx", Absent("dx")),
+        ]
+        assert (c.phase, c.states["dx"], c.faults) == (Phase.RUNNING, NodeState.LOST, [])
+        assert c.incidents.sentences == ("at -0.0 s: dx failed: dx: broken",)
+
+    def test_its_fault_ends_a_session_that_is_to_stay_together(self) -> None:
+        c = running("dx", restarts=3, together=True)
+        c.hear("dx", Fault("dx: broken"), 0)
+        assert (c.phase, c.faults) == (Phase.ENDING, ["dx: broken"])
+
+    def test_its_fault_ends_the_session_that_restarts_nobody(self) -> None:
         c = running("dx")
         assert c.hear("dx", Fault("dx: broken"), 0) == [
             Send("dx", Stop("heard")),
