@@ -176,26 +176,33 @@ def test_a_force_beyond_the_limit_is_clipped_last_before_the_actuator(
 
 
 @pytest.mark.parametrize(
-    ("sample", "sentence"),
+    ("sample", "sentence", "told"),
     [
-        (0.3, "found a displacement of 0.3 m at dx; expected at most 0.25 m"),
-        (0.1, "found a speed of 100 m/s at dx; expected at most 50 m/s"),
-        (float("nan"), "found a displacement of nan m at dx"),
+        (0.3, "found a displacement of 0.3 m at dx; expected at most 0.25 m", 0.05),  # no faster than 50 m/s
+        (0.1, "found a speed of 100 m/s at dx; expected at most 50 m/s", 0.05),
+        (float("nan"), "found a displacement of nan m at dx", 0.0),
     ],
 )
 def test_a_device_beyond_its_limits_lets_go_and_says_nothing_of_where_it_is(
-    sample: float, sentence: str, bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
+    sample: float,
+    sentence: str,
+    told: float,
+    bundles: dict[str, Bundle],
+    meet: Meet,
+    new_life: Any,
+    new_line: Any,
 ) -> None:
+    """Its coupling is told as much as its limits allow, and then that the tool rests; the ticks go on."""
     node, bundle, driver = device_of(bundles, [0.0, sample, 0.0])
-    coupling, life = meet(node, bundle)["cx"], new_life()
+    coupling, life, line = meet(node, bundle)["cx"], new_life(), new_line()
     send(coupling, *(Force(k, 0, one(1.0)) for k in range(3)))
-    node.loop(Start(0, 3), life, new_line())
-    assert life.stopping
-    assert life.failure.startswith(f"dx: {sentence}")
-    assert driver.exerted == [1.0, 0.0]
-    assert node.report().ticks == 1
-    assert values_at(coupling, 1) == [[0.0]]
-    assert coupling.recv(0) is None  # type: ignore[arg-type]
+    node.loop(Start(0, 3), life, line)
+    assert not life.failure
+    assert driver.exerted == [1.0, 0.0, 0.0, 0.0]
+    report = node.report()
+    assert (report.ticks, report.counts["let_go"]) == (3, 1)
+    assert values_at(coupling, 3) == [[0.0], [pytest.approx(told)], [pytest.approx(told)]]
+    assert node._guard.why.startswith(sentence)
 
 
 def test_a_device_whose_coupling_floods_it_fails_and_lets_go(
