@@ -31,46 +31,43 @@ class Undecided(ValueError):
     """The statics are not decided: the system is too large, or has no static gain."""
 
 
-def steady(A: Table, B: Table, discrete: bool) -> fmpq_mat:
-    """The state under a constant unit input: (I - A)^-1 B, or -A^-1 B of a continuous system.
+def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+    """The static gain of a state space that states D or the gain itself.
 
     Raises:
         Undecided: there is none, as there is a pole at z = 1 or s = 0; or there are too many states.
     """
+    return _stated(D) + _carried(A, B, C, discrete) if static is None else static.rational()
+
+
+def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+    """D of a state space that states D or the static gain, which D then is a part of.
+
+    Raises:
+        Undecided: as for :func:`of_system`.
+    """
+    return _stated(static) - _carried(A, B, C, discrete) if D is None else D.rational()
+
+
+def _stated(table: Table | None) -> fmpq_mat:
+    assert table is not None  # noqa: S101  # for the type checker: a reader takes D or the static gain
+    return table.rational()
+
+
+def _carried(A: Table, B: Table, C: Table, discrete: bool) -> fmpq_mat:
+    """What the states carry of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system."""
     n = A.rows
+    if n == 0:
+        return fmpq_mat(C.rows, B.columns)
     if n > MAX_STATIC:
         raise Undecided(f"found {n} states, expected at most {MAX_STATIC}: statics are decided exactly")
     M = -A.rational()
     if discrete:
         M += balls.identity(fmpq_mat, n)
     try:
-        return M.solve(B.rational())
+        return C.rational() * M.solve(B.rational())
     except ZeroDivisionError:
         raise Undecided(f"there is a pole at {'z = 1' if discrete else 's = 0'}, and so no static gain") from None
-
-
-def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
-    """The static gain of a state space, as stated or D + C (its steady state).
-
-    Raises:
-        Undecided: as for :func:`steady`.
-    """
-    if static is not None:
-        return static.rational()
-    assert D is not None  # noqa: S101  # for the type checker: a reader takes one of the two
-    return D.rational() if A.rows == 0 else D.rational() + C.rational() * steady(A, B, discrete)
-
-
-def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
-    """D, as stated or what the stated static gain leaves of it.
-
-    Raises:
-        Undecided: as for :func:`steady`.
-    """
-    if D is not None:
-        return D.rational()
-    assert static is not None  # noqa: S101  # for the type checker: a reader takes one of the two
-    return static.rational() if A.rows == 0 else static.rational() - C.rational() * steady(A, B, discrete)
 
 
 def of_environment(data: SystemData | TransferData) -> fmpq_mat:
