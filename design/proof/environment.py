@@ -106,7 +106,7 @@ def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T
     def test() -> dict[str, Verdict]:
         try:
             rest = split(data, T)
-        except NotDiscretised as error:
+        except (NotDiscretised, Undecided) as error:
             return {"": Verdict(False, float("nan"), str(error))}
         P = balls.symmetrised(stated.witness())
         level = arb_mat(sparse.dense(Phi_E, range(m)))

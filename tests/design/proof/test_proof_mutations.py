@@ -161,6 +161,22 @@ def test_the_static_stiffness_must_be_symmetric(certificates) -> None:
         assert holds or any("50.0 and 50.0000" in finding.argument for finding in prove(data)), skew
 
 
+def test_a_static_gain_that_a_pole_leaves_none_of_cannot_be_stated(certificates) -> None:
+    for A, time in (([[1.0]], {"time": "discrete"}), ([[0.0]], {"time": "continuous", "method": "zoh"})):
+        environment = {
+            "type": "state-space",
+            "delay": 0,
+            "A": A,
+            "B": [[1.0]],
+            "C": [[1.0]],
+            "static": [[100.0]],
+            **time,
+        }
+        coupling = (np.array([[300.0]]), np.array([[8.0]]))
+        data = certificates.certificate(environment, coupling, np.array([[0.01]]), [[1.0]], osp=20.0)
+        assert any("no static gain" in finding.argument for finding in prove(data) if not finding.holds), time
+
+
 def test_the_static_stiffness_must_not_be_negative(certificates) -> None:
     """C (I - A)^-1 B and D cancel in E1, exactly: nothing is left for rounding."""
     coupling = (np.array([[300.0]]), np.array([[8.0]]))
