@@ -32,7 +32,8 @@ IN_A_ROW: Final = 2
 
 
 UNSURE: Final = 0.25
-"""Of the ticks in which a device waited for others, so many more may be theirs before it is told that it is late."""
+"""Of the ticks in which a device waited for others, so many more may be theirs: before it is told that it is late, and
+before its coupling is softened for it. Who makes others wait often is frozen soon, and with it this excuse goes."""
 
 CALM: Final = 5.0
 """Seconds in which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
@@ -241,7 +242,8 @@ class BreachPolicy:
             return out
         before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
-            broken = counts[breach] - before.counts[breach] - len(for_others) > SHARE * (tick - before.tick)
+            share = max(SHARE * (tick - before.tick), unsure)
+            broken = counts[breach] - before.counts[breach] - len(for_others) > share
             before.in_a_row[breach] = before.in_a_row[breach] + 1 if broken else 0
             if before.in_a_row[breach] == IN_A_ROW:
                 before.in_a_row[breach] = 0

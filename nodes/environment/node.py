@@ -110,6 +110,8 @@ class EnvironmentNode:
                 if found != tick:
                     self._publish(control, core, places)  # rows follow each other
                     tick, self._due = found, clock.now()
+                if tick > start.tick:  # whoever returns comes when it can: the wait is not the others' delay
+                    late.gone(tick, [place.index for place in places.seated if place.attendance.since == tick])
                 now = clock.now()
             else:
                 now = places.order[-1].arrived
