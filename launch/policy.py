@@ -34,7 +34,9 @@ IN_A_ROW: Final = 2
 UNSURE: Final = 1 / 3
 """Of the ticks in which a device waited for others, so many more may be theirs: before it is told that it is late, and
 before its coupling is softened for it. A quarter of a late guest's ticks may fall where nobody can tell whose they are
-(nodes/environment/late_arrivals.py, CROSSING), and in a telemetry of some fifty of them by chance more. Who makes others wait often is frozen soon, and with it this excuse goes."""
+(CROSSING in nodes/environment/late_arrivals.py), and by chance more of some fifty. Who makes others wait often is
+frozen soon, and with it this excuse goes.
+"""
 
 CALM: Final = 5.0
 """Seconds in which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
