@@ -54,5 +54,11 @@ def test_of_two_late_couplings_of_a_guest_neither_hides_the_other() -> None:
     assert Wrong.SOFTENED not in {kind for kind, _ in outcome.wrong}, outcome.wrong
 
 
+@pytest.mark.parametrize(("seed", "ticks"), [(4100141, 150), (4100291, 320)])
+def test_ticks_of_a_return_and_ticks_that_nobody_can_tell_apart_are_not_the_others(seed: int, ticks: int) -> None:
+    """Of a late guest: each of its returns delayed the others; a sixth of its late ticks was taken for theirs."""
+    assert run(case(seed), ticks).wrong == ()
+
+
 def test_a_seed_decides_all_that_happens() -> None:
     assert run(case(3), 60) == run(case(3), 60)

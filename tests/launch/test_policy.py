@@ -210,6 +210,15 @@ class Test_waiting_for_another_user:
         assert m.notices.keys() == {"dx"}
         assert "240 us" in m.notices["dx"]
 
+    @pytest.mark.parametrize(("own", "softened"), [(14, False), (16, True)])  # a third of 45 is 15
+    def test_what_nobody_can_tell_apart_softens_nobody(self, own: int, softened: bool) -> None:
+        m = Measured(Policy.SOFTEN, Rungs())
+        for end in range(TICKS, 4 * TICKS, TICKS):
+            m.late(end, cz=range(end - TICKS, end - TICKS + 45))
+            m.tell_taus("dx", (45 + own, 1100.0), (TICKS - 45 - own, 50.0))
+        assert bool(m.rungs) is softened
+        assert bool(m.notices) is softened
+
     def test_for_its_own_coupling_it_is(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         decided: dict[str, int] = {}
