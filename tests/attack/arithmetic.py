@@ -22,7 +22,7 @@ BITS = 600
 class Arithmetic(Protocol):
     """What the oracle computes with."""
 
-    def number(self, value: float) -> Any:
+    def number(self, value: float | Fraction) -> Any:
         """The decimal that the file writes for ``value``."""
 
     def zeros(self, rows: int, columns: int) -> Array:
@@ -44,7 +44,7 @@ class Arithmetic(Protocol):
 class Floats:
     """Double precision; responses are computed for a stack of frequencies at once."""
 
-    def number(self, value: float) -> float:
+    def number(self, value: float | Fraction) -> float:
         return float(value)
 
     def zeros(self, rows: int, columns: int) -> Array:
@@ -71,7 +71,7 @@ class Floats:
 class Precise:
     """Balls of ``BITS`` bits, within ``ctx.workprec(BITS)``: rounding is out of question, and is enclosed."""
 
-    def number(self, value: float) -> arb:
+    def number(self, value: float | Fraction) -> arb:
         with ctx.workprec(BITS):
             return arb(decimal(value))
 
@@ -100,9 +100,9 @@ class Precise:
         return (acb(0, 1) * arb(float(angle))).exp()
 
 
-def decimal(value: float) -> fmpq:
-    """The rational number that the shortest decimal of ``value`` writes."""
-    exact = Fraction(repr(value))
+def decimal(value: float | Fraction) -> fmpq:
+    """The rational number that the shortest decimal of ``value`` writes, or that it is."""
+    exact = value if isinstance(value, Fraction) else Fraction(repr(value))
     return fmpq(exact.numerator, exact.denominator)
 
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from tests.attack.arithmetic import Array
 from tests.attack.loop import Hand, Repeating, Tick, growth
 from tests.attack.parties import Data, NoSystem, Reader
 
@@ -148,11 +150,13 @@ def _moved(rng: np.random.Generator, hand: Hand, size: float) -> Hand:
 def at_level(rng: np.random.Generator, data: Mapping[str, Any]) -> dict[str, Any]:
     """The same loop with a linear environment exactly at Phi_E: -Phi_E w beside what neither takes nor gives energy.
 
+    Its entries are fractions: rounded, a lossless part that is large beside Phi_E would not be lossless.
+
     Lossless, from w = (u - u-)/T to a force, are r g g'w times (1 + s z^-n)/(1 - s z^-n), s = 1 or -1, and times
     (z^2 - 1)/(z^2 - 2 c z + 1). This is the worst that a passivity controller lets through, and the worst of all
     environments that a certificate's levels speak of.
     """
-    ports, T = data["ports"], data["period"]
+    ports, T = data["ports"], Fraction(repr(data["period"]))
     m, claimed = len(ports), data["levels"]["Phi_E"]
     Phi = np.zeros((m, m))
     if data["environment"]["type"] == "declared":
@@ -177,10 +181,12 @@ def at_level(rng: np.random.Generator, data: Mapping[str, Any]) -> dict[str, Any
         else:
             cos = float(rng.uniform(-1.0, 1.0))
             A, b, c = np.array([[2.0 * cos, -1.0], [1.0, 0.0]]), np.array([1.0, 0.0]), np.array([2.0 * cos, -2.0])
+        A, b, c, g = (_exactly(M) for M in (A, b, c, g))
         systems.append((A, np.outer(b, g), np.outer(g, c), np.outer(g, g)))
     n = sum(len(system[0]) for system in systems)
-    A, B, C, D = np.zeros((n + m, n + m)), np.zeros((n + m, m)), np.zeros((m, n + m)), -Phi / T
-    B[:m] = np.eye(m)
+    A, B, C = (_exactly(np.zeros(shape)) for shape in ((n + m, n + m), (n + m, m), (m, n + m)))
+    D = np.array([[-Fraction(repr(entry)) / T for entry in row] for row in Phi.tolist()], dtype=object)
+    B[:m] = _exactly(np.eye(m))
     first = m
     for a, b, c, d in systems:
         k = len(a)
@@ -188,9 +194,14 @@ def at_level(rng: np.random.Generator, data: Mapping[str, Any]) -> dict[str, Any
         B[first : first + k] = b / T
         A[first : first + k, :m] = -b / T
         C[:, first : first + k] = c
-        D = D + (d + d.T) / (2.0 * T)
+        D = D + d / T
         first += k
     C[:, :m] = -D
     E = {"type": "state-space", "time": "discrete", "delay": 0}
     E |= {key: M.tolist() for key, M in zip("ABCD", (A, B, C, D), strict=True)}
     return {**data, "environment": E}
+
+
+def _exactly(M: Array) -> Array:
+    """The same numbers as fractions."""
+    return np.array([Fraction(value) for value in M.ravel().tolist()], dtype=object).reshape(M.shape)
