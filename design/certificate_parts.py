@@ -263,6 +263,8 @@ def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSp
     Raises:
         KeyError, TypeError, ValueError: a matrix is missing, or is none of that shape.
     """
+    if not data["A"] and (data["B"] or any(data["C"])):
+        raise ValueError("expected B and C without entries where A has none")
     if "static" in data:
         if "D" in data:
             raise ValueError("found both D and static, expected one of them")
@@ -270,8 +272,6 @@ def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSp
         return StateSpace.with_static_gain(A, B, C, data["static"], continuous=continuous)
     D = matrix(data["D"])
     if not data["A"]:
-        if data["B"] or any(data["C"]):
-            raise ValueError("expected B and C without entries where A has none")
         return StateSpace.static(D)
     return StateSpace(matrix(data["A"]), matrix(data["B"]), matrix(data["C"]), D)
 

@@ -262,6 +262,7 @@ SYSTEM = {"type": "state-space", "A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": 
         ({"time": "eternal"}, "environment.time: found 'eternal'"),
         ({"time": "continuous", "method": "guess"}, "environment.method: found 'guess'"),
         ({"A": []}, "expected B and C without entries where A has none"),
+        ({"static": [[1.0]]}, "found both D and static, expected one of them"),
         ({"type": "transfer-function", "entries": [], "method": "zoh"}, "environment.method: found 'zoh'"),
         ({"type": "transfer-function", "entries": [], "method": "tustin"}, "expected 3 rows of 3 entries"),
     ],

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import content, identity
+from manyhands.design.certificate_parts import describe_environment, read_system
 from manyhands.design.environment import Environment, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.errors import Infeasible
 from manyhands.design.partition import Partition
@@ -162,8 +163,6 @@ def test_what_is_off_by_a_hair_is_refused_by_design_and_by_proof(certified) -> N
 
 
 def environment_data(session: HapticLoop, like: dict[str, object]) -> object:
-    from manyhands.design.certificate_parts import describe_environment
-
     return json.loads(json.dumps(describe_environment(session.environment)))
 
 
@@ -220,3 +219,11 @@ def test_numbers_are_the_decimals_that_are_written() -> None:
     less = [[0.1, 0.07], [0.07, 0.0489999999999999]]
     with pytest.raises(Infeasible, match=r"less than the other entries need: expected at least 0\.049 N/m"):
         design(loop(StateSpaceEnvironment(("a", "b"), StateSpace.static(less)), 1e-3), SpringDamperWanted(Wish()))
+
+
+def test_a_system_that_states_its_static_gain_has_no_entries_without_states() -> None:
+    """They would be dropped in silence, and the file would not be the certificate any more."""
+    data = {"A": [], "B": [[1.0]], "C": [[1.0]], "static": [[100.0]]}
+    with pytest.raises(ValueError, match="expected B and C without entries where A has none"):
+        read_system(data)
+    assert read_system({**data, "B": [], "C": [[]]}).D.tolist() == [[100.0]]
