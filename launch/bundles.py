@@ -94,6 +94,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         *_widest([tool_bounds(session, rung.blocks) for rung in rungs]),
         {name: feedthrough_digest(block.D) for name, block in zip(session.couplings, prepared.blocks, strict=True)},
         {name: tuple(rung.blocks[i].D for rung in rungs[1:]) for i, name in enumerate(session.couplings)},
+        independent=prepared.ladder is None or prepared.ladder.independent,
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),

@@ -153,6 +153,7 @@ class EnvironmentBundle:
         feedthrough: by coupling, the digest of the D_V that it must say
             (:func:`manyhands.nodes.feedthrough.feedthrough_digest`).
         feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
+        independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E.
         masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
@@ -173,6 +174,7 @@ class EnvironmentBundle:
     tool_step: tuple[float | None, ...]
     feedthrough: Mapping[str, str]
     feedthrough_rungs: Mapping[str, tuple[Matrix, ...]] = field(default_factory=dict)
+    independent: bool = True
     enforce: bool = False
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
@@ -319,6 +321,7 @@ _READ: dict[str, Any] = {
     "E": lambda data: None if data is None else system(data),
     "Phi_E": _optional_array,
     "enforce": _flag,
+    "independent": _flag,
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,

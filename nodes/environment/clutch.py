@@ -101,10 +101,14 @@ class Clutch:
         fresh: no longer settled, and :meth:`seize` has not told it the tool's position yet.
         reference: r = x_e(k-1) - s x_c(k-1) + s p(k), m, so that x_e(k) = r + s D_V f_c(k).
         ready: whether the offset of this tick may be let go.
+        rests: whether s was 0 in the last two ticks. Then the step of the force is 0, too, and with it all that a
+            device's storage holds of the block's rung, so that the block may change to any other
+            (docs/decisions/0016-the-ladder.md).
     """
 
     __slots__ = (
         "_at",
+        "_last",
         "_most",
         "_p",
         "_ramp",
@@ -116,6 +120,7 @@ class Clutch:
         "ratio",
         "ready",
         "reference",
+        "rests",
         "settled",
     )
 
@@ -131,7 +136,8 @@ class Clutch:
         self._at = self._most = float(ramp)  # j and the greatest one allowed, ticks
         self._p: Floats = [0.0] * len(ports)
         self._x_c = self._x_e = self.reference = self._p
-        self.fresh = self.ready = False
+        self.fresh = self.ready = self.rests = False
+        self._last = 1.0  # s of the tick before
 
     @property
     def offset(self) -> Floats:
@@ -141,7 +147,7 @@ class Clutch:
     def seize(self, x_e: Floats) -> None:
         """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
         self._p = self._x_c = self._x_e = self.reference = x_e
-        self.fresh = False
+        self._last, self.fresh = 1.0, False
 
     def handle(self, event: Event) -> None:
         """Change the phase; a settled clutch that is to leave 1 is settled no more."""
@@ -230,7 +236,8 @@ class Clutch:
         self._x_e = [at + ratio * by for at, by in zip(self.reference, deflection, strict=True)]
         if self.phase is not Phase.FROZEN:
             self._x_c = [at + by for at, by in zip(self._p, deflection, strict=True)]
-        if self.ready and self.ratio == 1.0:
+        self.rests, self._last = ratio == self._last == 0.0, ratio
+        if self.ready and ratio == 1.0:
             self.settled = True
         return self._x_e
 

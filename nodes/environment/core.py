@@ -190,6 +190,10 @@ class EnvironmentCore:
         """Whether s = 0."""
         return self._clutches[block].ratio == 0.0
 
+    def rests(self, block: int) -> bool:
+        """Whether s was 0 in the last tick and in the one before it."""
+        return self._clutches[block].rests
+
     def settled(self, block: int) -> bool:
         """Whether s = 1 and the tool is where the coupling's end is."""
         return self._clutches[block].settled

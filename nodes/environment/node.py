@@ -88,9 +88,11 @@ class EnvironmentNode:
         core = self._core
         if core is None:
             raise ValueError("the environment was started before its handshakes")
-        places = self._places = Places(self._joints, core, self._bundle.feedthrough_rungs, life, start.tick > 0)
+        bundle = self._bundle
+        rungs, independent = bundle.feedthrough_rungs, bundle.independent
+        places = self._places = Places(self._joints, core, rungs, life, start.tick > 0, independent)
         places.last, places.log = start.ticks, control.log
-        places.know(self._feedthrough, self._bundle.feedthrough)
+        places.know(self._feedthrough, bundle.feedthrough)
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._patience.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)

@@ -76,6 +76,7 @@ class Places:
         rungs: Mapping[str, Sequence[Values]],
         life: Life,
         resumes: bool,
+        independent: bool = True,
     ) -> None:
         """Seat everybody; in a session that goes on already everybody is expected, and let in by the ramp.
 
@@ -85,8 +86,9 @@ class Places:
             rungs: by coupling, D_V of its rungs from 1 on.
             life: fails when a coupling floods its link.
             resumes: whether the session goes on already.
+            independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         """
-        self._core, self._rungs = core, rungs
+        self._core, self._rungs, self._independent = core, rungs, independent
         self._digests: dict[str, str] = {}
         self.all = [Place(joint, i, Seat.EXPECTED if resumes else Seat.SEATED) for i, joint in enumerate(joints)]
         self.order = list(self.all)
@@ -177,6 +179,8 @@ class Places:
             if place is not None and word.rung <= len(self._rungs.get(word.node, ())):
                 place.wanted = word.rung
                 self._shifting = True
+                if place.wanted == place.rung and place.attendance.seat is Seat.SEATED:
+                    self._core.engage(place.index)  # had it been about to change
             return
         lost = follow(word, [place.joint for place in self.all], control)
         if lost is not None:
@@ -185,16 +189,22 @@ class Places:
             self._event(place, Event.LOST, tick)
 
     def shift(self) -> None:
-        """After the forces of a tick were found and before they are sent: change rungs, block by block, at s = 0."""
+        """After the forces of a tick were found and before they are sent: change rungs, where s has been 0 for two.
+
+        A tick at s = 0 is not enough: the step to it of the force would be of one rung and its delay of another.
+        Where only a whole rung is certified, and no mixture, nobody changes before all who are to change rest.
+        """
         if not self._shifting:
             return
         core = self._core
-        for place in self.all:
-            if place.wanted == place.rung or place.attendance.seat is not Seat.SEATED:
-                continue
-            if not core.frozen(place.index):
+        changing = [place for place in self.seated if place.wanted != place.rung]
+        resting = [place for place in changing if core.rests(place.index)]
+        for place in changing:
+            if place not in resting:
                 core.disengage(place.index)
-                continue
+        if not self._independent and (resting != changing or len({place.wanted for place in self.all}) > 1):
+            return
+        for place in resting:
             name = place.joint.peer.name
             core.freeze(place.index)  # had it been about to join
             core.exchange(place.index, self._rungs[name][place.wanted - 1] if place.wanted else self._first(place))

@@ -50,7 +50,7 @@ def _dense(rng: np.random.Generator, m: int) -> Any:
 
 
 def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independent: bool = True) -> tuple[Tick, ...]:
-    """A sequence that repeats: delays within [0, tau], ratios within [0, 1], rungs that change at ratio 0."""
+    """A sequence that repeats: delays within [0, tau], ratios within [0, 1], rungs that change after two ticks at 0."""
     devices, blocks = len(data["devices"]), len(data["structure"])
     delays: list[tuple[float, ...]]
     style = rng.choice(["none", "latest", "latest", "constant", "two", "any"]) if _late(data, rungs) else "none"
@@ -75,8 +75,7 @@ def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independe
             for _ in ratios[1:]:
                 here = [int(rng.integers(rungs)) for _ in range(blocks)]
                 at.append(tuple(here if independent else here[:1] * blocks))
-            for k, row in enumerate(ratios):
-                ratios[k] = tuple(0.0 if at[k][b] != at[k - 1][b] else ratio for b, ratio in enumerate(row))
+            ratios = _changing(ratios, at)
     length = math.lcm(len(delays), len(ratios), len(at))
     if length > 24:
         delays, length = delays[:1], math.lcm(len(ratios), len(at))
@@ -84,6 +83,16 @@ def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independe
         Tick(delays[k % len(delays)], ratios[k % len(ratios)], at[k % len(at)] if rungs > 1 else ())
         for k in range(length)
     )
+
+
+def _changing(ratios: Sequence[tuple[float, ...]], at: Sequence[tuple[int, ...]]) -> list[tuple[float, ...]]:
+    """The ratios, 0 where decision 16 asks for it: in the tick of a change of rung, and in the one before."""
+    changes = [[here != before for here, before in zip(at[k], at[k - 1], strict=True)] for k in range(len(at))]
+    out = []
+    for k, row in enumerate(ratios):
+        following = changes[(k + 1) % len(at)]
+        out.append(tuple(0.0 if changes[k][b] or following[b] else ratio for b, ratio in enumerate(row)))
+    return out
 
 
 def _late(data: Data, rungs: int) -> bool:

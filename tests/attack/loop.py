@@ -49,7 +49,8 @@ class Tick:
     Attributes:
         delays: of each device, as a part of tau.
         ratios: of each block's clutch.
-        rungs: of each block, where a ladder has several; a block changes at ratio 0, and starts from rest.
+        rungs: of each block, where a ladder has several; a block changes where its ratio is 0 and was
+            in the tick before, and starts from rest.
     """
 
     delays: tuple[float, ...]

@@ -99,3 +99,18 @@ def test_rungs_whose_mixture_no_device_promises_are_not_independent() -> None:
     assert judge_ladder(rungs, 0, True, np.random.default_rng(1)).findings
     for common in (0, 1):
         assert not prove_ladder(rungs, common).independent.holds
+
+
+def test_a_rung_changes_after_two_ticks_without_force() -> None:
+    """After one, the step of the force to zero is of the first rung, and late as only the second allows."""
+    rungs = read("ladder-one-tick")
+    none = [[0.0, 0.0], [0.0, 0.0]]
+    light = Hand([[1.4e-4, 0.0], [0.0, 9.2e-4]], none, none)
+    coupled, still = Tick((0.0,), (1.0, 1.0), (0, 0)), Tick((0.0,), (0.0, 0.0), (0, 0))
+    late = Tick((1.0,), (0.0, 0.0), (1, 1))
+    proof = prove_ladder(rungs, 0)
+    assert (proof.one_loop.holds, proof.together.holds) == (True, True)
+    with ctx.workprec(BITS):
+        readers = [precise(rung) for rung in rungs]
+        assert growth(readers, Repeating((light,), (*[coupled] * 4, late, still))) > 0.06
+        assert growth(readers, Repeating((light,), (*[coupled] * 4, still, late, still))) <= CERTAIN

@@ -67,7 +67,7 @@ class Line:
 class World:
     """An environment of two couplings with one port each, tick by tick."""
 
-    def __init__(self, life: Any, resumes: bool = False, tick: int = 0) -> None:
+    def __init__(self, life: Any, resumes: bool = False, tick: int = 0, independent: bool = True) -> None:
         walls, each = STIFFNESS + DAMPING / T, np.eye(2)
         E = StateSpace(np.zeros((2, 2)), each, -DAMPING / T * each, walls * each)
         self.core = EnvironmentCore(E, D_V * each, None, T, [slice(0, 1), slice(1, 2)])
@@ -78,7 +78,7 @@ class World:
             Joint(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
             for i, (name, end) in enumerate(self.ends.items())
         ]
-        self.places = Places(joints, self.core, RUNGS, life, resumes)
+        self.places = Places(joints, self.core, RUNGS, life, resumes, independent)
         self.places.know({name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]])))
         self.cx, self.cy = self.places.all
 
@@ -432,6 +432,51 @@ class Test_a_change_of_rung:
         world.together(RAMP + 1)
         assert world.core.ratio(1) == 1.0
         assert not any(isinstance(told, Rung) for told in world.ends["cx"].said)
+
+    def test_comes_with_the_second_tick_without_force(self, world: World) -> None:
+        """The first one's step of the force is of the rung before, and its delay is not the new one's to promise."""
+        world.together(200)
+        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        while world.cy.rung == 0:
+            world.together()
+        said = world.ends["cy"].said
+        assert said[-2] == Rung(1)
+        without = [told.values[0] == 0.0 for told in said if isinstance(told, Reaction)]
+        assert without[-3:] == [False, True, True]
+
+    def test_that_is_taken_back_leaves_nobody_frozen(self, world: World) -> None:
+        world.together(200)
+        for word in (Shift("cy", 1), Shift("cy", 0)):
+            world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
+            world.together(RAMP // 2)
+        assert (world.cy.rung, world.core.ratio(1)) == (0, 1.0)
+
+    @pytest.mark.parametrize("between", [0, RAMP // 2, 2 * RAMP])
+    def test_where_no_mixture_is_certified_comes_for_all_in_one_tick(
+        self, new_life: Callable[[], Any], between: int
+    ) -> None:
+        world = World(new_life(), independent=False)
+        world.together(200)
+        world.places.obey(Shift("cx", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.together(between)
+        assert world.cx.rung == 0
+        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        while world.cy.rung == 0:
+            assert world.cx.rung == 0
+            world.together()
+        assert world.cx.rung == 1
+        world.together(RAMP + 1)
+        assert [world.core.ratio(block) for block in (0, 1)] == [1.0, 1.0]
+
+    def test_where_no_mixture_is_certified_waits_for_nobody_who_is_frozen(self, new_life: Callable[[], Any]) -> None:
+        world = World(new_life(), independent=False)
+        frozen_for(world, 20)
+        for name in NAMES:
+            world.places.obey(Shift(name, 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.together(RAMP + 2, but="cy")
+        assert (world.cx.rung, world.cy.rung) == (1, 0)
+        world.together()
+        assert (world.cy.rung, world.core.ratio(1)) == (1, 0.0)
 
     @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
     def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: World, word: Shift) -> None:
