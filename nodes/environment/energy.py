@@ -18,9 +18,13 @@ The world burns some of what it holds, of everybody's in proportion. Where the e
 less what the store still holds of the party's: a charge leaves the room as it is, so that nobody else's motion can
 overdraw it, and only the party's own supply takes from it. The party's ratio is 1 down to half a bucket of room, and
 falls to 0 with the room; and where it is below 1, the cores halt the party in any tick that is worth more than
-its room. So the room stays above 0, unless a single tick at ratio 1 is worth more than half a bucket. The others then
-receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room falls to
-:data:`STOP` of the bucket, the party is stopped until half of it is free.
+its room. So the room stays above 0, unless a single tick at ratio 1 is worth more than three eighths of a bucket. The
+others then receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room
+falls to :data:`STOP` of the bucket, the party is stopped until half of it is free.
+
+**A posting** enters the work of :data:`POSTING` ticks at once, summed by party: it is the dearest part of what a tick
+costs beside its forces. While the ratio of any party is below 1 every tick is posted; and a tick that brings what waits
+beyond :data:`SOON` of the smallest bucket is posted with it, so that nobody is noticed later for the waiting.
 """
 
 from __future__ import annotations
@@ -37,6 +41,12 @@ MEMORY: Final = 0.5
 
 BOUND_TICKS: Final = 16
 """Ticks between two calls of :meth:`Energy.bound`."""
+
+POSTING: Final = 4
+"""Ticks that are entered into the accounts at once."""
+
+SOON: Final = 0.125
+"""Part of a bucket that may wait to be entered."""
 
 STOP: Final = 0.05
 """Room, as part of the bucket, at which a party is stopped."""
@@ -97,13 +107,16 @@ class Energy:
         free = Budget(1e300, 1e300, 1e300)  # of a bucket that is never empty
         self._blocks = [tuple(block) for block in blocks]
         self._plain = self._blocks == [(i,) for i in range(n)]
-        self._keep = 1.0 if known else 1.0 - T / MEMORY
+        keep = 1.0 if known else 1.0 - T / MEMORY
+        self._keep = [keep**ticks for ticks in range(POSTING + 1)]
+        self._waiting, self._ticks = [0.0] * sum(len(block) for block in self._blocks), 0
         self._own, self._held, self._returned = [0.0] * n, [0.0] * n, 0.0
         self._fixed = [
             (i, budget.power * T, budget.energy, 0.5 * budget.energy, budget.store)
             for i, budget in enumerate([free] * n if budgets is None else budgets)
         ]
         self._bucket = [size for _, _, size, _, _ in self._fixed]
+        self._soon = SOON * min(self._bucket, default=0.0)
         self._ratio = [1.0] * n
         self._stopped = [False] * n
         self.given, self.received = [0.0] * n, [0.0] * n
@@ -113,18 +126,26 @@ class Energy:
         self.scaled, self.stops = [0] * n, [0] * n
 
     def enter(self, f: Floats, x_e: Floats, before: Floats) -> None:
-        """Account for one tick.
+        """Account for one tick; it is posted now, or with those after it.
 
         Args:
             f: f_e(k) by port, N.
             x_e: the tools' positions x_e(k), m.
             before: x_e(k-1), m.
         """
-        work = [force * (last - at) for force, at, last in zip(f, x_e, before, strict=True)]
-        self.supply(work if self._plain else [sum([work[port] for port in block]) for block in self._blocks])
+        ends = zip(self._waiting, f, x_e, before, strict=True)
+        self._waiting = work = [so_far + force * (last - at) for so_far, force, at, last in ends]
+        self._ticks += 1
+        if self._ticks == POSTING or self.restrained or max(work) > self._soon:
+            self._post()
 
-    def supply(self, supplied: Floats) -> None:
-        """Account for one tick in which party i put ``supplied[i]`` J into the world, negative where it received."""
+    def _post(self) -> None:
+        work, ticks = self._waiting, self._ticks
+        self._waiting, self._ticks = [0.0] * len(work), 0
+        self.supply(work if self._plain else [sum([work[port] for port in block]) for block in self._blocks], ticks)
+
+    def supply(self, supplied: Floats, ticks: int = 1) -> None:
+        """Post ``ticks`` ticks in which party i put ``supplied[i]`` J into the world, negative where it received."""
         own, held, bucket, ratio = self._own, self._held, self._bucket, self._ratio
         takers: list[tuple[int, float]] = []
         for i, energy in enumerate(supplied):
@@ -141,12 +162,13 @@ class Energy:
                 takers.append((i, -energy))
         if takers:
             self._take(takers)
-        if self._keep < 1.0:
-            self._returned *= self._keep
-            self._own = own = [self._keep * energy for energy in own]
+        keep = self._keep[ticks]
+        if keep < 1.0:
+            self._returned *= keep
+            self._own = own = [keep * energy for energy in own]
         restrained = False
         for i, filling, size, half, store in self._fixed:
-            level = bucket[i] + filling
+            level = bucket[i] + ticks * filling
             if level > size:
                 level = size
             bucket[i] = level
@@ -213,6 +235,8 @@ class Energy:
 
     def bound(self, stored: float) -> None:
         """The world stores no more than ``stored`` J: what it has burned goes off everybody's share."""
+        if self._ticks:
+            self._post()
         total = self._returned + sum(self._own)
         if total > stored:
             part = max(0.0, stored) / total

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.environment.energy import Budget, Energy
+from manyhands.nodes.environment.energy import POSTING, Budget, Energy
 
 T = 1e-3
 STORE = 10.0  # J
@@ -123,16 +123,20 @@ def test_energy_released_later_is_still_its_suppliers(
     size=st.floats(0.1, 50.0),
     pushes=st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=50),
     holding=st.floats(0.0, 1.0),
+    each=st.booleans(),
 )
 def test_over_every_window_the_others_receive_no_more_than_the_budget(
-    power: float, size: float, pushes: list[float], holding: float
+    power: float, size: float, pushes: list[float], holding: float, each: bool
 ) -> None:
-    """The party pushes as it likes, up to half its bucket in a tick; its ratio and its room are obeyed."""
-    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, 1.0, STORE)])
+    """The party pushes as it likes, up to half its bucket in a tick (three eighths where postings wait).
+
+    Its ratio and its room are obeyed.
+    """
+    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, size, STORE)])
     received = [0.0]
     stored = 0.0
     for k in range(1000):
-        push = pushes[k % len(pushes)] * size
+        push = pushes[k % len(pushes)] * size * (1.0 if each else 0.75)
         put = push if push < 0.0 else energy.ratio(0) * push
         if energy.ratio(0) < 1.0 and put > energy.room(0):
             put = 0.0
@@ -140,7 +144,10 @@ def test_over_every_window_the_others_receive_no_more_than_the_budget(
         stored += put
         taken = (1.0 - holding) * stored
         stored -= taken
-        energy.supply([put, -taken])
+        if each:
+            energy.supply([put, -taken])
+        else:
+            energy.enter([-put, taken], [1.0, 1.0], [0.0, 0.0])
         received.append(energy.given[0])
     found = np.array(received) - power * T * np.arange(len(received))
     worst = float(np.max(found - np.minimum.accumulate(found)))
@@ -195,8 +202,27 @@ def test_a_party_that_is_stopped_goes_on_once_half_its_bucket_is_free() -> None:
 
 def test_ports_of_a_block_count_together() -> None:
     energy = Energy([(0, 2), (1,)], None, T)
-    energy.enter([-1.0, 2.0, -2.0], [0.1, 0.2, 0.3], [0.0, 0.0, 0.0])  # 0.1 + 0.6 J in, 0.4 J out
-    assert energy.moved == [[0.0, pytest.approx(0.4)], [0.0, 0.0]]
+    for _ in range(POSTING):
+        energy.enter([-1.0, 2.0, -2.0], [0.1, 0.2, 0.3], [0.0, 0.0, 0.0])  # 0.1 + 0.6 J in, 0.4 J out
+    assert energy.moved == [[0.0, pytest.approx(POSTING * 0.4)], [0.0, 0.0]]
+
+
+def test_a_tick_that_is_worth_an_eighth_of_a_bucket_is_posted_at_once() -> None:
+    energy = accounts(2, [Budget(1e-6, 1.0, STORE), Budget(1.0, 4.0, STORE)], known=True)
+    for put, ratio in ((0.1, 1.0), (0.1, 1.0), (0.35, pytest.approx(0.9))):  # only the third makes a posting
+        energy.enter([-put, 0.0], [1.0, 1.0], [0.0, 0.0])
+        assert energy.ratio(0) == ratio
+    assert energy.restrained
+
+
+def test_what_waits_is_posted_before_the_world_burns_it() -> None:
+    energy = accounts(2, known=True)
+    energy.enter([-1.0, 0.0], [1.0, 1.0], [0.0, 0.0])
+    energy.bound(0.25)
+    for _ in range(POSTING):
+        energy.enter([0.0, 1.0], [1.0, 1.0], [0.0, 0.0])
+    assert energy.given[0] == pytest.approx(0.25)
+    assert energy.unowned == pytest.approx(POSTING - 0.25)
 
 
 @pytest.mark.parametrize("found", [0.0, -1.0, math.inf, math.nan])
