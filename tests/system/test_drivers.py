@@ -58,6 +58,7 @@ def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path:
     np.testing.assert_allclose(twice.x[1::2, 0], (first.x[1:, 0] + first.x[:-1, 0]) / 2.0, rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.alone
 def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None:
     clock = RealtimeClock()
     with started("launch", "browser") as process:

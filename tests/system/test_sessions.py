@@ -59,6 +59,7 @@ def test_every_shipped_session_runs(file: str) -> None:
             assert node["ledger"]["min"] >= 0.0
 
 
+@pytest.mark.alone
 def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
     """Slowly enough that a busy machine makes nobody wait for three periods, who would then be frozen."""
     slowly = ["period=0.05", "design.ladder=[]", "faults.breach=warn"]

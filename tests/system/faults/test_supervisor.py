@@ -9,6 +9,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+import pytest
+
 from manyhands.launch.conductor import Phase
 from manyhands.launch.run_directory import sweep_directories
 
@@ -46,6 +48,7 @@ def test_nodes_end_when_their_supervisor_is_killed_while_one_is_on_its_way_back(
     sweep_directories()  # as the next run does: the killed one could not remove its folder
 
 
+@pytest.mark.alone  # /dev/shm is the whole machine's: a browser of another test has files there, too
 def test_starts_and_stops_in_a_row_leave_nothing() -> None:
     """Of each by itself, besides what every test is held to: no descriptor, shared memory or temporary file more."""
 
