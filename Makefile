@@ -35,6 +35,7 @@ pytest: $(VENV)/.installed
 test-long campaign: export MANYHANDS_WIDE = 1
 test-long: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "(long or wide) and not alone"
+	$(BIN)/pytest -m "(long or wide) and alone"
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
 # Then the attack: so many certificates that `prove` accepts, designed and forged, against an oracle of other code

@@ -35,6 +35,7 @@ def rows(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("| ")]
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_the_loop_beside_bare_pyzmq(tmp_path: Path) -> None:
     file, picture, page = tmp_path / "loop.json", tmp_path / "loop.png", tmp_path / "page.md"
@@ -61,6 +62,7 @@ def test_the_loop_beside_bare_pyzmq(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_the_memory_of_a_run(tmp_path: Path) -> None:
     file = tmp_path / "soak.json"

@@ -32,7 +32,7 @@ DEADLINE = from_seconds(60.0)
 TRACED = "devices.{0}={{dof: 1, osp: 1.37, driver: trace, trace: {{file: '{1}'}}}}"
 
 
-@pytest.mark.parametrize("colocate", ["false", "true"])
+@pytest.mark.parametrize("colocate", ["false", pytest.param("true", marks=pytest.mark.long)])
 def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path: Path, colocate: str) -> None:
     """Recorded by a run of processes; met again by a weaker coupling, and at half the period."""
     recorded = tmp_path / "run.npz"
