@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test lint types imports pytest campaign fuzz flood loop watched soak users chaos faults hostile pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz flood loop watched soak users chaos faults hostile pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -22,14 +22,20 @@ types: $(VENV)/.installed
 imports: $(VENV)/.installed
 	$(BIN)/lint-imports
 
-# what says something of sessions in real time runs alone; the rest in so many processes, 0 being none beside this one
+# what judges sessions in real time runs alone; the rest in so many processes, 0 being none beside this one
 WORKERS ?= 2
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest campaign: export OMP_NUM_THREADS = 1
-pytest campaign: export OPENBLAS_NUM_THREADS = 1
+pytest test-long campaign: export OMP_NUM_THREADS = 1
+pytest test-long campaign: export OPENBLAS_NUM_THREADS = 1
 pytest: $(VENV)/.installed
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone"
-	$(BIN)/pytest -m alone
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone and not long"
+	$(BIN)/pytest -m "alone and not long"
+
+# what `make test` leaves out: further cases of its properties, and wider searches of random ones
+test-long campaign: export MANYHANDS_WIDE = 1
+test-long: $(VENV)/.installed
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "(long or wide) and not alone"
+	$(BIN)/pytest -m "(long or wide) and alone"
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
 # Then the attack: so many certificates that `prove` accepts, designed and forged, against an oracle of other code

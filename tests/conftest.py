@@ -13,8 +13,11 @@ import hypothesis
 import pytest
 from hypothesis.internal.conjecture import providers
 
+from .cases import EXAMPLES, WIDE_EXAMPLES, cases
+
 hypothesis.settings.register_profile(
     "repeatable",
+    max_examples=cases(EXAMPLES, WIDE_EXAMPLES),
     derandomize=True,  # the same cases on every machine: a red run can be repeated
     deadline=None,  # timings are benchmarks, not tests
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
@@ -32,32 +35,12 @@ hypothesis.settings.load_profile("repeatable")
 if hasattr(providers, "_get_local_constants"):
     providers._get_local_constants = lambda: providers._local_constants
 
-ALONE = (
-    "launch/test_cli.py",
-    "launch/test_cli_doctor.py",
-    "launch/test_doctor.py",
-    "system/faults/",
-    "system/test_benchmarks.py",
-    "system/test_capture.py",
-    "system/test_docs.py",
-    "system/test_drivers.py",
-    "system/test_join.py",
-    "system/test_looking.py",
-    "system/test_page.py",
-    "system/test_record.py",
-    "system/test_rogues.py",
-    "system/test_security_docs.py",
-    "system/test_sessions.py",
-)
-"""What runs sessions in real time and says something of how they go: nothing else should run meanwhile."""
-
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that are to run alone; see the Makefile."""
+    """Mark every property of random cases as one that `make test-long` searches more widely."""
     for item in items:
-        place = item.path.relative_to(Path(__file__).parent).as_posix()
-        if place.startswith(ALONE):
-            item.add_marker(pytest.mark.alone)
+        if isinstance(item, pytest.Function) and hypothesis.is_hypothesis_test(item.obj):
+            item.add_marker(pytest.mark.wide)
 
 
 def _descriptors() -> dict[int, str]:

@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import zmq
-from zmq.utils.monitor import parse_monitor_message
 
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINGER_MS, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import TransportError, Trouble, milliseconds, require_name, require_sendable
 from manyhands.protocol.transport.doorkeeper import Doorkeeper
-from manyhands.protocol.transport.monitor import Fate, close_monitor, monitor_of
+from manyhands.protocol.transport.monitor import Fate, close_monitor, event_of, monitor_of
 
 HUB_DROPS: Final = (
     "not_a_frame",  # not one frame from somebody with a proper name
@@ -90,7 +89,7 @@ class ZmqLink:
         """What has gone wrong with the connection; see :class:`~manyhands.protocol.transport.Link`."""
         if self._monitor is not None and not self._socket.closed:
             while self._monitor.poll(0, zmq.POLLIN):
-                self._fate.take(zmq.Event(parse_monitor_message(self._monitor.recv_multipart())["event"]))
+                self._fate.take(event_of(self._monitor.recv_multipart()))
         return self._fate.trouble
 
     def close(self) -> None:

@@ -21,6 +21,8 @@ from manyhands.design.synthesis import design
 from manyhands.design.transparency import Transparency
 from manyhands.design.weights import Filter
 
+from ..cases import cases
+
 
 def aim(objective: str = "loop-shaping") -> Transparency:
     return Transparency(objective, Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), 1e-3), Filter.one())
@@ -140,7 +142,7 @@ def test_what_was_asked_is_recorded_and_no_claim(certificate, data: dict[str, An
 
 
 @given(st.data())
-@settings(max_examples=200)
+@settings(max_examples=cases(50, 200))
 def test_any_changed_leaf_changes_the_id(certificate, data: dict[str, Any], draw: st.DataObject) -> None:
     at = draw.draw(st.sampled_from([leaf for leaf in leaves(data) if leaf != ("id",)]))
     old = get(data, at)
@@ -308,7 +310,7 @@ SPOILT = [None, True, "x", "0.5", -1, 0, 1e300, -1e308, 5e-324, 1e17, 10**400, [
 
 
 @given(st.data())
-@settings(max_examples=250)
+@settings(max_examples=cases(50, 250))
 def test_nothing_but_a_certificate_error_leaves_a_spoilt_file(data, path: Path, draw: st.DataObject) -> None:
     """Also with the right id, of somebody who means it."""
     at = draw.draw(st.sampled_from([*leaves(data), *sections(data)]))

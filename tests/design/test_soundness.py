@@ -26,7 +26,9 @@ from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.statespace import Matrix, StateSpace, parallel_blocks
 from manyhands.design.synthesis import design
 
-CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", "300"))
+from ..cases import cases
+
+CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", cases(60, 300)))
 HANDS = 4  # hands and forgeries are cheap, designs are not
 FORGERIES = 5
 # Positions at rest have an eigenvalue 1, and 1 twice where masses drift: rounding splits that by its root, 1.5e-8 of
@@ -292,6 +294,7 @@ def count(problems, cases: int) -> dict[str, int]:
     return seen
 
 
+@pytest.mark.wide
 def test_what_is_proved_is_stable(problems) -> None:
     seen = count(problems, CASES)
     assert seen["designed"] >= CASES // 4, seen

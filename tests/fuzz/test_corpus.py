@@ -12,6 +12,8 @@ from draws import Dictation, Draws, Misdictated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ..cases import cases
+
 FILES = sorted(path for harness in seeds.CHECKS for path in (seeds.CORPUS / harness).iterdir())
 MOST_FILES, MOST_BYTES = 340, 340 * 1024
 
@@ -29,14 +31,14 @@ def test_the_corpus_is_replayed(harness: str) -> None:
 
 @pytest.mark.parametrize("harness", seeds.CHECKS)
 @given(data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=cases(50, 150))
 def test_inputs_that_hypothesis_makes_up(harness: str, data: st.DataObject) -> None:
     seeds.CHECKS[harness](data.draw(st.binary(max_size=300)))
 
 
 @pytest.mark.parametrize("harness", seeds.CHECKS)
 @given(data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=cases(50, 150))
 def test_files_of_the_corpus_changed_and_joined(harness: str, data: st.DataObject) -> None:
     files = st.sampled_from([path for path in FILES if path.parent.name == harness]).map(Path.read_bytes)
     first, second = data.draw(files), data.draw(files)

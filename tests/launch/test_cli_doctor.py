@@ -21,6 +21,8 @@ from manyhands.nodes.realtime import may_raise
 PERCENTILES = ["p50", "p99", "p999", "max"]
 DOCUMENT = Path(__file__).parents[2] / "docs" / "doctor.md"
 
+pytestmark = pytest.mark.alone  # it measures the machine
+
 
 @pytest.fixture(autouse=True)
 def own_interrupt() -> Iterator[None]:

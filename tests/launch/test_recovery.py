@@ -29,6 +29,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+from ..cases import cases
 from .fake_session import CERTIFICATE, FakeSession, hello_of
 
 # dx and dy each have a coupling; dz is split between two
@@ -111,7 +112,7 @@ class Test_whoever_dies:
         assert s.joined()
         assert s.conductor.faults == []
 
-    @settings(max_examples=400)
+    @settings(max_examples=cases(100, 400))
     @given(steps)
     def test_at_any_time_in_any_order(self, script: list[tuple[str, str]]) -> None:
         s = session(restarts=100)

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from manyhands.launch.session import Rational, Session, SessionError, load_session
 from manyhands.launch.session.rational import is_hurwitz
 
+from ..cases import cases
+
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
 
@@ -120,7 +122,7 @@ def test_weights_that_are_unstable_or_on_the_edge_of_it(den: list[float]) -> Non
         example("example2", f"design.weights.W1={{num: [1], den: {den}}}")
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=cases(50, 200))
 @given(roots=st.lists(st.tuples(st.integers(-9, 4), st.integers(0, 9)), min_size=1, max_size=5), gain=st.integers(1, 9))
 def test_a_polynomial_is_hurwitz_by_its_roots(roots: list[tuple[int, int]], gain: int) -> None:
     """Built exactly from its factors, s - a and (s - a)^2 + b^2, of which the real parts a are known."""

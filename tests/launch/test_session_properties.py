@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from manyhands.launch.session import Interval, NetworkEnvironment, Session, SessionError, load_session
 from manyhands.launch.session.source import KeyPath, read_tree
 
+from ..cases import cases
+
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 EXAMPLE = SESSIONS / "example1.yaml"
 
@@ -285,7 +287,7 @@ def spoil(plain: Any, path: KeyPath, action: str, value: object) -> Any:
     return spoilt
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=cases(50, 150))
 @given(
     place=st.sampled_from([(plain, path) for plain in PLAINS for path in paths(plain)]),
     action=st.sampled_from(["replace", "remove", "add"]),
@@ -297,7 +299,7 @@ def test_a_spoilt_key_raises_nothing_else(place: tuple[Any, KeyPath], action: st
     assert error is None or (str(error).isprintable() and error.line is not None)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=cases(50, 100))
 @given(
     start=st.integers(0, EXAMPLE.stat().st_size),
     length=st.integers(0, 30),
@@ -310,7 +312,7 @@ def test_spoilt_text_raises_nothing_else(start: int, length: int, inserted: str)
     assert error is None or str(error).isprintable()  # printable, and so one line
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=cases(50, 100))
 @given(path=st.sampled_from(PATHS), value=st.text(max_size=20) | junk.map(json.dumps))
 def test_overrides_raise_nothing_else(path: KeyPath, value: str) -> None:
     error = refused(lambda: load_session(EXAMPLE, [f"{'.'.join(map(str, path))}={value}"]))

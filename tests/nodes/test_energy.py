@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from manyhands.nodes.environment.energy import POSTING, Budget, Energy
 
+from ..cases import cases
+
 T = 1e-3
 STORE = 10.0  # J
 joules = st.floats(-1.0, 1.0).map(lambda energy: 0.0 if abs(energy) < 1e-9 else energy)
@@ -21,7 +23,7 @@ def accounts(n: int, budgets: list[Budget] | None = None, known: bool = False) -
     return Energy([(i,) for i in range(n)], budgets, T, known)
 
 
-@settings(max_examples=150)
+@settings(max_examples=cases(50, 150))
 @given(supplies=ticks)
 def test_every_joule_that_is_received_is_somebodys(supplies: list[list[float]]) -> None:
     n = len(supplies[0])
@@ -40,7 +42,7 @@ def test_every_joule_that_is_received_is_somebodys(supplies: list[list[float]]) 
         assert energy.moved[i][i] == 0.0
 
 
-@settings(max_examples=100)
+@settings(max_examples=cases(50, 100))
 @given(supplies=ticks)
 def test_a_single_supplier_is_charged_with_all_that_others_receive(supplies: list[list[float]]) -> None:
     """The others take no more than there is: what they take is the supplier's, to the last joule."""
@@ -56,7 +58,7 @@ def test_a_single_supplier_is_charged_with_all_that_others_receive(supplies: lis
     assert energy.given[1:] == [0.0] * (len(supplies[0]) - 1)
 
 
-@settings(max_examples=100)
+@settings(max_examples=cases(50, 100))
 @given(supplies=ticks)
 def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> None:
     n = len(supplies[0])
@@ -67,7 +69,7 @@ def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> No
         assert energy.ratio(0) == 1.0
 
 
-@settings(max_examples=100)
+@settings(max_examples=cases(50, 100))
 @given(
     pushes=st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 3)), min_size=1, max_size=60),
     known=st.booleans(),
@@ -90,7 +92,7 @@ def test_a_hand_that_only_gives_way_is_never_charged(pushes: list[tuple[float, f
         assert energy.ratio(1) == 1.0
 
 
-@settings(max_examples=100)
+@settings(max_examples=cases(50, 100))
 @given(
     supplies=st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=200),
     wait=st.integers(0, 50),
@@ -168,7 +170,7 @@ def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, pa
     assert energy.scaled == [0, 0]
 
 
-@settings(max_examples=100)
+@settings(max_examples=cases(50, 100))
 @given(
     size=st.floats(0.1, 50.0),
     parts=st.lists(st.tuples(st.floats(0.0, 1.0), joules, joules), min_size=1, max_size=60),

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from manyhands.nodes.device.formula import MAX_FORMULA_DEPTH, MAX_FORMULA_LENGTH
 from manyhands.nodes.device.intent import Constant, Formula, FormulaError, IntentError, Trace, intent_from
 
+from ..cases import cases
+
 
 @pytest.mark.parametrize(
     ("text", "t", "value"),
@@ -146,7 +148,7 @@ words = st.sampled_from(
 pieces = characters | words
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=cases(100, 400))
 @given(text=st.lists(pieces, max_size=12).map("".join) | st.text(max_size=20), t=st.floats(0.0, 100.0))
 def test_any_text_gives_a_finite_number_or_a_formula_error(text: str, t: float) -> None:
     try:
@@ -157,7 +159,7 @@ def test_any_text_gives_a_finite_number_or_a_formula_error(text: str, t: float) 
     assert math.isfinite(value)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=cases(50, 100))
 @given(a=st.floats(-1e6, 1e6), b=st.floats(-1e6, 1e6), t=st.floats(0.0, 100.0))
 def test_formulas_agree_with_floating_point_arithmetic(a: float, b: float, t: float) -> None:
     assert Formula(f"({a!r})*t - ({b!r})")(t) == a * t - b

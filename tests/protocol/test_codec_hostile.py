@@ -50,6 +50,8 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+from ..cases import cases
+
 LIMIT = limits.MAX_CONTROL_BYTES
 V = PROTOCOL_VERSION
 VALID: list[Message] = [
@@ -103,13 +105,13 @@ def check(frame: bytes) -> None:
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=500)
+@settings(max_examples=cases(100, 500))
 def test_any_bytes(frame: bytes) -> None:
     check(frame)
 
 
 @given(st.integers(0x90, 0x9F), st.sampled_from([number for number, _ in LAYOUTS.values()]), st.binary(max_size=100))
-@settings(max_examples=500)
+@settings(max_examples=cases(100, 500))
 def test_any_bytes_behind_a_plausible_start(array: int, number: int, rest: bytes) -> None:
     check(bytes([array, number]) + rest)
 
@@ -147,7 +149,7 @@ plain = st.recursive(
 
 
 @given(st.sampled_from(FRAMES), st.integers(0, 8), plain)
-@settings(max_examples=500)
+@settings(max_examples=cases(100, 500))
 def test_any_field_replaced_by_anything(frame: bytes, place: int, value: Any) -> None:
     items = msgpack.unpackb(frame)
     items[place % len(items)] = value

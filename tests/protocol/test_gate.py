@@ -18,6 +18,8 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
 from manyhands.protocol.signal_head import LONGEST, read_head, type_of
 
+from ..cases import cases
+
 TICK = 10
 PAIR = np.array([1.0, 2.0])
 
@@ -153,7 +155,7 @@ def signals(draw: st.DrawFn) -> bytes:
     return frame
 
 
-@settings(max_examples=600)
+@settings(max_examples=cases(100, 600))
 @given(signals() | st.binary(max_size=60))
 @example(usual(TICK, 1.0, -0.0))
 @example(b"\xdd\x00\x00\x00\x04\xd3" + b"\x00" * 7 + b"\x10" + (b"\xd3" + b"\x00" * 7 + b"\x0a") * 2

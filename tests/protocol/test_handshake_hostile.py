@@ -40,6 +40,8 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+from ..cases import cases
+
 D_V = ((0.1, 0.0), (0.0, 0.2))
 OTHER_D_V = ((0.3, 0.0), (0.0, 0.4))
 PORTS = ("dx", "dy")
@@ -289,7 +291,7 @@ def test_no_hello_with_anything_altered_is_good(own: LinkHello, hopes: LinkHello
     st.integers(0, 1),
     junk | st.sampled_from(PAIRS).flatmap(st.sampled_from).map(encode) | st.sampled_from(ANSWERS).map(encode),
 )
-@settings(max_examples=300)
+@settings(max_examples=cases(100, 300))
 def test_one_frame_too_many_at_any_point(pair: tuple[LinkHello, LinkHello], point: int, to: int, frame: bytes) -> None:
     """Before the first message, between two, or after the last."""
     between = AdversaryBetween()
@@ -345,7 +347,7 @@ honest = st.sampled_from([encode(hello) for pair in PAIRS for hello in pair] + [
 
 @both_sides
 @given(script=st.lists(st.integers(1, 600) | junk | honest, max_size=6), deaf=st.booleans())
-@settings(max_examples=150)
+@settings(max_examples=cases(50, 150))
 def test_a_handshake_over_a_link_ends_in_time_and_with_a_clear_word(
     own: LinkHello, hopes: LinkHello, opens: bool, script: list[bytes | int], deaf: bool
 ) -> None:

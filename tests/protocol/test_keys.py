@@ -36,6 +36,8 @@ from manyhands.protocol.keys import (
 )
 from manyhands.protocol.limits import MAX_NAME
 
+from ..cases import cases
+
 NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=MAX_NAME)
 
 
@@ -152,7 +154,7 @@ def test_every_32_bytes_are_a_key(raw: bytes) -> None:
     assert is_key(z85.encode(raw).decode())
 
 
-@settings(max_examples=300)
+@settings(max_examples=cases(100, 300))
 @given(st.text(max_size=50) | st.text(z85.Z85CHARS.decode(), min_size=38, max_size=42))
 def test_a_key_is_what_decodes_to_32_bytes(text: str) -> None:
     """Against libzmq's own rule, written out: 40 digits of base 85, five to a number below 2**32."""
@@ -380,7 +382,7 @@ def test_every_truncation_is_refused_without_quoting(path: Path, pair: KeyPair) 
         assert "found no file of manyhands private key" in refusal(path, secret=pair.secret)
 
 
-@settings(max_examples=200)
+@settings(max_examples=cases(50, 200))
 @given(data=st.data())
 def test_no_damage_shows_the_secret(path: Path, pair: KeyPair, data: st.DataObject) -> None:
     """Whatever becomes of single bytes: it is read as the same key, or refused without a trace of it."""

@@ -1,17 +1,19 @@
 """What is ZeroMQ's own: socket files, paths, descriptors, and peers that are not of this program."""
 
 import os
+import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import zmq
-from zmq.utils.monitor import recv_monitor_message
+from zmq.utils.monitor import parse_monitor_message, recv_monitor_message
 
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SOCKET_PATH
 from manyhands.protocol.transport import TransportError
+from manyhands.protocol.transport.monitor import event_of
 from manyhands.protocol.transport.zeromq import ZmqHub, ZmqTransport
 
 LONG = Duration(10_000_000_000)
@@ -67,6 +69,14 @@ def await_event(monitor: "zmq.Socket[bytes]", event: int) -> None:
         assert monitor.poll(LONG_MS), "the event never came"
         if recv_monitor_message(monitor)["event"] == event:
             return
+
+
+@pytest.mark.parametrize("event", [one for one in zmq.Event if one < 1 << 16], ids=lambda one: one.name)
+def test_a_monitors_event_is_read_as_pyzmq_reads_it(event: zmq.Event) -> None:
+    frames = [struct.pack("=Hi", event, 111), b"tcp://127.0.0.1:7400"]
+    assert event_of(frames) is event
+    if event < 1 << 15:  # pyzmq takes the sixteen bits for a number with a sign
+        assert parse_monitor_message(frames)["event"] is event
 
 
 def descriptors_and_threads() -> tuple[set[str], int]:

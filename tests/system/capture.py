@@ -188,9 +188,12 @@ def _as_options(fields: Iterable[str]) -> list[str]:
 def free_ports(count: int) -> range:
     """Consecutive TCP ports of 127.0.0.1 that nobody uses, below those that the system gives away by itself."""
     lowest_given = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    share = (min(lowest_given, 32_768) - 10_000) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    lowest = 10_000 + worker * share  # processes of one test run have no port in common
     choose = random.Random(os.getpid())  # test runs beside each other begin elsewhere
     for _ in range(100):
-        first = choose.randrange(10_000, min(lowest_given, 32_768) - count)
+        first = choose.randrange(lowest, lowest + share - count)
         ports = range(first, first + count)
         if all(_is_free(port) for port in ports):
             return ports

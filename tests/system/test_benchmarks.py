@@ -35,6 +35,8 @@ def rows(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("| ")]
 
 
+@pytest.mark.long
+@pytest.mark.alone
 def test_the_loop_beside_bare_pyzmq(tmp_path: Path) -> None:
     file, picture, page = tmp_path / "loop.json", tmp_path / "loop.png", tmp_path / "page.md"
     page.write_text("before\n<!-- loop: begin -->\nold\n<!-- loop: end -->\nafter\n")
@@ -60,6 +62,8 @@ def test_the_loop_beside_bare_pyzmq(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
+@pytest.mark.alone
 def test_the_memory_of_a_run(tmp_path: Path) -> None:
     file = tmp_path / "soak.json"
     said = run("loop.py", "--soak", "0.5", "--json", file)
@@ -69,6 +73,7 @@ def test_the_memory_of_a_run(tmp_path: Path) -> None:
     assert len(rows(said)) == 1 + 8
 
 
+@pytest.mark.alone
 def test_the_users_of_one_environment(tmp_path: Path) -> None:
     file = tmp_path / "users.json"
     said = run("users.py", "--users", "3", "--seconds", "0.3", "--repeats", "1", "--json", file)

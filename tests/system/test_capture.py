@@ -72,6 +72,7 @@ def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
     return {struct.pack(form, value): f"{value!r} ({form})" for value in signals.tolist() if is_distinctive(value)}
 
 
+@pytest.mark.alone
 def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_insecure_one_all(folder: Path) -> None:
     keyed = captured(folder, "--keys", folder / "keys")
     plain = captured(folder, "--insecure")

@@ -45,6 +45,7 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
         assert done.returncode == expected, f"{arguments}: {done.stderr}"
 
 
+@pytest.mark.long
 def test_the_readmes_terminals_show_what_they_say(tmp_path: Path) -> None:
     """The lines of the three terminals, in their order; what goes on is ended with Ctrl-C, as a person would."""
     text = (ROOT / "README.md").read_text()

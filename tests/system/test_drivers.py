@@ -32,7 +32,7 @@ DEADLINE = from_seconds(60.0)
 TRACED = "devices.{0}={{dof: 1, osp: 1.37, driver: trace, trace: {{file: '{1}'}}}}"
 
 
-@pytest.mark.parametrize("colocate", ["false", "true"])
+@pytest.mark.parametrize("colocate", ["false", pytest.param("true", marks=pytest.mark.long)])
 def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path: Path, colocate: str) -> None:
     """Recorded by a run of processes; met again by a weaker coupling, and at half the period."""
     recorded = tmp_path / "run.npz"
@@ -58,6 +58,7 @@ def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path:
     np.testing.assert_allclose(twice.x[1::2, 0], (first.x[1:, 0] + first.x[:-1, 0]) / 2.0, rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.alone
 def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None:
     clock = RealtimeClock()
     with started("launch", "browser") as process:

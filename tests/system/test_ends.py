@@ -66,8 +66,18 @@ def is_running(progress: Progress) -> bool:
     return progress.phase is Phase.RUNNING and len(progress.telemetry) == 7
 
 
-@pytest.mark.parametrize("transport", ["ipc", "tcp"])
-@pytest.mark.parametrize("victim", ["dx", "cy", "environment"])
+@pytest.mark.parametrize(
+    ("victim", "transport"),
+    [
+        ("dx", "ipc"),
+        ("cy", "tcp"),
+        ("environment", "ipc"),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (("dx", "tcp"), ("cy", "ipc"), ("environment", "tcp"))
+        ),
+    ],
+)
 def test_a_killed_node_ends_a_session_without_restarts_with_code_1(
     victim: str, transport: str, brittle: Prepared
 ) -> None:
@@ -78,7 +88,7 @@ def test_a_killed_node_ends_a_session_without_restarts_with_code_1(
     assert set(outcome.report["nodes"]) == set(supervisor_nodes(brittle)) - {victim}
 
 
-@pytest.mark.parametrize("victim", ["dz", "cx", "environment"])
+@pytest.mark.parametrize("victim", ["dz", pytest.param("cx", marks=pytest.mark.long), "environment"])
 def test_a_node_killed_during_start_up(victim: str, prepared: Prepared) -> None:
     kill = once(
         lambda p: p.phase is Phase.STARTING and victim in p.pids,
@@ -104,7 +114,7 @@ def test_interrupted_while_running_every_node_still_reports(prepared: Prepared) 
     assert all(node["ticks"] > 0 for node in outcome.report["nodes"].values())
 
 
-@pytest.mark.parametrize("transport", ["ipc", "tcp"])
+@pytest.mark.parametrize("transport", [pytest.param("ipc", marks=pytest.mark.long), "tcp"])
 def test_a_node_of_another_certificate_is_refused_by_the_supervisor(
     transport: str, prepared: Prepared, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,7 +175,7 @@ def read_until(process: subprocess.Popen[str], words: str) -> None:
         assert line, f"it ended with {process.wait()} and never said {words!r}"
 
 
-@pytest.mark.parametrize("line", [": starting", ": running", "running: tick"])
+@pytest.mark.parametrize("line", [": starting", pytest.param(": running", marks=pytest.mark.long), "running: tick"])
 def test_ctrl_c_on_the_command_line(line: str) -> None:
     process = launched()
     read_until(process, line)

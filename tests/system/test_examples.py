@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 PNG = b"\x89PNG\r\n\x1a\n"
 FIGURES = {"figure_5.py": False, "figure_6.py": True, "figure_7.py": True, "figure_8.py": True}  # whether hands settle
+FURTHER = ("figure_7.py", "figure_8.py")  # drawn in `make test-long`, like figure 6
 AT_REST = 1e-5  # m/s; found 1.6e-6 to 2.9e-6, after peaks of 0.1 to 0.2 while the hands push
 SHAKING = 1e-3  # m/s; found 7, and growing
 
@@ -25,7 +26,9 @@ def run(script: str, folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("script", FIGURES)
+@pytest.mark.parametrize(
+    "script", [pytest.param(one, marks=pytest.mark.long) if one in FURTHER else one for one in FIGURES]
+)
 def test_a_figure_of_the_paper_is_drawn_and_its_hands_do_what_it_says(script: str, tmp_path: Path) -> None:
     said = run(script, tmp_path)
     (picture,) = tmp_path.iterdir()
@@ -39,6 +42,7 @@ def test_a_figure_of_the_paper_is_drawn_and_its_hands_do_what_it_says(script: st
     assert fastest < AT_REST if FIGURES[script] else fastest > SHAKING
 
 
+@pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
     said = run("order_curve.py", tmp_path, "--orders", "0", "1")

@@ -335,6 +335,7 @@ def test_a_guest_that_is_interrupted_before_the_first_tick_is_waited_for_again(
     assert outcome.incidents == ("dx: its user ended it before the first tick; the session waits for dx again",)
 
 
+@pytest.mark.alone
 def test_ctrl_c_at_home_ends_the_guest(home: Home, machine: Path, listen: Listen) -> None:
     home.invited("dx", machine, clock="realtime")
     with guest("dx", machine, listen) as dx:

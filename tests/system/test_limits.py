@@ -26,7 +26,7 @@ def run(session: Prepared) -> Outcome:
     return Supervisor(session, clock="simulated", reach=reach(session.session, "ipc"), ticks=TICKS, record=True).run()
 
 
-@pytest.mark.parametrize("file", ["example1.yaml", "example1-centralised.yaml"])
+@pytest.mark.parametrize("file", ["example1.yaml", pytest.param("example1-centralised.yaml", marks=pytest.mark.long)])
 def test_a_force_limit_that_bites_gives_the_simulations_numbers(file: str) -> None:
     session = prepared("{force: 1.25}", file)
     outcome = run(session)

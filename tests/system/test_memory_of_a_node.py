@@ -185,7 +185,7 @@ def test_a_device_that_joined_from_elsewhere_opens_its_bundle_and_its_key_alone(
     assert ours == {machine / f"{DEVICE}.bundle", machine / f"{DEVICE}.key"}
 
 
-@pytest.mark.parametrize("transport", ["ipc", "tcp"])
+@pytest.mark.parametrize("transport", [pytest.param("ipc", marks=pytest.mark.long), "tcp"])
 def test_no_process_of_a_session_holds_what_is_the_others(transport: str, owner: Owner) -> None:
     options = ("--keys", owner.folder / "keys") if transport == "tcp" else ()
     with launched(owner, "--transport", transport, *options) as session:

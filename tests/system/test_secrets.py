@@ -34,7 +34,9 @@ def spellings(secret: str) -> Iterator[bytes]:
     yield from (secret.encode(), raw, raw.hex().encode(), json.dumps(secret)[1:-1].encode())
 
 
-@pytest.mark.parametrize("kept", [True, False], ids=["keys from a folder", "keys of one run"])
+@pytest.mark.parametrize(
+    "kept", [True, pytest.param(False, marks=pytest.mark.long)], ids=["keys from a folder", "keys of one run"]
+)
 def test_private_keys_are_in_files_of_their_owners_and_nowhere_else(kept: bool, tmp_path: Path) -> None:
     session = load_session(SESSIONS / "example1.yaml")
     prepared = prepare(session)

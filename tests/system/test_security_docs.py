@@ -140,6 +140,7 @@ def write_session(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_the_walk_through(tmp_path: Path) -> None:
     """As the page has it, but for the port, which may be in use here."""
     write_session(tmp_path)

@@ -44,7 +44,14 @@ def test_processes_in_lockstep_give_the_simulations_numbers_twice(transport: str
         assert got.tobytes() == getattr(second, signal).tobytes(), f"{signal} differs between two runs"
 
 
-@pytest.mark.parametrize("file", ["example1-centralised.yaml", "example1-operator.yaml", "example1-uncoupled.yaml"])
+@pytest.mark.parametrize(
+    "file",
+    [
+        "example1-centralised.yaml",
+        pytest.param("example1-operator.yaml", marks=pytest.mark.long),
+        "example1-uncoupled.yaml",
+    ],
+)
 def test_every_shipped_session_runs(file: str) -> None:
     """One block over three devices, three blocks over one device, and no coupling at all."""
     prepared = prepare(load_session(SESSIONS / file), uncertified=True)
@@ -59,6 +66,7 @@ def test_every_shipped_session_runs(file: str) -> None:
             assert node["ledger"]["min"] >= 0.0
 
 
+@pytest.mark.alone
 def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
     """Slowly enough that a busy machine makes nobody wait for three periods, who would then be frozen."""
     slowly = ["period=0.05", "design.ladder=[]", "faults.breach=warn"]

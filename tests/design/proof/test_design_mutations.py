@@ -336,10 +336,10 @@ def refuted(certificates, data: Data) -> bool:
     return data["transparency"] is not None and transparency_refuted(certificates, data)
 
 
-NAMES = ("26", "27", "28 shaped", "linear", "late", "intervals", "hundred")
+NAMES = ("26", "27", "28 shaped", "linear", "late", "intervals")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, pytest.param("hundred", marks=pytest.mark.long)])
 def test_what_is_made_false_is_not_proved(problems, certificates, name: str) -> None:
     """A hundred false claims each, from changes of every size in every section of the file."""
     data = certified(*cases(problems)[name])

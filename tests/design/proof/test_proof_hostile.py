@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from manyhands.design.proof import Finding, ProofInputError, prove
 
+from ...cases import cases
+
 Data = dict[str, Any]
 
 SCALARS = st.one_of(
@@ -63,7 +65,7 @@ def outcome(data: Any) -> tuple[Finding, ...] | ProofInputError:
 
 
 @given(data=st.data())
-@settings(max_examples=250)
+@settings(max_examples=cases(50, 250))
 def test_one_value_is_anything(certificates, data: st.DataObject) -> None:
     base = data.draw(st.sampled_from(bases(certificates)))
     path = data.draw(st.sampled_from(paths(base)))

@@ -26,6 +26,7 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(BENCHMARKS)
 
 
+@pytest.mark.long
 def test_a_session_withstands_faults_at_random(tmp_path: Path) -> None:
     file, page = tmp_path / "chaos.json", tmp_path / "page.md"
     page.write_text("before\n<!-- chaos: begin -->\n<!-- chaos: end -->\nafter\n")

@@ -29,7 +29,9 @@ from .stage import (
 )
 
 
-@pytest.mark.parametrize("victims", [("dx",), ("cx",), ("dx", "cx")], ids="+".join)
+@pytest.mark.parametrize(
+    "victims", [("dx",), ("cx",), pytest.param(("dx", "cx"), marks=pytest.mark.long)], ids="+".join
+)
 def test_a_user_whose_processes_die_comes_back_and_the_other_does_not_feel_it(victims: tuple[str, ...]) -> None:
     outcome = play((at(100), send(signal.SIGKILL, *victims)), (back(*victims), nothing))
     require_sound(outcome)
@@ -44,7 +46,9 @@ def test_a_user_whose_processes_die_comes_back_and_the_other_does_not_feel_it(vi
     assert nodes["environment"]["incidents"]["frozen"] > 0
 
 
-@pytest.mark.parametrize("victims", [("environment",), ("cx", "environment")], ids="+".join)
+@pytest.mark.parametrize(
+    "victims", [("environment",), pytest.param(("cx", "environment"), marks=pytest.mark.long)], ids="+".join
+)
 def test_after_the_environments_death_everybody_begins_without_force(victims: tuple[str, ...]) -> None:
     outcome = play((at(100), send(signal.SIGKILL, *victims)), (back(*victims), nothing))
     require_sound(outcome)

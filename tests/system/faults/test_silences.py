@@ -22,10 +22,12 @@ from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.codec import Received
 from manyhands.protocol.messages import NodeHello
 
+from ..rows import rows_of
 from .proxy import Cable
 from .stage import (
     HERE,
     NODES,
+    PORTS,
     PROMISE,
     all_on,
     at,
@@ -67,10 +69,12 @@ def test_under_the_simulated_clock_a_stopped_or_slow_process_changes_nothing() -
     )
     require_sound(outcome)
     assert outcome.incidents == ()
-    f_v = recording_of(outcome).f_v
-    assert f_v.tobytes() == simulated(len(f_v)).tobytes()
+    for i, port in enumerate(PORTS):
+        _, f = rows_of(recording_of(outcome), port)
+        assert f.tobytes() == simulated(len(f))[:, i].tobytes()
 
 
+@pytest.mark.alone
 def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
     outcome = play(
         (told_of(100), send(signal.SIGSTOP, "dx")),
@@ -85,6 +89,7 @@ def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
     assert outcome.incidents == ()  # nobody died
 
 
+@pytest.mark.alone
 def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -> None:
     others: list[tuple[int, int]] = []
 
@@ -105,6 +110,7 @@ def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -
     assert nodes_of(outcome)["environment"]["incidents"]["frozen"] > 0
 
 
+@pytest.mark.alone
 def test_a_device_whose_coupling_stops_lets_go_at_the_first_sample_without_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,6 +141,7 @@ def test_a_device_whose_coupling_stops_lets_go_at_the_first_sample_without_answe
     assert "a" in calls[free.end() :]  # and later it felt the world again
 
 
+@pytest.mark.alone
 def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encrypted, between a coupling and the environment: both live on and find each other again."""
     cables: list[Cable] = []
@@ -167,6 +174,7 @@ def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert nodes["cx"]["incidents"]["jumps"] >= 1
 
 
+@pytest.mark.alone
 def test_a_model_that_never_returns(monkeypatch: pytest.MonkeyPatch) -> None:
     """The devices let go; people are shown who is silent, and Ctrl-C ends it all the same."""
     monkeypatch.setenv("PYTHONPATH", search_path(HERE))

@@ -9,13 +9,16 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+import pytest
+
 from manyhands.launch.conductor import Phase
 from manyhands.launch.run_directory import sweep_directories
 
+from ...cases import cases
 from ..commands import read_until, started
 from .stage import DEADLINE, HERE, NODES, all_on, nothing, play
 
-STARTS = int(os.environ.get("MANYHANDS_STARTS", "5"))
+STARTS = int(os.environ.get("MANYHANDS_STARTS", cases(3, 5)))
 """How often a session is started and stopped; fifty times by ``MANYHANDS_STARTS=50``."""
 
 
@@ -46,6 +49,8 @@ def test_nodes_end_when_their_supervisor_is_killed_while_one_is_on_its_way_back(
     sweep_directories()  # as the next run does: the killed one could not remove its folder
 
 
+@pytest.mark.wide
+@pytest.mark.alone  # /dev/shm is the whole machine's: a browser of another test has files there, too
 def test_starts_and_stops_in_a_row_leave_nothing() -> None:
     """Of each by itself, besides what every test is held to: no descriptor, shared memory or temporary file more."""
 

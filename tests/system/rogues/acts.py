@@ -48,7 +48,7 @@ from manyhands.protocol.messages import (
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
-from .links import Babbling, Flooding, Forceful, Lapsing, Oversized, Wrapped
+from .links import Babbling, Flooding, Forceful, HurriedClock, Lapsing, Oversized, Wrapped
 
 LEAVE: Final = 10
 """Ticks that a held device does at each leave."""
@@ -182,7 +182,9 @@ class HurriedCoupling(CouplingNode):
     """Gives its devices no time after their first frame."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
-        super().establish({name: link if name == "environment" else Lapsing(link) for name, link in links.items()})
+        self._clock = clock = HurriedClock()
+        late = {name: link if name == "environment" else Lapsing(link, clock) for name, link in links.items()}
+        super().establish(late)
 
 
 def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:

@@ -11,7 +11,8 @@ import numpy as np
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from manyhands.protocol.clock import Duration
+from manyhands.nodes.greeting import HANDSHAKE_TIME
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import LAYOUTS, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Force, Reaction, Sample, SignalMessage, Tool
@@ -157,15 +158,31 @@ class Forceful(Wrapped):
         return super().send(frame)
 
 
-class Lapsing(Wrapped):
-    """A link on which the time allowed is over after the first frame, so that no test has to wait for it."""
+class HurriedClock(RealtimeClock):
+    """A clock that is put forward, so that no test has to wait for a deadline."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self) -> None:
+        super().__init__()
+        self._ahead = Duration(0)
+
+    def now(self) -> Instant:
+        return Instant(super().now() + self._ahead)
+
+    def put_forward(self, time: Duration) -> None:
+        """From now on it is so much later."""
+        self._ahead = Duration(self._ahead + time)
+
+
+class Lapsing(Wrapped):
+    """A link on which the time allowed for a handshake is over after the first frame."""
+
+    def __init__(self, link: Link, clock: HurriedClock) -> None:
         super().__init__(link)
-        self._heard = False
+        self._clock, self._heard = clock, False
 
     def recv(self, timeout: Duration | None) -> bytes | None:
         if self._heard:
+            self._clock.put_forward(HANDSHAKE_TIME)
             return None
         self._heard = True
         return super().recv(timeout)

@@ -1,0 +1,18 @@
+"""How many cases a search tries: few in `make test`, all of them in `make test-long`."""
+
+from __future__ import annotations
+
+import os
+from typing import Final
+
+WIDE: Final = os.environ.get("MANYHANDS_WIDE") == "1"
+"""Whether the wide searches run: `make test-long` and `make campaign` set it."""
+
+EXAMPLES: Final = 50
+WIDE_EXAMPLES: Final = 100
+"""Random cases of each property that states no number of its own."""
+
+
+def cases(few: int, many: int) -> int:
+    """The number of cases of one search: ``few`` in `make test`, ``many`` in `make test-long`."""
+    return many if WIDE else few
