@@ -144,7 +144,7 @@ def prepare(
             raise
         if not uncertified:
             raise NotCertified(f"{session.name} is not certified: {error}") from error
-        return Prepared(session, loop, _unproved_blocks(session, loop, error), None, _uncertified_id(session))
+        return unproved(session, error)
     ladder, notes = _ladder(session, proof, progress)
     return Prepared(session, loop, proof.blocks, proof, proof.id, ladder, notes)
 
@@ -160,7 +160,21 @@ def _ladder(session: Session, first: Certificate, progress: Progress | None) -> 
     return design_ladder(first, coupling_request(session), delays, progress)
 
 
-def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError) -> tuple[StateSpace, ...]:
+def unproved(session: Session, why: DesignError | None = None) -> Prepared:
+    """A run of the coupling that the session states, which nothing proves.
+
+    Args:
+        session: the session.
+        why: what is known of why nothing does.
+
+    Raises:
+        NotCertified: the session states no coupling, or one that cannot be realised.
+    """
+    loop = haptic_loop(session)
+    return Prepared(session, loop, _unproved_blocks(session, loop, why), None, _uncertified_id(session))
+
+
+def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError | None) -> tuple[StateSpace, ...]:
     """The coupling that the session states, certified or not."""
     match coupling_request(session):
         case NoCoupling():
