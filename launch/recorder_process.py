@@ -22,7 +22,6 @@ from manyhands.launch.processes import Processes
 from manyhands.launch.recorder import Recorder
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.run_directory import kept_files
-from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.recorder.layout import Recorded
 from manyhands.nodes.recorder.plan import Plan
@@ -64,11 +63,10 @@ class RecorderProcess(Recorder):
             path: where the recording goes.
             clock: for time limits.
         """
-        graph = topology(prepared.session)
         self.path = path
         self.lost = 0
         self.incident: str | None = None
-        session = prepared.session
+        session, graph = prepared.session, prepared.graph
         self._recorded = Recorded(
             session.name, prepared.id, session.period, clock_name, graph.nodes, graph.ports, mass_names(session)
         )

@@ -46,7 +46,6 @@ from manyhands.launch.report import run_report
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.run_directory import kept_files, run_directory
 from manyhands.launch.session import SUPERVISOR
-from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
@@ -110,7 +109,7 @@ class Supervisor:
         self._about = describe(prepared, clock, reach.transport, ticks, reach.remote)
         self._showing: Showing | None = None
         self._show = show
-        self._graph = topology(session)
+        self._graph = prepared.graph
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
         self._conductor = Conductor(
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together

@@ -16,8 +16,9 @@ from manyhands.launch.doctor.probe import MOST_PROCESSES, Interrupted, Measured,
 from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
 from manyhands.launch.loop import haptic_loop
 from manyhands.launch.placement import chains_of
+from manyhands.launch.plan import Plan
 from manyhands.launch.session import Session
-from manyhands.launch.topology import require_runnable, topology
+from manyhands.launch.topology import require_runnable
 
 LEAST_SECONDS = 1.0
 MOST_SECONDS = 600.0
@@ -36,7 +37,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     Returns:
         The exit code.
     """
-    graph = topology(session)
+    plan = Plan(session)
+    graph = plan.graph
     if not (math.isfinite(seconds) and LEAST_SECONDS <= seconds <= MOST_SECONDS):
         say(err, f"error: --seconds: found {seconds:g}; expected {LEAST_SECONDS:g} to {MOST_SECONDS:g} s")
         return EXIT_BAD_INPUT
@@ -48,7 +50,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     machine, worth = examine(), Worth.of(haptic_loop(session))
     try:
         with measuring(err) as show:
-            measured = measure(session, seconds, machine.usable, machine.curve, show)
+            measured = measure(plan, seconds, machine.usable, machine.curve, show)
     except Interrupted as error:
         say(err, "interrupted before the measurement was done")
         return 128 + error.signal

@@ -17,6 +17,7 @@ from pathlib import Path
 from manyhands.launch.doctor.waking import Spread, Waking
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.placement import placement
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import Prepared, unproved
 from manyhands.launch.processes import Processes
 from manyhands.launch.reach import reach
@@ -24,7 +25,7 @@ from manyhands.launch.recorder import Recorder
 from manyhands.launch.run_directory import run_directory
 from manyhands.launch.session import Session
 from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import topology
+from manyhands.launch.topology import Topology
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.realtime import FIFO_PRIORITY
@@ -121,7 +122,7 @@ class Delays(Recorder):
 
 
 def measure(
-    session: Session,
+    plan: Plan,
     seconds: float,
     processors: Sequence[int],
     curve: bool,
@@ -130,7 +131,7 @@ def measure(
     """Measure all of it, one thing after the other.
 
     Args:
-        session: whose period and graph are taken, at most :data:`MOST_PROCESSES` nodes.
+        plan: of the session whose period and graph are taken, at most :data:`MOST_PROCESSES` nodes.
         seconds: how long to measure in all, s; starting the processes comes on top.
         processors: those that may be used.
         curve: whether ZeroMQ can encrypt.
@@ -140,11 +141,12 @@ def measure(
         Interrupted: on Ctrl-C.
         ProbeFailed: a process did not start, not answer, or ended.
     """
+    session = plan.session
     with Interrupt() as interrupt:
         show("how late a process wakes")
         with run_directory() as directory:
             waking = measure_waking(session.period, seconds * WAKING_PART, processors[0], directory, interrupt)
-        ways = _ways(session, processors, waking.granted["fifo"].granted, curve)
+        ways = _ways(plan.graph, processors, waking.granted["fifo"].granted, curve)
         each = seconds * (1.0 - WAKING_PART) / len(ways)
         rested = unproved(at_rest(session))
         ticking = []
@@ -156,12 +158,11 @@ def measure(
         return Measured(waking, tuple(ticking))
 
 
-def _ways(session: Session, processors: Sequence[int], fifo: bool, curve: bool) -> list[Way]:
+def _ways(graph: Topology, processors: Sequence[int], fifo: bool, curve: bool) -> list[Way]:
     """What there is to be compared: the session as `manyhands launch` would run it, and without SCHED_FIFO.
 
     A node takes SCHED_FIFO where it is pinned and may: without it, on a machine that permits it, nothing is pinned.
     """
-    graph = topology(session)
     pinned, raised = placement(graph, processors), placement(graph, processors, raised=True)
     if fifo and raised:
         ways = [Way("ipc", "ipc, not pinned", "ipc"), Way("ipc_fifo", "ipc, SCHED_FIFO", "ipc", raised)]
@@ -260,11 +261,11 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
         Interrupted: on Ctrl-C.
         ProbeFailed: the session failed, or none of its devices ever got a force.
     """
-    session, delays = rested.session, Delays()
+    delays = Delays()
     outcome = Supervisor(
         rested,
         clock=REALTIME,
-        reach=reach(session, way.transport),
+        reach=reach(rested, way.transport),
         ticks=ticks,
         record=False,
         recorder=delays,
@@ -276,6 +277,7 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
         raise ProbeFailed("; ".join(outcome.faults))
     if not delays.tau:
         raise ProbeFailed(f"{way.text}: found no tick that was answered; see what else runs here")
-    nodes = outcome.report["nodes"]
-    late = sum(nodes[name].get(names.LATE, 0) for name, role in session.roles.items() if role is Role.DEVICE)
+    nodes = outcome.report["nodes"]  # one without a last word is not in it
+    devices = [name for name, role in rested.graph.nodes.items() if role is Role.DEVICE]
+    late = sum(nodes[name][names.LATE] for name in devices if name in nodes)
     return Ticking(way, Spread.of(delays.tau), len(delays.tau), late)
