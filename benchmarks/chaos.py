@@ -93,7 +93,7 @@ def run(index: int, clock: str, faults: int, seed: int) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         recorder = RecorderProcess(prepared, clock, path)
-        ways = reach(prepared.session, "ipc")
+        ways = reach(prepared, "ipc")
         outcome = Supervisor(
             prepared, clock=clock, reach=ways, ticks=0, record=False, recorder=recorder, show=chaos.show
         ).run()

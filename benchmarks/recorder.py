@@ -110,7 +110,7 @@ def with_loop(prepared: Prepared, seconds: float, folder: Path) -> dict[str, flo
 def run(prepared: Prepared, recorder: RecorderProcess, seconds: float, show: Any = None) -> None:
     """A session in real time, of so many seconds."""
     ticks = round(seconds / prepared.session.period)
-    ways = reach(prepared.session, "ipc")
+    ways = reach(prepared, "ipc")
     outcome = Supervisor(
         prepared, clock="realtime", reach=ways, ticks=ticks, record=False, recorder=recorder, show=show
     ).run()

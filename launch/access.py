@@ -7,14 +7,14 @@ prints come from here, so that what a process can get hold of is what its block 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.error import listed, one_of
 from manyhands.launch.session.observers import TELEMETRY
-from manyhands.launch.topology import roster, topology
+from manyhands.launch.topology import Topology, roster
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 
@@ -56,11 +56,16 @@ class _Connection:
     content: tuple[str, ...] = ()
 
 
-def access(session: Session) -> tuple[Capability, ...]:
-    """The capability table: one row for each node, channel and peer, in the order of nodes, then of channels."""
+def access(session: Session, graph: Topology) -> tuple[Capability, ...]:
+    """The capability table: one row for each node, channel and peer, in the order of nodes, then of channels.
+
+    Args:
+        session: the session.
+        graph: its graph.
+    """
     roles = roster(session)
     rows: dict[str, list[Capability]] = {name: [] for name in roles}
-    connections = tuple(_connections(session))
+    connections = tuple(_connections(session, graph))
     for channel in DATA:
         for connection in connections:
             for sender, receiver in (connection.ends, connection.ends[::-1]):
@@ -76,8 +81,7 @@ def joins(channel: Channel, sender: Role, receiver: Role) -> bool:
     return sender in channel.senders and receiver in channel.receivers
 
 
-def _connections(session: Session) -> Iterator[_Connection]:
-    graph = topology(session)
+def _connections(session: Session, graph: Topology) -> Iterator[_Connection]:
     for link in graph.links:
         yield _Connection((link.binder, link.connector), link.ports)
     for node in graph.nodes:
@@ -111,37 +115,28 @@ def observed(session: Session, observer: str) -> Mapping[str, tuple[str, ...]]:
     return {node: tuple(name for name in CHANNELS if name in channels) for node, channels in wanted.items() if channels}
 
 
-def peers(session: Session) -> Mapping[str, frozenset[str]]:
+def peers(table: Iterable[Capability]) -> Mapping[str, frozenset[str]]:
     """With whom each node, the supervisor and each observer shares a channel: whose public keys it holds."""
     found: dict[str, set[str]] = {}
-    for row in access(session):
+    for row in table:
         found.setdefault(row.node, set()).add(row.peer)
     return {name: frozenset(others) for name, others in found.items()}
 
 
-def peers_of(session: Session, name: str) -> frozenset[str]:
-    """With whom one of them shares a channel; for several names, :func:`peers` derives the table once.
-
-    Raises:
-        ValueError: the session has no process of this name.
-    """
-    found = peers(session)
-    if name not in found:
-        raise ValueError(f"found the process {name!r}; expected {one_of(found, name)}")
-    return found[name]
-
-
-def capability_violations(session: Session, structure: Mapping[str, Sequence[str]]) -> list[str]:
+def capability_violations(
+    session: Session, table: Iterable[Capability], structure: Mapping[str, Sequence[str]]
+) -> list[str]:
     """Where blocks of V would need ports that their processes may not both read and write; empty where they agree.
 
     Args:
-        session: the session, whose couplings say what each process may do.
+        session: the session.
+        table: its capability table, which says what each process may do.
         structure: the ports of each block by name, as a certificate has them.
 
     Returns:
         One sentence for each port outside its process, and for each block without a process.
     """
-    allowed = _within_reach(access(session))
+    allowed = _within_reach(table)
     owner = {port: coupling for coupling, ports in session.blocks_by_name.items() for port in ports}
     found = []
     for block, ports in structure.items():
@@ -158,7 +153,7 @@ def capability_violations(session: Session, structure: Mapping[str, Sequence[str
     return found
 
 
-def _within_reach(table: tuple[Capability, ...]) -> dict[str, tuple[str, ...]]:
+def _within_reach(table: Iterable[Capability]) -> dict[str, tuple[str, ...]]:
     """The ports of each coupling that it may use on every signal of its: what it cannot answer it cannot couple."""
     by_channel: dict[str, dict[str, dict[str, None]]] = {}
     for row in table:

@@ -6,7 +6,6 @@ a budget says before any design what faster transport or a shorter period would 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -24,6 +23,7 @@ from manyhands.design.files import replacing
 from manyhands.design.problem import HapticLoop
 from manyhands.design.statespace import Matrix
 from manyhands.launch.files import TargetError, require_target
+from manyhands.nodes.json_number import json_number
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # of a period: the delays shown, besides the session's own
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: shown besides the session's own
@@ -117,7 +117,7 @@ def budget_object(found: Budget) -> dict[str, Any]:
         "period": loop.period,
         "tau": loop.tau,
         "environment": [
-            {"T": period, "share": share if math.isfinite(share) else None}
+            {"T": period, "share": json_number(share)}
             for period, share in ((period, found.share_at(period)) for period in found.periods)
         ],
         "devices": {

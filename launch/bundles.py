@@ -20,7 +20,7 @@ from manyhands.launch.port_bounds import PortBounds, budgets, limits_at, tool_bo
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import IPC, Reach
 from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
-from manyhands.launch.topology import ENVIRONMENT, Topology, topology
+from manyhands.launch.topology import ENVIRONMENT, Topology
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     BrowserHand,
@@ -74,8 +74,7 @@ def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
         run: how it is to be run.
     """
     session = prepared.session
-    graph = topology(session)
-    commons = {name: _common(prepared, run, graph, name) for name in graph.nodes}
+    commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)
     bundles: dict[str, Bundle] = {}
     for name in session.devices:
@@ -179,11 +178,12 @@ def _greatest(bounds: tuple[float | None, ...]) -> float | None:
 def bundle_of(prepared: Prepared, run: Run, name: str) -> Bundle:
     """The bundle of one node, or of an observer."""
     if name in prepared.session.observers:
-        return ObserverBundle(_common(prepared, run, topology(prepared.session), name))
+        return ObserverBundle(_common(prepared, run, name))
     return cut(prepared, run)[name]
 
 
-def _common(prepared: Prepared, run: Run, graph: Topology, name: str) -> Common:
+def _common(prepared: Prepared, run: Run, name: str) -> Common:
+    graph = prepared.graph
     peers, ports = [], graph.ports.get(name, ())
     for index, link in enumerate(graph.links):
         if name in (link.binder, link.connector):

@@ -19,7 +19,6 @@ from manyhands.design.files import open_new
 from manyhands.launch.outcome import Progress
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.session import Interval, NetworkEnvironment, Session
-from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.codec import encode
@@ -56,7 +55,7 @@ def describe(
     prepared: Prepared, clock: str, transport: str, ticks: int, remote: Collection[str] = frozenset()
 ) -> About:
     """The session's description, as it is about to be started; ``remote`` nodes run on other machines."""
-    session, graph = prepared.session, topology(prepared.session)
+    session, graph = prepared.session, prepared.graph
     masses, springs = _world(session)
     return About(
         session=session.name,

@@ -35,7 +35,7 @@ def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: P
     if name not in valid:
         raise ReachError(f"{session.name}: found no node or observer {name!r:.100}; expected {one_of(valid, name)}")
     require_target(path)
-    ways = reach(session, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
+    ways = reach(prepared, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
     # what only the guest knows is filled in when it joins; traces, for it cannot be told later that they are wanted
     bundle = bundle_of(prepared, Run(clock, None, "", reach=ways), name)
     with replacing(path, mode=0o600) as file:

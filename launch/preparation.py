@@ -22,6 +22,7 @@ from manyhands.design.problem import HapticLoop, LinearGiven, NoCoupling, Spring
 from manyhands.design.statespace import StateSpace
 from manyhands.launch.access import capability_violations
 from manyhands.launch.loop import coupling_request, haptic_loop
+from manyhands.launch.plan import Plan
 from manyhands.launch.session import Session
 
 if TYPE_CHECKING:
@@ -38,11 +39,10 @@ class NotCertified(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A session with the coupling it will run under.
+class Prepared(Plan):
+    """A planned session with the coupling it will run under.
 
     Attributes:
-        session: the session.
         loop: its haptic loop.
         blocks: the realisation of each block of V, in the session's order.
         certificate: what proves it stable; None for a run that nothing proves.
@@ -51,7 +51,6 @@ class Prepared:
         notes: why a delay of the ladder has none, a sentence each.
     """
 
-    session: Session
     loop: HapticLoop
     blocks: tuple[StateSpace, ...]
     certificate: Certificate | None
@@ -110,7 +109,8 @@ def _foreign(certificate: Certificate, session: Session) -> str:
     loop = certificate.loop
     if loop.session == session.name and loop.ports == session.ports:
         blocks = zip(loop.partition.names, loop.partition.blocks, strict=True)
-        found = capability_violations(session, {name: [loop.ports[p] for p in block] for name, block in blocks}) + found
+        structure = {name: [loop.ports[p] for p in block] for name, block in blocks}
+        found = capability_violations(session, Plan(session).access, structure) + found
     return found[0] if found else ""
 
 
@@ -144,7 +144,7 @@ def prepare(
             raise
         if not uncertified:
             raise NotCertified(f"{session.name} is not certified: {error}") from error
-        return Prepared(session, loop, _unproved_blocks(session, loop, error), None, _uncertified_id(session))
+        return unproved(session, error)
     ladder, notes = _ladder(session, proof, progress)
     return Prepared(session, loop, proof.blocks, proof, proof.id, ladder, notes)
 
@@ -160,7 +160,21 @@ def _ladder(session: Session, first: Certificate, progress: Progress | None) -> 
     return design_ladder(first, coupling_request(session), delays, progress)
 
 
-def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError) -> tuple[StateSpace, ...]:
+def unproved(session: Session, why: DesignError | None = None) -> Prepared:
+    """A run of the coupling that the session states, which nothing proves.
+
+    Args:
+        session: the session.
+        why: what is known of why nothing does.
+
+    Raises:
+        NotCertified: the session states no coupling, or one that cannot be realised.
+    """
+    loop = haptic_loop(session)
+    return Prepared(session, loop, _unproved_blocks(session, loop, why), None, _uncertified_id(session))
+
+
+def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError | None) -> tuple[StateSpace, ...]:
     """The coupling that the session states, certified or not."""
     match coupling_request(session):
         case NoCoupling():

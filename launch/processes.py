@@ -1,4 +1,7 @@
-"""The nodes' processes: started, watched through process file descriptors, ended and reaped."""
+"""The one keeper of child processes: started, watched through process file descriptors, ended and reaped.
+
+The supervisor keeps a session's nodes here, a recording its recorder, the doctor its probe.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,10 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_
 
 
 class Processes:
-    """The processes of one session."""
+    """Some child processes by name; several names may share one process."""
 
     def __init__(self, directory: Path) -> None:
-        """Bundles and logs of the processes go into ``directory``."""
+        """Make a keeper of no processes; their logs, and the sockets of nodes, are in ``directory``."""
         self._directory = directory
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._fds: dict[int, tuple[str, ...]] = {}
@@ -34,13 +37,11 @@ class Processes:
 
     @property
     def pids(self) -> Mapping[str, int]:
-        """Process ids of those that still run, by node."""
+        """Process ids of those that still run, by name."""
         return {name: process.pid for name, process in self._running.items()}
 
     def start(self, nodes: Sequence[str], role: Role, bundles: Sequence[Path], processor: int | None = None) -> None:
-        """Start a node, and those that share its process; its log goes on where an earlier process left it.
-
-        In a session of its own, so that Ctrl-C in a terminal reaches the supervisor alone.
+        """Start a node, and those that share its process.
 
         Args:
             nodes: the node, whose log is the process's, and those that it carries.
@@ -53,24 +54,48 @@ class Processes:
         """
         for node in nodes:
             self._sweep(node)
-        first, *others = map(str, bundles)
-        with (self._directory / f"{nodes[0]}.log").open("ab") as log:
+        self.spawn(nodes, f"manyhands.nodes.{role.value}", list(map(str, bundles)), processor)
+
+    def spawn(
+        self,
+        names: Sequence[str],
+        module: str,
+        arguments: Sequence[str],
+        processor: int | None = None,
+        output: int | None = None,
+    ) -> None:
+        """Start ``python -m MODULE FIRST PARENT_PID OTHERS...``; its log goes on where an earlier process left it.
+
+        In a session of its own, so that Ctrl-C in a terminal reaches the parent alone.
+
+        Args:
+            names: of the process; the first is its log's.
+            module: what it runs.
+            arguments: the first one, and the others.
+            processor: the one to run on; any by default.
+            output: the descriptor that is its standard output; by default its log.
+
+        Raises:
+            OSError: there is no process to be had.
+        """
+        first, *others = arguments
+        with (self._directory / f"{names[0]}.log").open("ab") as log:
             process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
-                [sys.executable, "-P", "-m", f"manyhands.nodes.{role.value}", first, str(os.getpid()), *others],
+                [sys.executable, "-P", "-m", module, first, str(os.getpid()), *others],
                 stdin=subprocess.DEVNULL,
-                stdout=log,
+                stdout=log if output is None else output,
                 stderr=log,
                 start_new_session=True,
                 env={**os.environ, **ONE_THREAD},
             )
-        self._running.update(dict.fromkeys(nodes, process))
-        self._fds[os.pidfd_open(process.pid)] = tuple(nodes)
+        self._running.update(dict.fromkeys(names, process))
+        self._fds[os.pidfd_open(process.pid)] = tuple(names)
         if processor is not None:
             with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor tells
                 os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
 
     def reap(self, fds: set[int]) -> dict[str, int]:
-        """The nodes behind the readable ``fds`` and their exit codes (negative: killed by that signal)."""
+        """The processes behind the readable ``fds``: exit codes by name (negative: killed by that signal)."""
         out = {}
         for fd in fds & self._fds.keys():
             nodes = self._fds.pop(fd)
@@ -90,7 +115,7 @@ class Processes:
                 path.unlink()
 
     def kill(self, name: str) -> None:
-        """Kill one node's process if it still runs; its end is seen as any other."""
+        """Kill one process if it still runs; its end is seen as any other."""
         if name in self._running:
             self._running[name].send_signal(signal.SIGKILL)
 
@@ -105,6 +130,6 @@ class Processes:
         self._fds.clear()
 
     def log(self, name: str) -> str:
-        """The end of what a node wrote to its error output; empty when it wrote nothing, or was not started here."""
+        """The end of what a process wrote to its error output; empty if nothing, or if it was not started here."""
         path = self._directory / f"{name}.log"
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""

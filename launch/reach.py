@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from manyhands.launch.access import peers
 from manyhands.launch.keys import Keys, ephemeral
-from manyhands.launch.session import SUPERVISOR, Session
+from manyhands.launch.plan import Plan
+from manyhands.launch.session import SUPERVISOR
 from manyhands.launch.session.error import one_of
-from manyhands.launch.topology import Topology, roster, topology
+from manyhands.launch.topology import Topology, roster
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.transport.zeromq import LOOPBACK, is_address
 
@@ -109,7 +109,7 @@ IPC: Final = Reach("ipc")
 
 
 def reach(
-    session: Session,
+    plan: Plan,
     transport: str,
     *,
     insecure: bool = False,
@@ -117,10 +117,10 @@ def reach(
     listen: Listen | None = None,
     remote: frozenset[str] = frozenset(),
 ) -> Reach:
-    """How a run of ``session`` is carried: TCP encrypted, with keys made for this one run if none are given.
+    """How a run of a session is carried: TCP encrypted, with keys made for this one run if none are given.
 
     Args:
-        session: the session.
+        plan: the session.
         transport: "ipc" or "tcp".
         insecure: TCP without keys.
         keys: the keys to use.
@@ -136,12 +136,13 @@ def reach(
         )
     if insecure and keys is not None:
         raise ReachError("found both --insecure and --keys; expected one: without encryption keys are of no use")
+    session = plan.session
     nodes = session.roles
     for name in remote:
         if name not in nodes:
             raise ReachError(f"--remote: found {name!r:.100}; expected {one_of(nodes, name)}")
     if listen is not None and listen.port:
-        most = len(topology(session).links) + len(session.observers)
+        most = len(plan.graph.links) + len(session.observers)
         if listen.port + most > _MAX_PORT:
             raise ReachError(
                 f"--listen: found the port {listen.port}, after which {most} more are used; expected at most "
@@ -156,4 +157,4 @@ def reach(
         )
     if transport == "tcp" and not insecure and keys is None:
         keys = ephemeral(roster(session), session.name)
-    return Reach(transport, keys, listen or ANYWHERE, remote, peers(session))
+    return Reach(transport, keys, listen or ANYWHERE, remote, plan.peers)

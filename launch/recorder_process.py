@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import os
 import select
-import signal
-import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -21,11 +18,10 @@ from typing import Any, Final
 from manyhands.launch.bundles import mass_names
 from manyhands.launch.conductor import signal_name
 from manyhands.launch.preparation import Prepared
-from manyhands.launch.processes import ONE_THREAD
+from manyhands.launch.processes import Processes
 from manyhands.launch.recorder import Recorder
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.run_directory import kept_files
-from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.recorder.layout import Recorded
 from manyhands.nodes.recorder.plan import Plan
@@ -46,6 +42,8 @@ STARTING_TIME: Final = from_seconds(30.0)
 CLOSING_TIME: Final = from_seconds(30.0)
 """How long the rest of a recording may take to reach the disk when a session is over."""
 
+_NAME: Final = "recorder"  # of its process, for the keeper and in the log's name
+
 
 class RecorderProcess(Recorder):
     """One recording, from before the first tick to after the last.
@@ -65,21 +63,20 @@ class RecorderProcess(Recorder):
             path: where the recording goes.
             clock: for time limits.
         """
-        graph = topology(prepared.session)
         self.path = path
         self.lost = 0
         self.incident: str | None = None
-        session = prepared.session
+        session, graph = prepared.session, prepared.graph
         self._recorded = Recorded(
             session.name, prepared.id, session.period, clock_name, graph.nodes, graph.ports, mass_names(session)
         )
         self._attachments = kept_files(prepared)
         self._lossless = clock_name == SIMULATED
         self._clock = clock or RealtimeClock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._processes: Processes | None = None
         self._transport: ZmqTransport | None = None
         self._link: Link | None = None
-        self._fds: tuple[int, ...] = ()
+        self._pipe: int | None = None
         self._lines = Lines()
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = self._sent = self._taken = 0
@@ -96,21 +93,13 @@ class RecorderProcess(Recorder):
         started = time.time_ns()
         Plan(self.path.absolute(), directory.absolute(), self._recorded, self._attachments, started).save(plan)
         pipe, its_end = os.pipe2(os.O_CLOEXEC)
-        self._fds = (pipe,)
+        self._pipe = pipe
         os.set_blocking(pipe, False)
+        self._processes = Processes(directory)
         try:
-            with (directory / "recorder.log").open("wb") as log:
-                self._process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
-                    [sys.executable, "-P", "-m", "manyhands.nodes.recorder", str(plan), str(os.getpid())],
-                    stdin=subprocess.DEVNULL,
-                    stdout=its_end,
-                    stderr=log,
-                    start_new_session=True,
-                    env={**os.environ, **ONE_THREAD},
-                )
+            self._processes.spawn((_NAME,), "manyhands.nodes.recorder", [str(plan)], output=its_end)
         finally:
             os.close(its_end)
-        self._fds = (pipe, os.pidfd_open(self._process.pid))
         # Unix-domain sockets whatever carries the session: the recorder is here, and the directory keeps others out
         self._transport = ZmqTransport.ipc(directory)
 
@@ -142,12 +131,14 @@ class RecorderProcess(Recorder):
     @property
     def fds(self) -> tuple[int, ...]:
         """Its pipe, and its process; see :class:`Recorder`."""
-        return () if self._gone else self._fds
+        if self._gone or self._pipe is None or self._processes is None:
+            return ()
+        return (self._pipe, *self._processes.fds)
 
     @property
     def pid(self) -> int | None:
         """Its process id while it runs."""
-        return None if self._gone or self._process is None else self._process.pid
+        return None if self._gone or self._processes is None else self._processes.pids.get(_NAME)
 
     @property
     def has_room(self) -> bool:
@@ -179,20 +170,21 @@ class RecorderProcess(Recorder):
 
     def attend(self, ready: set[int]) -> str | None:
         """Hear what the recorder says, supply it, and note its end; see :class:`Recorder`."""
-        if self._gone or not ready.intersection(self._fds):
+        if self._processes is None or not ready.intersection(self.fds):
             return None
         self._hear()
-        if self._process is not None and self._process.poll() is not None:
+        if ended := self._processes.reap(ready):
             self._hear()  # its last word may have come between
-            self._ended(self._process.returncode)
+            self._ended(ended[_NAME])
             return self.incident
         self._supply()
         return None
 
     def _hear(self) -> None:
-        pipe = self._fds[0]
+        if self._pipe is None:
+            return
         try:
-            while piece := os.read(pipe, 65536):
+            while piece := os.read(self._pipe, 65536):
                 for status in self._lines.feed(piece):
                     self._take(status)
         except BlockingIOError:
@@ -231,7 +223,7 @@ class RecorderProcess(Recorder):
 
     def finish(self, interrupt: int) -> str | None:
         """Have the rest written, and wait for that as long as a disk may take; see :class:`Recorder`."""
-        if self._process is None or self._gone:
+        if self._processes is None or self._gone:
             return None
         deadline = Instant(self._clock.now() + CLOSING_TIME)
         self._finishing = True
@@ -242,19 +234,17 @@ class RecorderProcess(Recorder):
             ready = self._wait(deadline, *others)
             self.attend(ready)
             if not ready or ready & {*others}:
-                self._process.send_signal(signal.SIGKILL)
+                self._processes.kill(_NAME)
                 deadline, others = Instant(2**62), ()
         return self.incident
 
     def close(self) -> None:
         """End the process if it still runs, and leave nothing of it but the recording."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-        for fd in self._fds:
-            os.close(fd)
-        self._fds = ()
+        if self._processes is not None:
+            self._processes.end_all()
+        if self._pipe is not None:
+            os.close(self._pipe)
+            self._pipe = None
         self._gone = True
         if self._transport is not None:
             self._transport.close()

@@ -15,7 +15,6 @@ from manyhands.launch.recordings.recording import STREAMED
 from manyhands.launch.report import save_json
 from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import topology
 
 
 def run_session(
@@ -52,7 +51,7 @@ def run_session(
     if directory is not None:
         directory.keep_session(prepared)
     title = f"{prepared.session.name} ({clock}, {reach.transport}), certificate {prepared.id[:16]}"
-    with LiveTable(console, title, topology(prepared.session), ticks) as table:
+    with LiveTable(console, title, prepared.graph, ticks) as table:
         outcome = Supervisor(
             prepared,
             clock=clock,

@@ -71,7 +71,7 @@ class Simulation:
         """
         given = {} if drivers is None else drivers
         session = prepared.session
-        self._session, self._id = session, prepared.id
+        self._prepared = prepared
         bundles = cut(prepared, Run(SIMULATED, None, ""))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
@@ -118,7 +118,7 @@ class Simulation:
 
     def traces(self, ticks: int) -> Traces:
         """Room for what all nodes tell of a run of ``ticks`` ticks; hand it to :meth:`run`."""
-        return Traces(self._session, self.ledgers, ticks)
+        return Traces(self._prepared, self.ledgers, ticks)
 
     def run(
         self,
@@ -141,7 +141,8 @@ class Simulation:
         """
         begins, ends = _by_tick(faults, tuple(self.couplings))
         blocks = {name: block for block, name in enumerate(self.couplings)}
-        m = len(self._session.ports)
+        session = self._prepared.session
+        m = len(session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
         said, p = np.zeros(m), np.zeros(m)
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
@@ -185,7 +186,7 @@ class Simulation:
                     traces.keep(name, k, x[k, ports].tolist(), force)
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
-        return Recording(self._session.name, self._id, self._session.period, self._session.ports, x, f_v)
+        return Recording(session.name, self._prepared.id, session.period, session.ports, x, f_v)
 
     def _heard(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
         """The couplings that are not silent, with their ports."""

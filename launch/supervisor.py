@@ -46,7 +46,6 @@ from manyhands.launch.report import run_report
 from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.run_directory import kept_files, run_directory
 from manyhands.launch.session import SUPERVISOR
-from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
@@ -87,6 +86,7 @@ class Supervisor:
         logs: Path | None = None,
         together: bool = False,
         show: Callable[[Progress], str | None] | None = None,
+        places: Mapping[str, int] | None = None,
     ) -> None:
         """Prepare a run; nothing is started yet.
 
@@ -100,6 +100,7 @@ class Supervisor:
             logs: the folder that the processes' logs go to; by default they go with the run.
             together: whether a guest that leaves ends the session.
             show: told about the progress a few times a second; returns an incident of the display, if there is one.
+            places: the processor of each node that is pinned to one; by default :func:`placement` chooses them.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
@@ -108,7 +109,7 @@ class Supervisor:
         self._about = describe(prepared, clock, reach.transport, ticks, reach.remote)
         self._showing: Showing | None = None
         self._show = show
-        self._graph = topology(session)
+        self._graph = prepared.graph
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
         self._conductor = Conductor(
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
@@ -120,7 +121,7 @@ class Supervisor:
         self._audience = Audience(session)
         self._heard, self._told = Attention(), Attention()
         self._directory = Path()
-        self._places: Mapping[str, int] = {}
+        self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
         self._refused: Mapping[str, int] = {}
         self._untimely = 0  # telemetry of ticks that cannot have run
@@ -128,6 +129,12 @@ class Supervisor:
         self._began: Instant | None = None
         devices = {name: self._graph.ports[name] for name, role in self._graph.nodes.items() if role is Role.DEVICE}
         self._collector = Collector(devices)
+
+    def _choose_places(self) -> Mapping[str, int]:
+        if self._clock_name != REALTIME:
+            return {}
+        raised = self._reach.transport == "ipc" and may_raise()
+        return placement(self._graph, sorted(os.sched_getaffinity(0)), raised)
 
     def run(self) -> Outcome:
         """Run the session to its end."""
@@ -156,9 +163,6 @@ class Supervisor:
             self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
             run = Run(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
-            if self._clock_name == REALTIME:
-                raised = reach.transport == "ipc" and may_raise()
-                self._places = placement(self._graph, sorted(os.sched_getaffinity(0)), raised)
             bundles = cut(self._prepared, run)
             for name in local:
                 bundle_files.save(bundles[name], self._bundle_path(name))

@@ -13,7 +13,6 @@ never raised: a loop outlives its log.
 from __future__ import annotations
 
 import json
-import math
 import os
 import time
 from collections import deque
@@ -23,6 +22,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from manyhands.nodes.json_number import json_number
 from manyhands.protocol.clock import Clock
 from manyhands.protocol.messages import presentable
 
@@ -226,7 +226,7 @@ class Log:
 def _plain(value: Value) -> Value:
     """A value as JSON has it, of bounded length; what is infinite or not a number is null."""
     if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
+        return json_number(float(value))
     if value is None or isinstance(value, bool | int):
         return value
     return presentable(str(value))[:MAX_VALUE]  # also what a type checker would have refused: a loop outlives its log

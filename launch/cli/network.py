@@ -74,6 +74,7 @@ def graph(
         from manyhands.launch.graph import FORMATS, format_of, show_scene, show_session
         from manyhands.launch.looking.listing import look_at
         from manyhands.launch.looking.sessions import find_session
+        from manyhands.launch.plan import Plan
         from manyhands.protocol.clock import RealtimeClock
 
         if (session is None) is (running is None):
@@ -92,7 +93,7 @@ def graph(
         if access and shape not in ("text", "json"):
             refuse(f"--access: found {output}; expected .txt or .json")
         if session is not None:
-            code = show_session(load_named(session, overrides), out, shape, output, access)
+            code = show_session(Plan(load_named(session, overrides)), out, shape, output, access)
         else:
             scenes = look_at([find_session(running)], RealtimeClock())
             if not scenes:

@@ -32,12 +32,13 @@ from manyhands.launch.cli.common import (
 from manyhands.launch.display import say
 from manyhands.launch.files import claimed, require_target
 from manyhands.launch.keys import load_folder
+from manyhands.launch.plan import Plan
 from manyhands.launch.reach import Listen, reach
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
 from manyhands.launch.run_directory import SessionDirectory, is_bare, require_new
 from manyhands.launch.shipped import load_named
 from manyhands.launch.summary import print_report
-from manyhands.launch.topology import require_runnable, topology
+from manyhands.launch.topology import require_runnable
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
 
@@ -156,9 +157,10 @@ def launch(
         if report is not None:
             require_target(report)
             claims.enter_context(claimed(report))
-        require_runnable(topology(loaded), len(loaded.observers))
+        plan = Plan(loaded)
+        require_runnable(plan.graph, len(loaded.observers))
         ways = reach(
-            loaded,
+            plan,
             transport,
             insecure=insecure,
             keys=None if keys is None else load_folder(loaded, keys),
@@ -198,7 +200,7 @@ def demo(
         require_one_of("--clock", clock, CLOCKS)
         require_folder(output)
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
-        require_runnable(topology(shipped["example1"]))
+        require_runnable(Plan(shipped["example1"]).graph)
         code = run_demo(shipped, out, err, output, kept_ticks(shipped["example1"], duration), clock)
         end(code)
 

@@ -14,7 +14,8 @@ from rich.text import Text
 from manyhands.launch.display import say
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.meaning import QUANTILES, Advice, Worth
-from manyhands.launch.doctor.probe import Measured, Spread
+from manyhands.launch.doctor.probe import Measured
+from manyhands.launch.doctor.waking import Spread
 from manyhands.nodes.realtime import Grant
 
 _WAYS = {
@@ -79,7 +80,7 @@ def print_measured(console: Console, measured: Measured, period: float) -> None:
     for way, spread in measured.waking.late.items():
         table.add_row(_WAYS[way], *_row(spread))
     console.print(table)
-    table = _durations("a tick from sample to force, bare pyzmq [µs]", "way")
+    table = _durations("a tick from sample to force, of a session at rest [µs]", "way")
     table.add_column("late", justify="right")
     for found in measured.ticking:
         table.add_row(found.way.text, *_row(found.tau), f"{found.late / found.ticks:.2%}")
@@ -99,7 +100,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
         values = (worth.weakest(getattr(ticking.tau, q) * 1e-6) for q in QUANTILES)
         table.add_row(ticking.way.text, *(f"{value:.0f}" if value > 0.0 else "none" for value in values))
     console.print(table)
-    say(console, "The session's own nodes take longer than bare pyzmq: its report has their delays (manyhands launch).")
+    say(console, "Here a session is at rest among springs; the report of a run has its own delays (manyhands launch).")
     for one in found:
         say(console, f"- {one.change}\n    buys: {one.buys}")
 

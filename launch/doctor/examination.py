@@ -9,18 +9,16 @@ from rich.console import Console
 
 from manyhands.launch.designing import print_json
 from manyhands.launch.display import say
-from manyhands.launch.doctor.crew import Interrupted, ProbeFailed
 from manyhands.launch.doctor.display import measuring, print_machine, print_measured, print_worth
 from manyhands.launch.doctor.machine import Machine, examine
 from manyhands.launch.doctor.meaning import Advice, Worth, advice, stiffness_object
-from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, measure
+from manyhands.launch.doctor.probe import MOST_PROCESSES, Interrupted, Measured, ProbeFailed, measure
 from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
-from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.loop import haptic_loop
 from manyhands.launch.placement import chains_of
-from manyhands.launch.run_directory import run_directory
+from manyhands.launch.plan import Plan
 from manyhands.launch.session import Session
-from manyhands.launch.topology import require_runnable, topology
+from manyhands.launch.topology import require_runnable
 
 LEAST_SECONDS = 1.0
 MOST_SECONDS = 600.0
@@ -39,7 +37,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     Returns:
         The exit code.
     """
-    graph = topology(session)
+    plan = Plan(session)
+    graph = plan.graph
     if not (math.isfinite(seconds) and LEAST_SECONDS <= seconds <= MOST_SECONDS):
         say(err, f"error: --seconds: found {seconds:g}; expected {LEAST_SECONDS:g} to {MOST_SECONDS:g} s")
         return EXIT_BAD_INPUT
@@ -50,10 +49,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     require_runnable(graph)
     machine, worth = examine(), Worth.of(haptic_loop(session))
     try:
-        with Interrupt() as interrupt, run_directory() as directory, measuring(err) as show:
-            measured = measure(
-                graph, session.period, seconds, machine.usable, directory, interrupt, machine.curve, show
-            )
+        with measuring(err) as show:
+            measured = measure(plan, seconds, machine.usable, machine.curve, show)
     except Interrupted as error:
         say(err, "interrupted before the measurement was done")
         return 128 + error.signal
@@ -80,7 +77,7 @@ def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tup
         "period": worth.loop.period,
         "waking_us": {way: spread.plain() for way, spread in waking.late.items()},
         "tick": {
-            t.way.key: {"placement": dict(t.places), "tau_us": t.tau.plain(), "ticks": t.ticks, "late": t.late}
+            t.way.key: {"placement": dict(t.way.places), "tau_us": t.tau.plain(), "ticks": t.ticks, "late": t.late}
             for t in measured.ticking
         },
         "stiffness": stiffness_object(worth, measured.ticking),

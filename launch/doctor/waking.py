@@ -1,44 +1,95 @@
-"""How late a process wakes: with the kernel's timer slack, with the least, and before all others."""
+"""How late a process wakes: ``python -m manyhands.launch.doctor.waking PERIOD PARENT_PID TICKS PRIORITY``.
+
+A probe of the machine alone, without a session: the kernel's timer slack, the least slack, and SCHED_FIFO are compared
+in one process, by turns, which no node does. It prints one line of JSON.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import json
+import sys
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
-from manyhands.launch.doctor.conversation import said
-from manyhands.nodes.life import Life
-from manyhands.nodes.realtime import Granted, RealtimeWishes, prepare, restore
+import numpy as np
+
+from manyhands.nodes.distribution import PERCENTILES
+from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.realtime import Grant, Granted, RealtimeWishes, prepare, restore
 from manyhands.protocol.clock import Instant, RealtimeClock
 
 DEFAULT_SLACK = 50_000  # ns, the kernel's own
 LEAST_SLACK = 1
 BLOCK = 50  # ticks after which the next way of waking is tried: all of them see the same weather
 
+_EXIT_OK = 0
+_EXIT_BAD_INPUT = 2
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
+_RANKS = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 @dataclass(frozen=True)
-class WakeTask:
-    """Wake ``ticks`` times in each way.
+class Spread:
+    """Percentiles of a duration, us; what lies between two values counts as the greater."""
+
+    p50: float
+    p99: float
+    p999: float
+    max: float
+
+    @classmethod
+    def of(cls, nanoseconds: Sequence[int]) -> Self:
+        """The percentiles of some durations, at least one."""
+        values = np.quantile(np.array(nanoseconds, dtype=np.float64), [_RANKS[p] for p in PERCENTILES], method="higher")
+        return cls(*(float(value) / 1e3 for value in values))
+
+    def plain(self) -> dict[str, float]:
+        """As the JSON has it."""
+        return {name: getattr(self, name) for name in PERCENTILES}
+
+
+@dataclass(frozen=True)
+class Waking:
+    """How late a process wakes.
 
     Attributes:
+        late: by way of waking: ``default_slack``, ``least_slack``, and ``fifo`` where it is permitted.
+        granted: what the kernel granted to the process, by wish.
+    """
+
+    late: dict[str, Spread]
+    granted: dict[str, Grant]
+
+    def to_json(self) -> str:
+        """One line, which :meth:`from_json` reads."""
+        granted = {name: [grant.granted, grant.said] for name, grant in self.granted.items()}
+        return json.dumps({"late": {way: spread.plain() for way, spread in self.late.items()}, "granted": granted})
+
+    @classmethod
+    def from_json(cls, line: str) -> Self:
+        """What a process of this module has printed."""
+        plain: dict[str, Any] = json.loads(line)
+        granted = {name: Grant(bool(yes), str(text)) for name, (yes, text) in plain["granted"].items()}
+        return cls({way: Spread(**percentiles) for way, percentiles in plain["late"].items()}, granted)
+
+
+def wake(period: int, ticks: int, priority: int, life: Life) -> Waking:
+    """Wake so many times in each way, in turns of :data:`BLOCK` ticks.
+
+    Args:
         period: ns.
         ticks: number of times.
         priority: of SCHED_FIFO for the last of the ways; 0 leaves it out.
+        life: says whether to go on.
+
+    Raises:
+        Stopped: the process is to end.
     """
-
-    period: int
-    ticks: int
-    priority: int
-
-
-def wake(task: WakeTask, life: Life) -> dict[str, Any]:
-    """How late each way of waking is, ns, in turns of :data:`BLOCK` ticks; and what the kernel granted."""
     late = {"default_slack": array("q"), "least_slack": array("q")}
-    wishes = RealtimeWishes(priority=task.priority)
-    granted = prepare(wishes)
+    granted = prepare(RealtimeWishes(priority=priority))
     if granted.before is not None:
         late["fifo"] = array("q")
     restore(granted)
@@ -46,29 +97,31 @@ def wake(task: WakeTask, life: Life) -> dict[str, Any]:
     granted = _with_slack(granted)
     life.enter_loop()
     try:
-        while not life.stopping and len(late["default_slack"]) < task.ticks:
+        while len(late["default_slack"]) < ticks:
             for way, found in late.items():
                 if way == "fifo":
-                    fifo = prepare(RealtimeWishes(memory=False, priority=task.priority))
-                    _wake_block(task, clock, found)
+                    fifo = prepare(RealtimeWishes(memory=False, priority=priority))
+                    _wake_block(period, clock, found)
                     restore(fifo)
                 else:
                     set_timer_slack(DEFAULT_SLACK if way == "default_slack" else LEAST_SLACK)
-                    _wake_block(task, clock, found)
+                    _wake_block(period, clock, found)
             life.check()
+            if life.stopping:
+                raise Stopped
     finally:
         life.leave_loop()
-    return {"late_ns": {way: found.tolist() for way, found in late.items()}, **said(granted)}
+    return Waking({way: Spread.of(found) for way, found in late.items()}, granted.grants())
 
 
-def _wake_block(task: WakeTask, clock: RealtimeClock, late: array[int]) -> None:
+def _wake_block(period: int, clock: RealtimeClock, late: array[int]) -> None:
     due = clock.now()
     for _ in range(BLOCK):
-        due = Instant(due + task.period)
+        due = Instant(due + period)
         clock.sleep_until(due)
         woke = clock.now()
         late.append(woke - due)
-        if woke > due + task.period:  # one bad wake-up is not to be counted in those after it
+        if woke > due + period:  # one bad wake-up is not to be counted in those after it
             due = woke
 
 
@@ -81,3 +134,21 @@ def _with_slack(granted: Granted) -> Granted:
 def set_timer_slack(nanoseconds: int) -> None:
     """Set this thread's timer slack; a kernel that refuses leaves it as it is, which the figures show."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(nanoseconds), 0, 0, 0)
+
+
+def main() -> int:
+    """Measure as the command line says; returns the exit code."""
+    if len(sys.argv) != 5 or not all(argument.isdigit() for argument in sys.argv[1:]):
+        print("usage: python -m manyhands.launch.doctor.waking PERIOD PARENT_PID TICKS PRIORITY", file=sys.stderr)  # noqa: T201
+        return _EXIT_BAD_INPUT
+    period, parent, ticks, priority = map(int, sys.argv[1:])
+    try:
+        found = wake(period, ticks, priority, Life(parent))
+    except Stopped:
+        return _EXIT_OK  # as the process that started it wants
+    print(found.to_json())  # noqa: T201 -- to the process that started it
+    return _EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from manyhands.launch.access import DATA, access, joins
+from manyhands.launch.access import DATA, joins
 from manyhands.launch.looking.listing import rounded
-from manyhands.launch.session import Session
-from manyhands.launch.topology import Topology, topology
+from manyhands.launch.plan import Plan
+from manyhands.launch.topology import Topology
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.messages import Role
 
 
-def graph_object(session: Session) -> dict[str, Any]:
+def graph_object(plan: Plan) -> dict[str, Any]:
     """Nodes, links and observers, as ``--json`` prints them.
 
     ``signals`` of a link are the channels that each of its ends writes; an observer's ``reads`` are as in the session.
     A node that runs in another one's process has that one's name as its ``process``.
     """
-    graph = topology(session)
+    session, graph = plan.session, plan.graph
     return {
         "session": session.name,
         "nodes": {
@@ -40,10 +40,10 @@ def graph_object(session: Session) -> dict[str, Any]:
     }
 
 
-def access_object(session: Session) -> dict[str, Any]:
+def access_object(plan: Plan) -> dict[str, Any]:
     """The capability table as ``--json`` prints it: one entry for each node, channel and peer."""
     return {
-        "session": session.name,
+        "session": plan.session.name,
         "access": [
             {
                 "node": row.node,
@@ -54,7 +54,7 @@ def access_object(session: Session) -> dict[str, Any]:
                 "ports": list(row.ports),
                 **({"content": list(row.content)} if row.content else {}),
             }
-            for row in access(session)
+            for row in plan.access
         ],
     }
 

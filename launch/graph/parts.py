@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from manyhands.launch.access import DATA, joins
-from manyhands.launch.session import Session
-from manyhands.launch.topology import topology
+from manyhands.launch.plan import Plan
 from manyhands.nodes.observer.scene import Health, Scene
 from manyhands.protocol.messages import Role
 
@@ -115,9 +114,9 @@ class Drawing:
     health: Health | None = None
 
 
-def drawing_of_session(session: Session) -> Drawing:
+def drawing_of_session(plan: Plan) -> Drawing:
     """The graph of a session file, with its observers."""
-    graph = topology(session)
+    session, graph = plan.session, plan.graph
     parts = [
         Part(name, role, graph.ports[name], _carried(graph.carriers.get(name))) for name, role in graph.nodes.items()
     ]

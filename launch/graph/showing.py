@@ -19,7 +19,7 @@ from manyhands.launch.graph.objects import access_object, graph_object, scene_ob
 from manyhands.launch.graph.parts import Drawing, drawing_of_scene, drawing_of_session
 from manyhands.launch.graph.svg import svg
 from manyhands.launch.graph.tables import print_access, print_graph, print_scene
-from manyhands.launch.session import Session
+from manyhands.launch.plan import Plan
 from manyhands.nodes.observer.scene import Scene
 
 TEXT, JSON = "text", "json"
@@ -53,33 +53,18 @@ def format_of(name: str | None, output: Path | None, as_json: bool) -> str:
         raise TargetError(f"{output}: found the suffix {output.suffix!r}; expected {known}, or --format") from None
 
 
-def run_graph(session: Session, out: Console, show_access: bool, as_json: bool) -> int:
-    """Print a session's graph, or its capability table.
-
-    Args:
-        session: the session.
-        out: for the tables.
-        show_access: print who may read and write what, instead of nodes and links.
-        as_json: print one JSON object instead of tables.
-
-    Returns:
-        The exit code.
-    """
-    return show_session(session, out, JSON if as_json else TEXT, None, show_access)
-
-
-def show_session(session: Session, out: Console, form: str, output: Path | None, show_access: bool = False) -> int:
+def show_session(plan: Plan, out: Console, form: str, output: Path | None, show_access: bool = False) -> int:
     """Show the graph of a session file, or its capability table (as text or JSON); returns the exit code.
 
     Raises:
         OSError: the file cannot be written.
     """
     if form in PICTURES:
-        return _put(PICTURES[form](drawing_of_session(session)), output)
+        return _put(PICTURES[form](drawing_of_session(plan)), output)
     if form == JSON:
-        return _put(_as_json(access_object(session) if show_access else graph_object(session)), output)
+        return _put(_as_json(access_object(plan) if show_access else graph_object(plan)), output)
     write = print_access if show_access else print_graph
-    return _print(lambda console: write(console, session), out, output)
+    return _print(lambda console: write(console, plan), out, output)
 
 
 def show_scene(scene: Scene, out: Console, form: str, output: Path | None) -> int:

@@ -8,11 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from manyhands.launch.access import Capability, access
+from manyhands.launch.access import Capability
 from manyhands.launch.display import say
 from manyhands.launch.graph.objects import signals
-from manyhands.launch.session import Session
-from manyhands.launch.topology import topology
+from manyhands.launch.plan import Plan
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
@@ -23,9 +22,9 @@ _SAID_ONCE = (
 )
 
 
-def print_graph(out: Console, session: Session) -> None:
+def print_graph(out: Console, plan: Plan) -> None:
     """Nodes with their ports, and links with what goes there and back."""
-    graph = topology(session)
+    session, graph = plan.session, plan.graph
     nodes = _table(f"{session.name}: nodes", "node", "role", "ports")
     for name, role in graph.nodes.items():
         carrier = graph.carriers.get(name)
@@ -61,10 +60,10 @@ def print_scene(out: Console, scene: Scene) -> None:
     out.print(links)
 
 
-def print_access(out: Console, session: Session) -> None:
+def print_access(out: Console, plan: Plan) -> None:
     """Who may read and write what, a row for each node and channel."""
-    table = _table(f"{session.name}: who may read and write what", "node", "role", "", "channel", "which ports")
-    for rows in _by_node_and_channel(access(session)):
+    table = _table(f"{plan.session.name}: who may read and write what", "node", "role", "", "channel", "which ports")
+    for rows in _by_node_and_channel(plan.access):
         first = rows[0]
         direction = "to" if first.action == "write" else "from"
         lines = [f"{direction} {row.peer}: {', '.join(row.content or row.ports)}" for row in rows]

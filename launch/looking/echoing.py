@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Iterator
 from typing import Any
 
 from manyhands.launch.looking.topics_named import Named
+from manyhands.nodes.json_number import json_number
 from manyhands.protocol.messages import Condition, Observation
 from manyhands.protocol.topics import CONDITION, TELEMETRY, Columns
 
@@ -56,7 +56,7 @@ class Echo:
             if named.topic is not None:
                 yield from self._rows(message)
             elif named.name == TELEMETRY and self._turn():
-                figures = {name: _number(value) for name, value in message.figures.items()}
+                figures = {name: json_number(value) for name, value in message.figures.items()}
                 yield {"tick": message.tick, "figures": figures}
 
     def _rows(self, told: Observation) -> Iterator[dict[str, Any]]:
@@ -70,7 +70,7 @@ class Echo:
             return
         for tick, row in enumerate(trace.tolist(), start=told.tick - rows):
             if tick % self._every == 0:
-                numbers = [_number(value) for value in row]
+                numbers = [json_number(value) for value in row]
                 yield self._at(tick) | {topic.trace: numbers[0] if topic.columns is Columns.ONE else numbers}
 
     def _at(self, tick: int) -> dict[str, Any]:
@@ -79,8 +79,3 @@ class Echo:
     def _turn(self) -> bool:
         self._messages += 1
         return (self._messages - 1) % self._every == 0
-
-
-def _number(value: float) -> float | None:
-    """JSON has no words for what is infinite or not a number."""
-    return value if math.isfinite(value) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from rich.table import Table
 from manyhands.launch.looking.sessions import Running
 from manyhands.launch.looking.watching import Source
 from manyhands.launch.node_states import NodeState
+from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.transport import TransportError
@@ -113,7 +113,7 @@ def session_object(scene: Scene) -> dict[str, Any]:
 
 def rounded(rate: float | None) -> float | None:
     """A rate to a tenth of a tick a second, which is more than is known."""
-    return None if rate is None or not math.isfinite(rate) else round(rate, 1)
+    return None if (known := json_number(rate)) is None else round(known, 1)
 
 
 def print_sessions(out: Console, scenes: Sequence[Scene], time: float) -> None:

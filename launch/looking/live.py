@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import select
 import sys
@@ -22,6 +21,7 @@ from rich.text import Text
 from manyhands.launch.columns import COLUMNS, energy_line
 from manyhands.launch.looking.listing import rounded, session_object, shown
 from manyhands.launch.looking.watching import Seeing
+from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.scene import Health, NodeScene, Scene
 from manyhands.protocol.clock import Instant, from_seconds
 
@@ -50,9 +50,7 @@ def top_object(scene: Scene) -> dict[str, Any]:
     found = session_object(scene)
     for name, node in scene.nodes.items():
         keys = {column.figure for column in COLUMNS} & node.figures.keys()
-        found["nodes"][name]["figures"] = {
-            key: value if math.isfinite(value := node.figures[key]) else None for key in sorted(keys)
-        }
+        found["nodes"][name]["figures"] = {key: json_number(node.figures[key]) for key in sorted(keys)}
     found["links"] = [
         {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links
     ]

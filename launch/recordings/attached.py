@@ -28,7 +28,7 @@ from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation
+from manyhands.protocol.messages import Condition
 from manyhands.protocol.transport.gallery import Visit
 
 MOST_ATTACHED_BYTES: Final = 64 * 2**20
@@ -64,7 +64,6 @@ class AttachedCore:
 
     Attributes:
         ending: why it is over; None while it goes on.
-        beginning: the first tick of each device that was heard of.
     """
 
     def __init__(self, core: RecorderCore, recorded: Recorded, duration: float | None, now: Instant) -> None:
@@ -80,7 +79,6 @@ class AttachedCore:
         self._most = None if duration is None else round(duration / recorded.period)
         self._due = Instant(now + FLUSH_EVERY)
         self.ending: Ending | None = None
-        self.beginning: dict[str, int] = {}
 
     def take(self, frame: bytes, wall: int) -> None:
         """Take in a frame that came at ``wall``, ns since 1970."""
@@ -92,11 +90,7 @@ class AttachedCore:
         match message:
             case Condition(Phase.OVER.value):
                 self.end(Ending.OVER)
-            case Observation(node, tick, _, traces) if traces and node in self._recorded.devices:
-                rows = max(trace.shape[0] for trace in traces.values())
-                if rows:
-                    self.beginning.setdefault(node, tick - rows)
-        if self._most is not None and self.beginning and self.tick - min(self.beginning.values()) >= self._most:
+        if self._most is not None and self.tick - min(self.beginning.values(), default=self.tick) >= self._most:
             self.end(Ending.DURATION)
 
     def end(self, ending: Ending) -> None:
@@ -120,10 +114,15 @@ class AttachedCore:
         return self._core.tick
 
     @property
+    def beginning(self) -> dict[str, int]:
+        """The first tick of each device that was heard of."""
+        found = self._core.coverage.items()
+        return {device: coverage.first for device, coverage in found if coverage.first is not None}
+
+    @property
     def missing(self) -> dict[str, int]:
         """Ticks that were lost between the first and the last, by device, those that miss some."""
-        lost = {device: self._core.missing[device] - first for device, first in self.beginning.items()}
-        return {device: ticks for device, ticks in lost.items() if ticks > 0}
+        return {device: coverage.missing for device, coverage in self._core.coverage.items() if coverage.missing}
 
     @property
     def refused(self) -> int:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from manyhands.launch.recordings.gathering import Gatherer, span_of
 from manyhands.launch.recordings.recording import Array, Recording
 from manyhands.launch.recordings.run import MOST_MISSING, cut_at, read_topics, require_beginning
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.protocol.messages import Role
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, topics_of
 
@@ -31,10 +32,10 @@ def read_recording(path: Path) -> Recording:
     span = span_of([*gatherers.values()], MOST_MISSING)
     require_beginning(path, span.start)
     columns = [_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices]
-    ticks = max(int(np.flatnonzero(told).max(initial=-1)) + 1 for _, _, told in columns)
-    missing = {
-        device: ticks - int(told[:ticks].sum()) for device, (_, _, told) in zip(recorded.devices, columns, strict=True)
-    }
+    coverages = {device: Coverage() for device in recorded.devices}
+    for coverage, (_, _, told) in zip(coverages.values(), columns, strict=True):
+        coverage.take_each(np.flatnonzero(told))
+    ticks = max(coverage.next for coverage in coverages.values())
     return Recording(
         recorded.session,
         recorded.certificate,
@@ -42,7 +43,7 @@ def read_recording(path: Path) -> Recording:
         tuple(port for ports in recorded.devices.values() for port in ports),
         np.hstack([x[:ticks] for x, _, _ in columns]),
         np.hstack([f_v[:ticks] for _, f_v, _ in columns]),
-        {device: count for device, count in missing.items() if count},
+        missing_by_party(coverages, 0, ticks),
         None if reading.why is None else cut_at(reading.why, ticks),
     )
 

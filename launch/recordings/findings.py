@@ -13,6 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.json_number import json_number
+
 Array = NDArray[np.float64]
 
 EXACT: Final = "exact: the same arithmetic in the same order"
@@ -48,8 +50,8 @@ class Difference:
         return {
             "tick": self.tick,
             "column": self.column,
-            "recorded": _finite(self.recorded),
-            "recomputed": _finite(self.recomputed),
+            "recorded": json_number(self.recorded),
+            "recomputed": json_number(self.recomputed),
         }
 
 
@@ -112,7 +114,7 @@ class Check:
             "differing": self.differing,
             "first": None if self.first is None else self.first.as_plain(),
             "unchecked": [{"begin": gap.begin, "end": gap.end, "why": gap.why} for gap in self.gaps],
-            "tolerance": _finite(self.tolerance),
+            "tolerance": json_number(self.tolerance),
             "tolerance_from": self.source,
             "told": self.told,
         }
@@ -168,8 +170,3 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
 def verdicts(checks: Sequence[Check]) -> Mapping[Verdict, int]:
     """How many checks came to each verdict."""
     return {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no words for what is infinite or not a number."""
-    return value if np.isfinite(value) else None

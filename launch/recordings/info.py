@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata
-from numpy.typing import NDArray
 
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import cut_at
 from manyhands.launch.recordings.stream import End, Message, Messages, parts
+from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
 from manyhands.nodes.recorder.layout import METADATA, SUPERVISOR, Recorded
 from manyhands.protocol.messages import Role
 from manyhands.protocol.topics import DISPLACEMENT, topic_name, topics_of
-
-MOST_GAPS: Final = 1000
-"""Most gaps of one device that are told one by one; all are counted."""
 
 
 @dataclass
@@ -42,46 +39,6 @@ class ChannelInfo:
     def rate(self) -> float | None:
         """Messages a second of the session's time; None of fewer than two, or all at once."""
         return (self.messages - 1) * 1e9 / (self.last - self.first) if self.last > self.first else None
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Ticks that were not recorded: from ``begin`` to the one before ``end``."""
-
-    begin: int
-    end: int
-
-
-@dataclass
-class Ticks:
-    """The ticks of one device, as they are met: where they begin and end, and which are missing between.
-
-    Attributes:
-        first: the first tick; None before any.
-        next: the one after the last.
-        missing: how many are missing between.
-        gaps: which, the first of them.
-    """
-
-    first: int | None = None
-    next: int = 0
-    missing: int = 0
-    gaps: list[Gap] = field(default_factory=list)
-
-    def take(self, ticks: NDArray[np.int64]) -> None:
-        """Take in ticks, in order; not empty. Such as were there before are passed over."""
-        if self.first is None:
-            self.first = self.next = int(ticks[0])
-        before = np.maximum.accumulate(np.concatenate([[self.next - 1], ticks]))
-        for place in np.flatnonzero(ticks - before[:-1] > 1).tolist():
-            self.skip(int(before[place]) + 1, int(ticks[place]))
-        self.next = int(before[-1]) + 1
-
-    def skip(self, begin: int, end: int) -> None:
-        """These are missing."""
-        self.missing += end - begin
-        if len(self.gaps) < MOST_GAPS:
-            self.gaps.append(Gap(begin, end))
 
 
 @dataclass(frozen=True)
@@ -165,7 +122,7 @@ class _Looking:
         self._path = path
         self._recorded: Recorded | None = None
         self._channels: dict[int, ChannelInfo] = {}
-        self._devices: dict[str, tuple[str, Ticks]] = {}
+        self._devices: dict[str, tuple[str, Coverage]] = {}
         self._attachments: dict[str, int] = {}
         self._why: str | None = None
 
@@ -188,7 +145,9 @@ class _Looking:
     def _begin(self, recorded: Recorded) -> None:
         self._recorded = recorded
         sample = next(topic.name for topic in topics_of(Role.DEVICE) if topic.trace == DISPLACEMENT)
-        self._devices = {topic_name(recorded.session, device, sample): (device, Ticks()) for device in recorded.devices}
+        self._devices = {
+            topic_name(recorded.session, device, sample): (device, Coverage()) for device in recorded.devices
+        }
 
     def _count(self, found: list[Message]) -> None:
         together: dict[int, list[Message]] = {}
@@ -204,22 +163,16 @@ class _Looking:
             channel.messages += len(told)
             if channel.topic in self._devices:
                 ticks = np.fromiter((message.sequence for message in told), dtype=np.int64, count=len(told))
-                self._devices[channel.topic][1].take(ticks)
+                self._devices[channel.topic][1].take_each(ticks)
 
     def info(self) -> Info:
         if self._recorded is None:
             raise RecordingError(f"{self._path}: found no word of what was recorded, but {self._why or 'another file'}")
         devices = dict(self._devices.values())
-        begun = {device: ticks.first for device, ticks in devices.items() if ticks.first is not None}
-        first, end = min(begun.values(), default=None), max((ticks.next for ticks in devices.values()), default=0)
-        for device, ticks in devices.items():
-            begin = 0 if first is None else first
-            if begun.get(device, end) > begin:
-                ticks.skip(begin, begun.get(device, end))
-            if device in begun and ticks.next < end:
-                ticks.skip(ticks.next, end)
+        first = min((ticks.first for ticks in devices.values() if ticks.first is not None), default=None)
+        begin, end = first or 0, max((ticks.next for ticks in devices.values()), default=0)
+        missing = missing_by_party(devices, begin, end)
         order = {node: place for place, node in enumerate([*self._recorded.roles, SUPERVISOR])}
-        lacking = {device: ticks for device, ticks in devices.items() if ticks.missing}
         return Info(
             recorded=self._recorded,
             size=self._path.stat().st_size,
@@ -227,7 +180,7 @@ class _Looking:
             ticks=end,
             channels=tuple(sorted(self._channels.values(), key=lambda channel: order.get(_node_of(channel.topic), 0))),
             attachments=self._attachments,
-            missing={device: ticks.missing for device, ticks in lacking.items()},
-            gaps={device: tuple(sorted(ticks.gaps, key=lambda gap: gap.begin)) for device, ticks in lacking.items()},
+            missing=missing,
+            gaps={device: devices[device].gaps_in(begin, end) for device in missing},
             cut=None if self._why is None else cut_at(self._why, end),
         )

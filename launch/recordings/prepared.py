@@ -14,11 +14,11 @@ from typing import Final
 
 from manyhands.design.errors import CertificateError
 from manyhands.launch.bundles import mass_names
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import UNCERTIFIED, NotCertified, Prepared, prepare
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import Run
 from manyhands.launch.session import Session, SessionError, load_session
-from manyhands.launch.topology import topology
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
 
 Progress = Callable[[str], None]
@@ -90,7 +90,7 @@ def _session(path: Path, run: Run, folder: Path) -> Session:
         session = load_session(folder / SESSION_FILE)
     except SessionError as error:
         raise RecordingError(_within(path, folder, error)) from error
-    recorded, graph = run.recorded, topology(session)
+    recorded, graph = run.recorded, Plan(session).graph
     for what, found, expected in (
         ("name", session.name, recorded.session),
         ("period", session.period, recorded.period),

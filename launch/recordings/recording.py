@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import replacing
 from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 
 Array = NDArray[np.float64]
 
@@ -135,8 +136,7 @@ class Collector:
         """``ports`` of each device, and the most ticks that one of them may miss."""
         self._ports, self._most_missing = ports, most_missing
         self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
-        self._next = dict.fromkeys(ports, 0)
-        self._lost = dict.fromkeys(ports, 0)
+        self._coverage = {device: Coverage() for device in ports}
         self.refused = 0
 
     def add(self, device: str, tick: int, x: Array, f_v: Array) -> None:
@@ -148,15 +148,15 @@ class Collector:
         if ports is None or x.ndim != 2 or x.shape != f_v.shape or x.shape[1] != len(ports):
             self.refused += 1
             return
-        gap = tick - x.shape[0] - self._next[device]
-        if not 0 <= gap <= self._most_missing - self._lost[device]:
+        coverage, first = self._coverage[device], tick - x.shape[0]
+        gap = first - coverage.next
+        if not 0 <= gap <= self._most_missing - coverage.missing_in(0, coverage.next):
             self.refused += 1
             return
         if gap:
             self._chunks[device].append((self._hole(device, gap),) * 2)
-            self._lost[device] += gap
         self._chunks[device].append((x, f_v))
-        self._next[device] = tick
+        coverage.take(first, tick)
 
     def _hole(self, device: str, ticks: int) -> Array:
         return np.full((ticks, len(self._ports[device])), np.nan)
@@ -164,7 +164,7 @@ class Collector:
     @property
     def tick(self) -> int:
         """The number of ticks of the device that told most."""
-        return max(self._next.values())
+        return max(coverage.next for coverage in self._coverage.values())
 
     @property
     def missing(self) -> Mapping[str, int]:
@@ -172,9 +172,7 @@ class Collector:
 
         A realtime run may lose telemetry rather than be disturbed; a device may also stop telling, or never begin.
         """
-        ticks = self.tick
-        missing = {device: self._lost[device] + ticks - told for device, told in self._next.items()}
-        return {device: count for device, count in missing.items() if count > 0}
+        return missing_by_party(self._coverage, 0, self.tick)
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
         """The whole run: what a device did not tell is NaN, up to the last tick that any device told."""
@@ -190,6 +188,6 @@ class Collector:
         )
 
     def _column(self, device: str, ticks: int) -> tuple[Array, Array]:
-        rest = self._hole(device, ticks - self._next[device])
+        rest = self._hole(device, ticks - self._coverage[device].next)
         chunks = self._chunks[device]
         return np.vstack([*(x for x, _ in chunks), rest]), np.vstack([*(f_v for _, f_v in chunks), rest])

@@ -27,6 +27,7 @@ from manyhands.launch.recordings.tracing import Traces
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.environment.model import ModelFailure
+from manyhands.nodes.recorder.coverage import Coverage
 from manyhands.protocol.topics import DISPLACEMENT, LEDGER, TAU
 
 Array = NDArray[np.float64]
@@ -143,13 +144,15 @@ def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended:
             continue
         recomputed = next((kept.values for kept in traces.by_node[node] if kept.topic.name == topic), None)
         rows = np.flatnonzero(~np.isnan(trace.values[:ticks]).all(axis=1))
-        last = int(rows[-1]) + 1 if len(rows) else 0
+        coverage = Coverage()
+        coverage.take_each(rows)
+        last = coverage.next
         if recomputed is None:
             if last:
                 raise RecordingError(f"found the topic {topic} of {node} in the recording; expected none of it")
             continue  # it has no ledger to tell of
-        if len(rows) < last or not last:
-            missing[f"{node}/{topic}"] = last - len(rows) if last else ticks
+        if lacking := coverage.missing_in(0, last or ticks):
+            missing[f"{node}/{topic}"] = lacking
         recorded, again = trace.values[rows], recomputed[rows]
         wrong = recorded.view(np.int64) != again.view(np.int64)
         first = first_of(wrong, trace.columns, recorded, again)
@@ -157,7 +160,7 @@ def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended:
         if first is not None:
             at = Difference(int(rows[first.tick]), first.column, first.recorded, first.recomputed)
             deviations.append(Deviation(node, topic, trace.topic.unit, at))
-    lacking = {
+    untold = {
         f"{node}/{kept.topic.name}": ticks
         for node, topics in traces.by_node.items()
         for kept in topics
@@ -169,7 +172,7 @@ def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended:
         numbers,
         differing,
         tuple(sorted(deviations, key=lambda deviation: deviation.first.tick)),
-        missing | lacking,
+        missing | untold,
         tuple(given),
         ended if deviations else "",
         tuple(incidents),

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.bundles import mass_names
-from manyhands.launch.session import Session
-from manyhands.launch.topology import topology
+from manyhands.launch.plan import Plan
 from manyhands.nodes.ledger import Ledger
 from manyhands.protocol.topics import LEDGER, TAU, Topic, topics_of
 
@@ -43,15 +42,15 @@ class Traces:
         by_node: by node, the topics that it tells of, in the table's order.
     """
 
-    def __init__(self, session: Session, ledgers: Mapping[str, Ledger], ticks: int) -> None:
+    def __init__(self, plan: Plan, ledgers: Mapping[str, Ledger], ticks: int) -> None:
         """Everything NaN.
 
         Args:
-            session: whose nodes.
+            plan: whose nodes.
             ledgers: by node, of those that keep one.
             ticks: how many.
         """
-        graph, masses = topology(session), mass_names(session)
+        graph, masses = plan.graph, mass_names(plan.session)
         self.by_node: dict[str, tuple[Kept, ...]] = {}
         for name, role in graph.nodes.items():
             told = [

@@ -7,11 +7,11 @@ nothing but what has left the rings since, and nothing waits for it in memory.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from manyhands.launch.columns import energy_line
+from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.about import About
 from manyhands.nodes.observer.alarms import Alarms, covered_tau
 from manyhands.nodes.observer.decimation import Decimated
@@ -150,4 +150,4 @@ def _piece(new: Decimated) -> list[Any]:
 
 
 def _rounded(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(f"{value:.{_DIGITS}g}")
+    return None if (known := json_number(value)) is None else float(f"{known:.{_DIGITS}g}")

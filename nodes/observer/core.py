@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 
+from manyhands.nodes.json_number import json_number
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation
@@ -23,7 +23,7 @@ class ObserverCore:
     def line(self, frame: bytes) -> str | None:
         """The line for a frame: node, latest tick, figures, traces (ticks x ports); None if it is no observation.
 
-        JSON has no words for what is infinite or not a number; such a figure is null.
+        A figure that is infinite or not a number is null.
         """
         message = decode(frame, MAX_CONTROL_BYTES)
         if not isinstance(message, Observation):
@@ -32,9 +32,9 @@ class ObserverCore:
         plain = {
             "node": message.node,
             "tick": message.tick,
-            "figures": {name: value if math.isfinite(value) else None for name, value in message.figures.items()},
+            "figures": {name: json_number(value) for name, value in message.figures.items()},
             "traces": {
-                name: [[value if math.isfinite(value) else None for value in row] for row in trace.tolist()]
+                name: [[json_number(value) for value in row] for row in trace.tolist()]
                 for name, trace in message.traces.items()
             },
         }

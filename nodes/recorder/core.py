@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.recorder.layout import (
     MAX_TIME_NS,
     MEDIA_TYPES,
@@ -48,7 +49,6 @@ class RecorderCore:
     Attributes:
         over: becomes true when the session has said that nothing more will come.
         tick: the latest tick of any device that was taken.
-        missing: ticks that were never told, by device, before the last that was; observations were lost on the way.
         refused: frames that were no observation, or of nobody's, or did not fit its node's columns and ticks.
     """
 
@@ -68,12 +68,11 @@ class RecorderCore:
         self._topics = {node: {topic.trace: topic for topic in recorded.topics(node)} for node in recorded.roles}
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
-        self._next = dict.fromkeys(recorded.roles, 0)
+        self._coverage = {node: Coverage() for node in recorded.roles}
         self._start: int | None = None
         self._condition: Condition | None = None
         self.over = False
         self.tick = 0
-        self.missing = dict.fromkeys(recorded.devices, 0)
         self.refused = 0
 
     def take(self, frame: bytes, time: int) -> None:
@@ -101,7 +100,7 @@ class RecorderCore:
         first = told.tick - max(rows, default=0)
         return (
             len(rows) <= 1
-            and first >= (self._next[told.node] if rows else 0)
+            and first >= (self._coverage[told.node].next if rows else 0)
             and (self._start or 0) + self._since_start(told.tick) <= MAX_TIME_NS
             and all(self._width(told.node, topics[name]) == trace.shape[1] for name, trace in told.traces.items())
         )
@@ -116,7 +115,9 @@ class RecorderCore:
             for topic in self._topics[told.node].values():
                 if topic.trace in told.traces:
                     self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
-            self._count(told.node, told.tick, rows)
+            self._coverage[told.node].take(told.tick - rows, told.tick)
+            if told.node in self._recorded.devices:
+                self.tick = max(self.tick, told.tick)
         if told.figures:
             channel = self._channel(told.node, TELEMETRY, None)
             self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
@@ -163,14 +164,12 @@ class RecorderCore:
     @property
     def missing_in_all(self) -> dict[str, int]:
         """Ticks that were never told up to the latest of any device, by device, those devices that miss some."""
-        found = {device: lost + self.tick - self._next[device] for device, lost in self.missing.items()}
-        return {device: count for device, count in found.items() if count > 0}
+        return missing_by_party(self.coverage, 0, self.tick)
 
-    def _count(self, node: str, tick: int, rows: int) -> None:
-        gap, self._next[node] = tick - rows - self._next[node], tick
-        if node in self.missing:
-            self.missing[node] += gap
-            self.tick = max(self.tick, tick)
+    @property
+    def coverage(self) -> dict[str, Coverage]:
+        """Which ticks of each device were taken; the others were lost on the way."""
+        return {device: self._coverage[device] for device in self._recorded.devices}
 
     @property
     def full(self) -> bool:

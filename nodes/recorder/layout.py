@@ -15,6 +15,7 @@ from itertools import chain
 from typing import Any, Final
 
 from manyhands import __version__
+from manyhands.nodes.json_number import json_number
 from manyhands.protocol.messages import Condition, Role
 from manyhands.protocol.topics import CONDITION, TELEMETRY, Columns, Topic, topics_of
 
@@ -84,8 +85,8 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
-    """The message of figures up to ``tick``; JSON has no words for what is infinite or not a number: it is null."""
-    finite = {name: value if math.isfinite(value) else None for name, value in figures.items()}
+    """The message of figures up to ``tick``; what is infinite or not a number is null."""
+    finite = {name: json_number(value) for name, value in figures.items()}
     return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
 
 

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
-from manyhands.launch.access import Capability, access, capability_violations, observed, peers, peers_of
+from manyhands.launch.access import Capability, capability_violations, observed
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.loop import haptic_loop
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle
@@ -139,7 +140,7 @@ def test_blocks_sockets_and_capabilities_are_one(
 ) -> None:
     session = data.draw(drawn_sessions)
     prepared = data.draw(dense_blocks(session))
-    bundles, table = bundles_of(prepared), access(session)
+    bundles, table = bundles_of(prepared), Plan(session).access
     V, orders = whole(prepared)
     assert needed_by(V, orders, session.ports) == of_couplings(session, granted(table))
     assert carried(bundles) == granted(table)
@@ -148,7 +149,7 @@ def test_blocks_sockets_and_capabilities_are_one(
         assert isinstance(bundle, CouplingBundle)
         assert bundle.block is block  # what is handed to a process is what V was assembled from
         assert bundle.common.ports == session.blocks_by_name[name]
-    assert not capability_violations(session, session.blocks_by_name)
+    assert not capability_violations(session, Plan(session).access, session.blocks_by_name)
 
 
 LINEAR = "design={coupling: linear, order: 2, poles: [{frequency: 52.0, damping: 0.053}]}"
@@ -169,8 +170,8 @@ def test_what_the_design_finds_needs_what_its_processes_may(name: str, overrides
     prepared = prepare(session)
     assert prepared.certificate is not None
     V, orders = whole(prepared)
-    assert needed_by(V, orders, session.ports) == of_couplings(session, granted(access(session)))
-    assert carried(bundles_of(prepared)) == granted(access(session))
+    assert needed_by(V, orders, session.ports) == of_couplings(session, granted(Plan(session).access))
+    assert carried(bundles_of(prepared)) == granted(Plan(session).access)
 
 
 @settings(max_examples=60)
@@ -193,7 +194,7 @@ def test_one_entry_of_V_across_blocks_needs_what_nobody_may(
     assert M[row, column] == 0.0
     M[row, column] = 1e-9
     needed = needed_by(StateSpace(*(M if n == name else getattr(V, n) for n in "ABCD")), orders, session.ports)
-    assert needed > of_couplings(session, granted(access(session)))
+    assert needed > of_couplings(session, granted(Plan(session).access))
 
 
 # -- the table itself ----------------------------------------------------------------------------------------------
@@ -259,7 +260,7 @@ def test_the_table_of_a_session_row_by_row() -> None:
         ("watch", Role.OBSERVER, "read", "observation", "supervisor", ("d.x", "d.y", "e"), everyone),
         ("scope", Role.OBSERVER, "read", "observation", "supervisor", ("d.x", "d.y"), scope),
     ]
-    assert list(access(session_of())) == [Capability(*row) for row in expected]
+    assert list(Plan(session_of()).access) == [Capability(*row) for row in expected]
 
 
 @settings(max_examples=60)
@@ -268,7 +269,7 @@ def test_nobody_may_more_than_its_role_and_its_ports(
     drawn_sessions: st.SearchStrategy[Session], data: st.DataObject
 ) -> None:
     session = data.draw(drawn_sessions)
-    table = access(session)
+    table = Plan(session).access
     keys = [(row.node, row.channel, row.peer) for row in table]
     assert len(set(keys)) == len(keys)
     # each may is somebody's may at the other end, for the same ports
@@ -307,7 +308,7 @@ def test_an_observer_is_told_what_it_asked_for_and_nothing_else(
 
 def test_peers_are_those_who_share_a_channel() -> None:
     session = session_of()
-    assert peers(session) == {
+    assert Plan(session).peers == {
         "d": {"a", "b", "supervisor"},
         "e": {"a", "supervisor"},
         "a": {"d", "e", "environment", "supervisor"},
@@ -317,8 +318,5 @@ def test_peers_are_those_who_share_a_channel() -> None:
         "watch": {"supervisor"},
         "scope": {"supervisor"},
     }
-    assert peers_of(session, "b") == {"d", "environment", "supervisor"}
-    with pytest.raises(ValueError, match=r"found the process 'f'; expected one of d, e, a, b"):
-        peers_of(session, "f")
     with pytest.raises(ValueError, match=r"found the observer 'wtch'; expected one of watch, scope \(did you mean"):
         observed(session, "wtch")

@@ -19,6 +19,7 @@ from manyhands.design.certificate import identity, save
 from manyhands.launch.access import capability_violations
 from manyhands.launch.cli import app
 from manyhands.launch.loop import haptic_loop
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import prepare
 from manyhands.launch.session import Session, SessionError, load_session
 
@@ -36,7 +37,7 @@ def test_every_port_outside_its_process_is_named(
     structure: dict[str, list[str]] = {name: [] for name in names}
     for port in session.ports:
         structure[data.draw(st.sampled_from(names))].append(port)
-    found = capability_violations(session, structure)
+    found = capability_violations(session, Plan(session).access, structure)
     wrong = [(b, p) for b, ports in structure.items() for p in ports if p not in session.blocks_by_name[b]]
     assert len(found) == len(wrong)
     for (block, port), sentence in zip(wrong, found, strict=True):
@@ -45,7 +46,8 @@ def test_every_port_outside_its_process_is_named(
 
 
 def test_blocks_and_ports_that_the_session_does_not_have() -> None:
-    assert capability_violations(load_session(SESSIONS / "example1.yaml"), {"cx": ["dx", "dw"], "cw": ["dy"]}) == [
+    plan = Plan(load_session(SESSIONS / "example1.yaml"))
+    assert capability_violations(plan.session, plan.access, {"cx": ["dx", "dw"], "cw": ["dy"]}) == [
         "the block 'cx' touches the port 'dw' of none of the couplings; the process 'cx' may read and write dx alone",
         "the block 'cw' has no process; expected one of cx, cy, cz",
     ]

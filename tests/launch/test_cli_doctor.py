@@ -53,7 +53,7 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
         assert list(spread) == PERCENTILES
         assert 0.0 <= spread["p50"] <= spread["p99"] <= spread["p999"] <= spread["max"]
     for tick in found["tick"].values():
-        assert tick["ticks"] % 3 == 0  # three devices, each as often as the others
+        assert 0 < tick["ticks"] <= 3 * 1000  # three devices; one that falls behind leaves ticks out
         assert 0 <= tick["late"] <= tick["ticks"]
         assert tick["tau_us"]["p50"] > 0.0
     assert set(found["stiffness"]) == {"dx", "dy", "dz"}
@@ -72,7 +72,14 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
 def test_people_get_tables_of_any_session() -> None:
     result = doctor("example1-centralised", "--seconds", "1")  # one coupling with three devices, nothing pinned
     assert result.exit_code == 0, result.stderr
-    for expected in ("this machine", "how late a process wakes", "bare pyzmq", "certified stiffness", "ipc", "tcp"):
+    for expected in (
+        "this machine",
+        "how late a process wakes",
+        "of a session at rest",
+        "certified stiffness",
+        "ipc",
+        "tcp",
+    ):
         assert expected in result.stdout
     assert "ipc, SCHED_FIFO" not in result.stdout
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch.access import access, peers
-from manyhands.launch.graph import graph_object, run_graph
+from manyhands.launch.graph import graph_object, show_session
 from manyhands.launch.placement import placement
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.session import Session, SessionError, load_session
@@ -36,14 +36,14 @@ def test_a_coupling_of_several_devices_is_in_the_process_of_none() -> None:
 
 def test_nobody_may_do_more_than_before_and_what_is_not_sent_is_nobodys() -> None:
     """Sample and force fall away between the two; everything else that one may read or write stays."""
-    apart, together = (set(access(session_of(colocate=flag))) for flag in (False, True))
+    apart, together = (set(Plan(session_of(colocate=flag)).access) for flag in (False, True))
     assert together < apart
     assert {row.channel for row in apart - together} == {"sample", "force"}
     assert not {row for row in together if row.channel in ("sample", "force")}
 
 
 def test_keys_are_shared_with_the_environment_and_the_supervisor_alone() -> None:
-    known = peers(session_of())
+    known = Plan(session_of()).peers
     assert known["dx"] == {"supervisor"}
     assert known["cx"] == {ENVIRONMENT, "supervisor"}
     assert known[ENVIRONMENT] == {"cx", "cy", "cz", "supervisor"}
@@ -57,23 +57,21 @@ def test_what_is_carried_goes_where_its_device_goes() -> None:
 
 
 def test_the_graph_says_who_is_in_whose_process() -> None:
-    plain = graph_object(session_of())
+    plain = graph_object(Plan(session_of()))
     assert plain["nodes"]["cx"] == {"role": "coupling", "ports": ["dx"], "process": "dx"}
     assert plain["nodes"]["dx"] == {"role": "device", "ports": ["dx"]}
     assert [link["between"] for link in plain["links"]] == [[ENVIRONMENT, name] for name in ("cx", "cy", "cz")]
     text = io.StringIO()
-    run_graph(session_of(), Console(file=text, width=120), show_access=False, as_json=False)
+    show_session(Plan(session_of()), Console(file=text, width=120), "text", None)
     assert "coupling, in dx" in text.getvalue()
     assert "sample" not in text.getvalue()
-    apart = graph_object(session_of(colocate=False))
+    apart = graph_object(Plan(session_of(colocate=False)))
     assert not any("process" in node for node in apart["nodes"].values())
 
 
 def test_processes_that_carry_couplings_give_the_simulations_numbers() -> None:
     prepared = prepare(session_of())
-    outcome = Supervisor(
-        prepared, clock="simulated", reach=reach(prepared.session, "ipc"), ticks=TICKS, record=True
-    ).run()
+    outcome = Supervisor(prepared, clock="simulated", reach=reach(prepared, "ipc"), ticks=TICKS, record=True).run()
     assert (outcome.code, outcome.faults, outcome.lost) == (0, (), {})
     assert outcome.recording is not None
     expected = Simulation(prepared).run(TICKS)

@@ -53,7 +53,7 @@ def progress(*sentences: str) -> Progress:
 def test_one_frame_is_for_both(prepared: Prepared) -> None:
     ear, eye = Ear(), Eye()
     supervisor = Supervisor(
-        prepared, clock="simulated", reach=reach(prepared.session, "ipc"), ticks=1, record=False, recorder=ear
+        prepared, clock="simulated", reach=reach(prepared, "ipc"), ticks=1, record=False, recorder=ear
     )
     supervisor._showing = eye
     supervisor._tell(progress("a spring broke"))
@@ -69,7 +69,7 @@ def test_one_frame_is_for_both(prepared: Prepared) -> None:
 def test_one_that_is_too_long_is_nobodys_loss(prepared: Prepared) -> None:
     ear, eye = Ear(), Eye()
     supervisor = Supervisor(
-        prepared, clock="simulated", reach=reach(prepared.session, "ipc"), ticks=1, record=False, recorder=ear
+        prepared, clock="simulated", reach=reach(prepared, "ipc"), ticks=1, record=False, recorder=ear
     )
     supervisor._showing = eye
     long = progress(*["€" * MAX_TEXT] * MAX_SENTENCES)

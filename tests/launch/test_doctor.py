@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +17,37 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.problem import HapticLoop
-from manyhands.launch.doctor.crew import Crew, Interrupted, ProbeFailed
+from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.display import machine_rows
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.meaning import Advice, Worth, advice, stiffness_object
-from manyhands.launch.doctor.probe import IPC, TCP, Measured, Spread, Ticking, Waking, sides
+from manyhands.launch.doctor.probe import (
+    Delays,
+    Interrupted,
+    Measured,
+    ProbeFailed,
+    Ticking,
+    Way,
+    at_rest,
+    measure_ticks,
+    measure_waking,
+)
+from manyhands.launch.doctor.waking import Spread, Waking
 from manyhands.launch.interrupt import Interrupt
 from manyhands.launch.loop import haptic_loop
+from manyhands.launch.outcome import Outcome
+from manyhands.launch.preparation import unproved
 from manyhands.launch.session import Session
 from manyhands.launch.shipped import load_named
-from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.launch.simulation import Simulation
+from manyhands.launch.topology import topology
 from manyhands.nodes.realtime import Grant
-from manyhands.protocol.clock import Duration, RealtimeClock, from_seconds
+from manyhands.protocol.clock import Duration
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Condition, Observation
 
 YES, NO = Grant(True, "as wished"), Grant(False, "found the limit; expected more")
-SOON = from_seconds(60.0)
+IPC, TCP = Way("ipc", "ipc", "ipc"), Way("tcp_curve", "tcp with CURVE", "tcp")
 
 
 def a_machine(**changes: object) -> Machine:
@@ -49,7 +66,7 @@ def measurement(p50: float, p999: float, **refused: Grant) -> Measured:
     grants = {"fifo": YES, "memory_locked": YES, "timer_slack": YES, "pinned": YES} | refused
     late = dict.fromkeys(("default_slack", "least_slack"), Spread(60.0, 70.0, 80.0, 90.0))
     tau = Spread(p50, (p50 + p999) / 2, p999, p999)
-    return Measured(Waking(late, grants), (Ticking(IPC, {}, tau, 1000, 3),))
+    return Measured(Waking(late, grants), (Ticking(IPC, tau, 1000, 3),))
 
 
 @pytest.fixture(scope="module")
@@ -116,24 +133,35 @@ def test_a_machine_that_tells_nothing_is_examined_all_the_same(tmp_path: Path) -
     assert found.plain()["usable"] == list(found.usable)
 
 
-# --- the graph of the probe
+# --- the session of the probe
 
 
-def test_links_lead_from_the_hands_to_the_world(drawn_sessions: st.SearchStrategy[Session]) -> None:
+def test_the_session_at_rest_has_the_graph_of_the_users(drawn_sessions: st.SearchStrategy[Session]) -> None:
     @given(drawn_sessions)
     def check(session: Session) -> None:
-        graph = topology(session)
-        found = sides(graph)
-        assert found[ENVIRONMENT][1] == []
-        for device in session.devices:
-            assert found[device][0] == []
-            assert found[device][1]
-        inner, outer = ([i for pair in found.values() for i in pair[side]] for side in (0, 1))
-        assert sorted(inner) == sorted(outer) == sorted(map(str, range(len(graph.links))))
-        for coupling in session.couplings:
-            assert len(found[coupling][1]) == 1
+        rested = at_rest(session)
+        assert topology(rested) == topology(session)
+        assert rested.period == session.period
 
     check()
+    together = load_named("example1", ["colocate=true"])
+    assert topology(at_rest(together)) == topology(together)
+
+
+def test_nothing_moves_in_the_session_at_rest() -> None:
+    recording = Simulation(unproved(at_rest(load_named("example1-centralised")))).run(300)
+    assert not recording.x.any()
+    assert not recording.f_v.any()
+
+
+def test_the_delays_of_every_telemetry_are_kept_in_nanoseconds() -> None:
+    delays = Delays()
+    for node, rows in (("dx", [[250.0], [300.5]]), ("dy", [[0.125]])):
+        delays.tell(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
+    delays.tell(encode(Observation("cx", 2, {}, {})))
+    delays.tell(encode(Condition("running", 0.1, {}, (), (), (), ())))
+    delays.tell(None)
+    assert delays.tau == [250_000, 300_500, 125]
 
 
 @given(st.lists(st.integers(-1000, 10**10), min_size=1, max_size=300))
@@ -227,69 +255,82 @@ def test_a_tick_that_fits_in_half_a_period_may_have_one(worth: Worth, loop: Hapt
 
 def test_the_best_way_is_the_one_that_is_judged(worth: Worth) -> None:
     good = measurement(510.0, 600.0)
-    bad = Ticking(TCP, {}, Spread(900.0, 2000.0, 9000.0, 9000.0), 1000, 500)
+    bad = Ticking(TCP, Spread(900.0, 2000.0, 9000.0, 9000.0), 1000, 500)
     assert advice(a_machine(), Measured(good.waking, (bad, *good.ticking)), worth, chains=3) == ()
 
 
-# --- processes that do not do as they should
+def test_what_a_process_found_is_read_back_as_it_was() -> None:
+    found = Waking({"least_slack": Spread(1.0, 2.5, 3.0, 4.0)}, {"fifo": NO, "pinned": YES})
+    assert Waking.from_json(found.to_json()) == found
 
 
-def test_a_process_that_fails_is_told_with_its_words(tmp_path: Path) -> None:
-    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
-        crew.start("odd", None)
-        crew.tell("odd", {"kind": "wake", "task": {"nothing": 1}})
-        with pytest.raises(ProbeFailed, match=r"(?s)odd: ended with 1 .*TypeError"):
-            crew.hear_all(SOON)
+# --- processes and sessions that do not do as they should
 
 
-def test_an_endpoint_that_is_taken_is_told(tmp_path: Path) -> None:
-    task = {"period": 1_000_000, "ticks": 5, "priority": 0, "connects": [], "inner": ["0"], "outer": []}
-    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
-        crew.start("odd", None)
-        crew.tell("odd", {"kind": "tick", "task": {**task, "binds": {"0": f"ipc://{tmp_path}/no/such/folder"}}})
-        with pytest.raises(ProbeFailed, match="odd: ended with 1 before it had answered; it wrote:"):
-            crew.hear_all(SOON)
+def waking(directory: Path, interrupt: Interrupt) -> Waking:
+    return measure_waking(1e-3, 0.1, min(os.sched_getaffinity(0)), directory, interrupt)
 
 
-def test_a_process_that_says_nothing_has_a_deadline(tmp_path: Path) -> None:
-    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
-        crew.start("idle", None)  # has no task, and waits for one
-        with pytest.raises(ProbeFailed, match="idle: no answer within 0 s"):
-            crew.hear_all(Duration(0))
+def test_a_process_that_fails_is_reported_with_its_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probe, "FIFO_PRIORITY", -1)
+    with Interrupt() as interrupt, pytest.raises(ProbeFailed, match=r"(?s)waking: ended with 2 .* it wrote:\nusage: "):
+        waking(tmp_path, interrupt)
+
+
+def test_a_process_that_says_nothing_has_a_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probe, "ANSWER_TIME", Duration(0))
+    monkeypatch.setattr(probe, "SLOWEST", 0)
+    with Interrupt() as interrupt, pytest.raises(ProbeFailed, match="waking: no answer within 0 s"):
+        waking(tmp_path, interrupt)
 
 
 def test_ctrl_c_ends_every_wait(tmp_path: Path) -> None:
-    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
-        crew.start("idle", None)
+    with Interrupt() as interrupt:
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(Interrupted) as caught:
-            crew.hear_all(SOON)
+            waking(tmp_path, interrupt)
     assert caught.value.signal is signal.SIGINT
 
 
-def test_whoever_has_ended_cannot_be_told_anything(tmp_path: Path) -> None:
-    with Interrupt() as interrupt, Crew(tmp_path, interrupt, RealtimeClock()) as crew:
-        crew.start("odd", None)
-        crew.tell("odd", {"kind": "wake", "task": {}})
-        with pytest.raises(ProbeFailed):
-            crew.hear_all(SOON)
-        with pytest.raises(ProbeFailed, match="odd: ended with 1"):
-            crew.tell("odd", {})
+def ended(monkeypatch: pytest.MonkeyPatch, code: int, *faults: str) -> Callable[[], Ticking]:
+    """A probe whose session ends like this, and without a tick."""
+
+    class Ended:
+        def __init__(self, *_: object, **__: object) -> None: ...
+
+        def run(self) -> Outcome:
+            return Outcome(code, faults, (), {"nodes": {}}, None, {}, {})
+
+    monkeypatch.setattr(probe, "Supervisor", Ended)
+    rested = unproved(at_rest(load_named("example1")))
+    return lambda: measure_ticks(rested, IPC, 50)
+
+
+def test_a_session_that_fails_is_reported_with_its_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ProbeFailed, match=r"^dx: ended with 1; cx: silent$"):
+        ended(monkeypatch, 1, "dx: ended with 1", "cx: silent")()
+
+
+def test_an_interrupted_session_interrupts_the_probe(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(Interrupted) as caught:
+        ended(monkeypatch, 128 + signal.SIGTERM)()
+    assert caught.value.signal is signal.SIGTERM
+
+
+def test_a_session_without_an_answered_tick_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ProbeFailed, match="ipc: found no tick that was answered"):
+        ended(monkeypatch, 0)()
 
 
 def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
     """In the midst of its task, and with nobody left to kill it."""
     code = f"""
-import os, signal
 from pathlib import Path
-from manyhands.launch.doctor.crew import Crew
-from manyhands.launch.interrupt import Interrupt
-from manyhands.protocol.clock import RealtimeClock
-with Interrupt() as interrupt, Crew(Path({str(tmp_path)!r}), interrupt, RealtimeClock()) as crew:
-    crew.start("long", None)
-    crew.tell("long", {{"kind": "wake", "task": {{"period": 1_000_000, "ticks": 10**6, "priority": 0}}}})
-    print(Path(f"/proc/self/task/{{os.getpid()}}/children").read_text(), flush=True)
-    input()
+from manyhands.launch.processes import Processes
+processes = Processes(Path({str(tmp_path)!r}))
+processes.spawn(["long"], "manyhands.launch.doctor.waking", ["1000000", "1000000", "0"])
+print(processes.pids["long"], flush=True)
+input()
 """
     with subprocess.Popen([sys.executable, "-P", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None

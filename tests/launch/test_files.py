@@ -112,8 +112,6 @@ BY_OTHER_MEANS = {
     "nodes/log.py": "logs are continued; never through a link",
     "nodes/recorder/file.py": "a recording takes its place when it has its beginning, and grows",
     "launch/processes.py": "in the run's own directory, mode 0700",
-    "launch/recorder_process.py": "likewise",
-    "launch/doctor/crew.py": "likewise",
     "launch/recordings/prepared.py": "likewise",
     "nodes/observer/node.py": "/dev/null",
 }

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.access import access
-from manyhands.launch.graph import access_object, graph_object, run_graph
+from manyhands.launch.graph import access_object, graph_object, show_session
+from manyhands.launch.plan import Plan
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.topology import topology
 
@@ -28,7 +28,7 @@ def example() -> Session:
 
 def printed(session: Session, show_access: bool, width: int = 140) -> str:
     text = io.StringIO()
-    assert run_graph(session, Console(file=text, width=width), show_access, as_json=False) == 0
+    assert show_session(Plan(session), Console(file=text, width=width), "text", None, show_access) == 0
     return text.getvalue()
 
 
@@ -70,7 +70,7 @@ def test_the_capability_table_has_one_row_a_node_and_channel() -> None:
     assert shown[-1] == ["scope", "observer", "reads", "observation", "from supervisor: d/sample, cx/tool"]
     assert not [row for row in shown if row[1] == "observer" and row[2] != "reads"]
     named = [(row[0], row[3].split(" ")[0]) for row in shown if row[0]]
-    assert named == list(dict.fromkeys((row.node, row.channel) for row in access(example())))
+    assert named == list(dict.fromkeys((row.node, row.channel) for row in Plan(example()).access))
     assert "a coupling tells the environment the D_V of its block" in text
 
 
@@ -83,7 +83,7 @@ def test_nothing_is_cut_short_where_there_is_little_room(show_access: bool) -> N
 
 
 def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_graph(example(), Console(), show_access=False, as_json=True) == 0
+    assert show_session(Plan(example()), Console(), "json", None) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["session"] == "example-1-operator"
     assert said["nodes"]["d"] == {"role": "device", "ports": ["d.x", "d.y", "d.z"]}
@@ -96,7 +96,7 @@ def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_json_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_graph(example(), Console(), show_access=True, as_json=True) == 0
+    assert show_session(Plan(example()), Console(), "json", None, show_access=True) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["access"][0] == {
         "node": "d",
@@ -122,7 +122,7 @@ def test_json_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:
 @given(data=st.data())
 def test_both_forms_say_all_there_is(drawn_sessions: st.SearchStrategy[Session], data: st.DataObject) -> None:
     session = data.draw(drawn_sessions)
-    graph, plain = topology(session), graph_object(session)
+    graph, plain = topology(session), graph_object(Plan(session))
     assert {name: node["ports"] for name, node in plain["nodes"].items()} == {n: [*p] for n, p in graph.ports.items()}
     assert [(*link["between"], *link["ports"]) for link in plain["links"]] == [
         (link.binder, link.connector, *link.ports) for link in graph.links
@@ -134,14 +134,14 @@ def test_both_forms_say_all_there_is(drawn_sessions: st.SearchStrategy[Session],
         for end, other in (link["between"], link["between"][::-1])
         for channel in link["signals"][end]
     }
-    table: list[dict[str, Any]] = access_object(session)["access"]
+    table: list[dict[str, Any]] = access_object(Plan(session))["access"]
     assert writes == {
         (row["node"], row["channel"], row["peer"])
         for row in table
         if row["action"] == "write" and row["channel"] not in ("telemetry", "observation")
     }
-    assert len(table) == len(access(session))
+    assert len(table) == len(Plan(session).access)
     text = printed(session, show_access=True)
-    for row in access(session):
+    for row in Plan(session).access:
         direction = "to" if row.action == "write" else "from"
         assert f"{direction} {row.peer}: {', '.join((row.content or row.ports)[:1])}" in text

@@ -20,6 +20,7 @@ from manyhands.launch.graph.layout import Box, layout
 from manyhands.launch.graph.mermaid import mermaid
 from manyhands.launch.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session
 from manyhands.launch.graph.svg import svg
+from manyhands.launch.plan import Plan
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.observer.about import NodeAbout
 from manyhands.nodes.observer.scene import Health, Scene
@@ -56,7 +57,7 @@ def test_every_node_and_link_has_its_place_and_none_covers_another(
     drawn_sessions: st.SearchStrategy[Session], data: st.DataObject
 ) -> None:
     session = data.draw(drawn_sessions)
-    drawing = drawing_of_session(session)
+    drawing = drawing_of_session(Plan(session))
     assert [part.name for part in drawing.parts] == [*session.roles, *session.observers]
     placed = layout(drawing)
     assert placed.boxes.keys() == {part.name for part in drawing.parts}
@@ -93,7 +94,7 @@ def test_links_that_need_not_cross_do_not() -> None:
 
 
 def test_the_picture_of_a_file() -> None:
-    text = svg(drawing_of_session(example()))
+    text = svg(drawing_of_session(Plan(example())))
     root = ET.fromstring(text)
     assert root.get("role") == "img"
     assert root.findtext(f"{SVG}title") == "example-1-operator"
@@ -122,7 +123,7 @@ def test_the_picture_of_a_running_session_says_how_each_is_in_colour_and_in_word
 
 def test_a_coupling_in_its_devices_process_is_joined_to_it_by_no_link() -> None:
     session = load_session(SESSIONS / "example1.yaml", ["colocate=true"])
-    drawing = drawing_of_session(session)
+    drawing = drawing_of_session(Plan(session))
     joined = [tie for tie in drawing.ties if not tie.is_link]
     assert [(tie.ends, tie.label) for tie in joined] == [((f"d{n}", f"c{n}"), "one process") for n in "xyz"]
     assert "coupling, in dx" in {line for part in drawing.parts for line in part.label}
@@ -209,7 +210,7 @@ def test_a_file_holds_what_would_have_been_printed(
     text = io.StringIO()
     console = Console(file=text, width=140)
     for output in (None, path):
-        assert show_session(example(), console, form, output) == 0
+        assert show_session(Plan(example()), console, form, output) == 0
         assert show_scene(scene(), console, form, output) == 0
         if output is None:
             printed = capsys.readouterr().out or text.getvalue()

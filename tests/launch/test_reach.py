@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.access import peers
 from manyhands.launch.keys import ephemeral
+from manyhands.launch.plan import Plan
 from manyhands.launch.reach import Listen, ReachError, reach
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.topology import roster, topology
@@ -64,25 +64,25 @@ def test_an_address() -> None:
 )
 def test_wishes_that_do_not_go_together(session: Session, transport: str, wishes: dict[str, Any], found: str) -> None:
     with pytest.raises(ReachError) as error:
-        reach(session, transport, **wishes)
+        reach(Plan(session), transport, **wishes)
     assert found in str(error.value)
 
 
 def test_keys_and_no_encryption_do_not_go_together(session: Session) -> None:
     with pytest.raises(ReachError, match="found both --insecure and --keys"):
-        reach(session, "tcp", insecure=True, keys=ephemeral(roster(session), session.name))
+        reach(Plan(session), "tcp", insecure=True, keys=ephemeral(roster(session), session.name))
 
 
 def test_tcp_is_encrypted_unless_the_user_says_otherwise(session: Session) -> None:
-    assert reach(session, "tcp").ring() is not None
-    assert reach(session, "tcp", insecure=True).ring() is None
-    assert reach(session, "ipc").ring() is None
+    assert reach(Plan(session), "tcp").ring() is not None
+    assert reach(Plan(session), "tcp", insecure=True).ring() is None
+    assert reach(Plan(session), "ipc").ring() is None
 
 
 def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
-    ways = reach(session, "tcp")
+    ways = reach(Plan(session), "tcp")
     assert ways.keys is not None
-    for name, allowed in peers(session).items():
+    for name, allowed in Plan(session).peers.items():
         assert ways.public(name).keys() == {name, *allowed}
         assert all(ways.keys.public.keys[other] == key for other, key in ways.public(name).items())
     assert ways.public("dx").keys() == {"dx", "cx", "supervisor"}
@@ -92,7 +92,7 @@ def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
 def test_every_listener_has_a_port_of_its_own_and_only_what_is_remote_leaves_the_loopback(session: Session) -> None:
     graph = topology(session)
     listen = Listen("192.0.2.7", 7400)
-    ways = reach(session, "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))
+    ways = reach(Plan(session), "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))
     links = [ways.address(graph, i) for i in range(len(graph.links))]
     everything = [ways.hub_address(), *links, ways.observer_address(graph, 0)]
     assert [int(address.rpartition(":")[2]) for address in everything] == list(range(7400, 7400 + len(everything)))
@@ -105,5 +105,5 @@ def test_every_listener_has_a_port_of_its_own_and_only_what_is_remote_leaves_the
 
 def test_without_a_port_any_will_do_and_ipc_needs_none(session: Session) -> None:
     graph = topology(session)
-    assert reach(session, "tcp", insecure=True).address(graph, 0) == "127.0.0.1:*"
-    assert reach(session, "ipc").hub_address() == reach(session, "ipc").address(graph, 0) == ""
+    assert reach(Plan(session), "tcp", insecure=True).address(graph, 0) == "127.0.0.1:*"
+    assert reach(Plan(session), "ipc").hub_address() == reach(Plan(session), "ipc").address(graph, 0) == ""

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.recordings.info import Gap, Ticks, read_info
+from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
 
 from .recordings_made import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
 
@@ -59,13 +60,17 @@ def test_what_is_missing_is_told_by_device(tmp_path: Path) -> None:
 
 @given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 7))
 def test_gaps_are_the_ticks_that_are_not_there(there: set[int], each: int) -> None:
-    told, ticks = sorted(there), Ticks()
+    told, ticks = sorted(there), Coverage()
     for begin in range(0, len(told), each):
-        ticks.take(np.array(told[begin : begin + each], dtype=np.int64))
-    lacking = {tick for gap in ticks.gaps for tick in range(gap.begin, gap.end)}
+        ticks.take_each(np.array(told[begin : begin + each], dtype=np.int64))
+    lacking = {tick for gap in ticks.gaps_in(ticks.first or 0, ticks.next) for tick in range(gap.begin, gap.end)}
     assert lacking == set(range(min(there), max(there))) - there
     assert ticks.missing == len(lacking)
     assert (ticks.first, ticks.next) == (min(there), max(there) + 1)
+    wider = {tick for gap in ticks.gaps_in(0, 70) for tick in range(gap.begin, gap.end)}
+    assert wider == set(range(70)) - there
+    assert ticks.missing_in(0, 70) == len(wider)
+    assert missing_by_party({"a": ticks, "nobody": Coverage()}, 0, 70) == {"a": len(wider), "nobody": 70}
 
 
 def test_a_cut_one_is_told_as_far_as_it_goes(tmp_path: Path) -> None:

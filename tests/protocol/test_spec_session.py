@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch import conductor
-from manyhands.launch.access import access
 from manyhands.launch.audience import TRACE_OF, Audience
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.link_states import LINK_TRANSITIONS
 from manyhands.launch.node_states import NodeState
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import HUB_NAME, IPC
 from manyhands.launch.session import load_session
@@ -236,7 +236,7 @@ def test_numbers_that_others_may_choose_otherwise() -> None:
 def test_who_is_trusted_with_what(prepared: Prepared) -> None:
     """Reading and writing by the capability table, bundles by their types."""
     session = prepared.session
-    capabilities = access(session)
+    capabilities = Plan(session).access
     bundles = {Role.DEVICE: DeviceBundle, Role.COUPLING: CouplingBundle, Role.ENVIRONMENT: EnvironmentBundle}
     bundles |= {Role.OBSERVER: ObserverBundle}
     rows = table("| role | reads | writes | its bundle holds |")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from manyhands.launch.looking.sessions import find_session
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.recordings.recording import Recording
@@ -47,7 +48,7 @@ def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path:
     assert np.all(expected.x[400:, 0] == first.x[-1, 0])
     assert np.abs(expected.f_v[:400, 0] - first.f_v[:, 0]).max() > 0.01  # another coupling, another force
     assert all(ledger.minimum >= ROUNDING for ledger in simulation.ledgers.values())
-    outcome = Supervisor(prepared, clock="simulated", reach=reach(session, "ipc"), ticks=TICKS, record=True).run()
+    outcome = Supervisor(prepared, clock="simulated", reach=reach(Plan(session), "ipc"), ticks=TICKS, record=True).run()
     assert (outcome.faults, outcome.code) == ((), 0)
     assert isinstance(outcome.recording, Recording)
     np.testing.assert_array_equal(outcome.recording.x, expected.x)

@@ -46,7 +46,7 @@ def brittle(prepared: Prepared) -> Prepared:
 def run(prepared: Prepared, show: Callable[[Progress], None], transport: str = "ipc") -> Outcome:
     """A run without an end of its own."""
     return Supervisor(
-        prepared, clock="realtime", reach=reach(prepared.session, transport), ticks=0, record=False, show=show
+        prepared, clock="realtime", reach=reach(prepared, transport), ticks=0, record=False, show=show
     ).run()
 
 

@@ -84,9 +84,7 @@ class Home:
         show: Callable[[Progress], None] | None = None,
     ) -> Supervisor:
         keys = self.keys if keyed else None
-        ways = reach(
-            self.prepared.session, "tcp", insecure=not keyed, keys=keys, listen=listen, remote=frozenset(remote)
-        )
+        ways = reach(self.prepared, "tcp", insecure=not keyed, keys=keys, listen=listen, remote=frozenset(remote))
         return Supervisor(self.prepared, clock=clock, reach=ways, ticks=ticks, record=ticks > 0, show=show)
 
 

@@ -23,7 +23,7 @@ def prepared(limits: str, file: str = "example1.yaml") -> Prepared:
 
 
 def run(session: Prepared) -> Outcome:
-    return Supervisor(session, clock="simulated", reach=reach(session.session, "ipc"), ticks=TICKS, record=True).run()
+    return Supervisor(session, clock="simulated", reach=reach(session, "ipc"), ticks=TICKS, record=True).run()
 
 
 @pytest.mark.parametrize("file", ["example1.yaml", pytest.param("example1-centralised.yaml", marks=pytest.mark.long)])
@@ -77,7 +77,7 @@ def test_who_is_moved_beyond_its_speed_is_not_blamed_and_the_guest_is_held_to_it
     ]
     session = prepare(load_session(SESSIONS / "example1.yaml", overrides))
     ticks = 1200
-    how = reach(session.session, "ipc")
+    how = reach(session, "ipc")
     outcome = Supervisor(session, clock="simulated", reach=how, ticks=ticks, record=True).run()
     assert (outcome.code, outcome.faults) == (0, ())
     assert outcome.recording is not None

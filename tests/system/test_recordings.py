@@ -56,7 +56,7 @@ def recorded(
     ticks: int,
     show: Callable[[Progress], None] | None = None,
 ) -> Outcome:
-    ways = reach(prepared.session, "ipc")
+    ways = reach(prepared, "ipc")
     return Supervisor(prepared, clock=clock, reach=ways, ticks=ticks, record=False, recorder=recorder, show=show).run()
 
 
@@ -64,7 +64,7 @@ def test_under_the_simulated_clock_the_file_holds_the_simulations_numbers(
     prepared: Prepared, expected: Recording, tmp_path: Path
 ) -> None:
     recorder = RecorderProcess(prepared, "simulated", tmp_path / "r.mcap")
-    ways = reach(prepared.session, "ipc")
+    ways = reach(prepared, "ipc")
     supervisor = Supervisor(prepared, clock="simulated", reach=ways, ticks=TICKS, record=False, recorder=recorder)
     outcome = supervisor.run()
     assert supervisor._collector.tick == 0  # nothing of it stays in the supervisor's memory
@@ -237,7 +237,7 @@ def test_no_key_is_in_what_is_kept(prepared: Prepared, tmp_path: Path) -> None:
     outcome = Supervisor(
         prepared,
         clock="simulated",
-        reach=reach(prepared.session, "tcp", keys=keys),
+        reach=reach(prepared, "tcp", keys=keys),
         ticks=300,
         record=False,
         recorder=recorder,

@@ -18,6 +18,7 @@ from manyhands.launch.conductor import Phase
 from manyhands.launch.display import LiveTable
 from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.outcome import Progress
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.session import load_session
@@ -67,7 +68,7 @@ def test_private_keys_are_in_files_of_their_owners_and_nowhere_else(kept: bool, 
                 if path.suffix != ".key" and path.is_file():
                     seen[path.name] = path.read_bytes()
 
-        ways = reach(session, "tcp", keys=keys)
+        ways = reach(Plan(session), "tcp", keys=keys)
         # the run lasts until all was looked at: it has some thousand ticks to do, and is shown at its first
         outcome = Supervisor(prepared, clock="simulated", reach=ways, ticks=3000, record=False, show=look).run()
     assert outcome.code == 0, outcome.faults

@@ -18,6 +18,7 @@ from typing import IO
 import pytest
 
 from manyhands.launch.bundles import Run, bundle_of
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import Listen, reach
 from manyhands.launch.session import load_session
@@ -160,7 +161,7 @@ def test_the_walk_through(tmp_path: Path) -> None:
 
 def test_the_ports_it_names(tmp_path: Path) -> None:
     session = load_session(write_session(tmp_path))
-    ways = reach(session, "tcp", insecure=True, listen=Listen("127.0.0.1", PORT))
+    ways = reach(Plan(session), "tcp", insecure=True, listen=Listen("127.0.0.1", PORT))
     graph = topology(session)
     last = ways.observer_address(graph, len(session.observers) - 1)
     assert last == f"127.0.0.1:{PORT + PORTS - 1}"

@@ -20,7 +20,7 @@ TICKS = 1500  # the hands push until 350
 
 
 def run(prepared: Prepared, transport: str, clock: str = "simulated", ticks: int = TICKS) -> Outcome:
-    return Supervisor(prepared, clock=clock, reach=reach(prepared.session, transport), ticks=ticks, record=True).run()
+    return Supervisor(prepared, clock=clock, reach=reach(prepared, transport), ticks=ticks, record=True).run()
 
 
 def recording_of(outcome: Outcome) -> Recording:

@@ -135,7 +135,7 @@ def play(
         outcome = Supervisor(
             session,
             clock=clock,
-            reach=ways or reach(session.session, "ipc"),
+            reach=ways or reach(session, "ipc"),
             ticks=ticks,
             record=True,
             show=script.show,

@@ -161,7 +161,7 @@ def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
             (gone_on({"dx", "cx"}, 200), lambda _: cables[0].mend()),
             (returned("dx", "cx"), nothing),
             clock="realtime",
-            ways=reach(prepared().session, "tcp"),
+            ways=reach(prepared(), "tcp"),
         )
     finally:
         for cable in cables:
@@ -212,7 +212,7 @@ def test_no_loop_reads_the_wall_clock(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("PYTHONPATH", search_path(tmp_path))
     ticks = 200
     supervisor = supervisor_module.Supervisor(
-        prepared(), clock="simulated", reach=reach(prepared().session, "ipc"), ticks=ticks, record=True, logs=logs
+        prepared(), clock="simulated", reach=reach(prepared(), "ipc"), ticks=ticks, record=True, logs=logs
     )
     outcome = supervisor.run()
     require_sound(outcome, 0)

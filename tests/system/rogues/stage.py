@@ -28,6 +28,7 @@ from manyhands.launch.bundles import Run, cut
 from manyhands.launch.conductor import Conductor, Instruction, Phase
 from manyhands.launch.keys import Keys, ephemeral
 from manyhands.launch.outcome import Outcome, Progress
+from manyhands.launch.plan import Plan
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.reach import reach
 from manyhands.launch.session import load_session
@@ -175,7 +176,7 @@ def play(
     supervisor = Supervisor(
         prepared(),
         clock="simulated",
-        reach=reach(session, "tcp", keys=stage.keys),
+        reach=reach(Plan(session), "tcp", keys=stage.keys),
         ticks=ticks,
         record=True,
         show=stage.show,

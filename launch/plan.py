@@ -1,0 +1,37 @@
+"""A session and what follows from its structure alone: derived once, where it is asked for first, and carried along."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from manyhands.launch.access import Capability, access, peers
+from manyhands.launch.session import Session
+from manyhands.launch.topology import Topology, topology
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A planned session; :class:`manyhands.launch.preparation.Prepared` is one whose coupling is settled.
+
+    Attributes:
+        session: the session.
+    """
+
+    session: Session
+
+    @cached_property
+    def graph(self) -> Topology:
+        """The processes, and the links between them."""
+        return topology(self.session)
+
+    @cached_property
+    def access(self) -> tuple[Capability, ...]:
+        """The capability table: which process may read and write what."""
+        return access(self.session, self.graph)
+
+    @cached_property
+    def peers(self) -> Mapping[str, frozenset[str]]:
+        """By node, supervisor and observer, those with whom it shares a channel: whose public keys it holds."""
+        return peers(self.access)

@@ -1,0 +1,76 @@
+"""Which ticks of a party there are, and how many are missing: counted here for every recording, written or read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_GAPS: Final = 1000
+"""Most gaps of one party that are kept one by one; all are counted."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Ticks that are missing: from ``begin`` to the one before ``end``."""
+
+    begin: int
+    end: int
+
+
+@dataclass
+class Coverage:
+    """The ticks of one party, as they come: where they begin and end, and which are missing between.
+
+    Attributes:
+        first: the first tick; None before any.
+        next: the one after the last.
+        missing: how many are missing between.
+    """
+
+    first: int | None = None
+    next: int = 0
+    missing: int = 0
+    _gaps: list[Gap] = field(default_factory=list)
+
+    def take(self, begin: int, end: int) -> None:
+        """Take in the ticks from ``begin`` to the one before ``end``; such as were there before are passed over."""
+        if self.first is None:
+            self.first = self.next = begin
+        if begin > self.next:
+            self.missing += begin - self.next
+            if len(self._gaps) < MOST_GAPS:
+                self._gaps.append(Gap(self.next, begin))
+        self.next = max(self.next, end)
+
+    def take_each(self, ticks: NDArray[np.int64]) -> None:
+        """Take in ticks one by one, in order; such as were there before are passed over."""
+        if not len(ticks):
+            return
+        breaks = np.flatnonzero(np.diff(ticks) != 1) + 1
+        for begin, end in zip([0, *breaks.tolist()], [*breaks.tolist(), len(ticks)], strict=True):
+            self.take(int(ticks[begin]), int(ticks[end - 1]) + 1)
+
+    def missing_in(self, begin: int, end: int) -> int:
+        """How many of the ticks from ``begin`` to the one before ``end`` are missing.
+
+        ``begin`` is at most the first tick, ``end`` at least the one after the last.
+        """
+        if self.first is None:
+            return end - begin
+        return (self.first - begin) + self.missing + (end - self.next)
+
+    def gaps_in(self, begin: int, end: int) -> tuple[Gap, ...]:
+        """Which these are, in order: the first :data:`MOST_GAPS`."""
+        first = end if self.first is None else self.first
+        found = [Gap(begin, first), *self._gaps, Gap(max(first, self.next), end)]
+        return tuple(gap for gap in found if gap.begin < gap.end)[:MOST_GAPS]
+
+
+def missing_by_party(coverages: Mapping[str, Coverage], begin: int, end: int) -> dict[str, int]:
+    """How many of the ticks from ``begin`` to before ``end`` are missing, by party, those that miss some."""
+    counts = {name: coverage.missing_in(begin, end) for name, coverage in coverages.items()}
+    return {name: count for name, count in counts.items() if count > 0}

@@ -1,0 +1,20 @@
+"""A planned session: what follows from the structure is derived once, and is the same for whoever holds the plan."""
+
+from __future__ import annotations
+
+from manyhands.launch.access import access, peers
+from manyhands.launch.plan import Plan
+from manyhands.launch.preparation import unproved
+from manyhands.launch.shipped import load_named
+from manyhands.launch.topology import topology
+
+
+def test_a_plan_derives_graph_rights_and_peers_once() -> None:
+    session = load_named("example1-uncoupled")
+    for plan in (Plan(session), unproved(session)):
+        assert plan.graph == topology(session)
+        assert plan.access == access(session, topology(session))
+        assert plan.peers == peers(plan.access)
+        assert plan.graph is plan.graph
+        assert plan.access is plan.access
+        assert plan.peers is plan.peers
