@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from manyhands.launch.display import LiveTable, not_admitted, say
+from manyhands.launch.files import TargetError
 from manyhands.launch.outcome import Outcome
 from manyhands.launch.preparation import Prepared
 from manyhands.launch.reach import Reach
 from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recordings.recording import STREAMED
+from manyhands.launch.recordings.recording import STREAMED, RecordingError
 from manyhands.launch.report import save_json
 from manyhands.launch.run_directory import SessionDirectory
 from manyhands.launch.supervisor import Supervisor
@@ -45,7 +48,7 @@ def run_session(
         together: whether a guest that leaves ends the session.
 
     Raises:
-        RecordingError, OSError: a file cannot be written.
+        RecordingError, TargetError, OSError: a file cannot be written.
     """
     streamed = record is not None and record.suffix == STREAMED
     if directory is not None:
@@ -74,14 +77,40 @@ def run_session(
         say(console, f"warning: ticks missing from the recording (NaN there): {lost}")
     for line in not_admitted(outcome.refused):
         say(console, f"warning: {line}")
-    if record is not None and (streamed or outcome.recording is not None):
-        if outcome.recording is not None and not streamed:
-            outcome.recording.save(record)
+    if record is not None and streamed:
         say(console, f"recording written to {record}")
+    writes: list[tuple[Callable[[], None], str]] = []
+    if record is not None and not streamed and outcome.recording is not None:
+        writes.append((partial(outcome.recording.save, record), f"recording written to {record}"))
     if report is not None:
-        save_json(outcome.report, report)
-        say(console, f"report written to {report}")
+        writes.append((partial(save_json, outcome.report, report), f"report written to {report}"))
     if directory is not None:
-        directory.keep_report(outcome.report)
-        say(console, f"session, report and logs are in {directory.path}")
+        keep_report = partial(directory.keep_report, outcome.report)
+        writes.append((keep_report, f"session, report and logs are in {directory.path}"))
+    _write_each(writes, console)
     return outcome
+
+
+def _write_each(writes: Sequence[tuple[Callable[[], None], str]], console: Console) -> None:
+    """Write every file, whichever cannot be written.
+
+    Args:
+        writes: what writes a file, and what is printed when it has.
+        console: where that goes, and every error but the first.
+
+    Raises:
+        RecordingError, TargetError, OSError: a file cannot be written; the first error.
+    """
+    failures: list[RecordingError | TargetError | OSError] = []
+    for write, done in writes:
+        try:
+            write()
+        except (RecordingError, TargetError, OSError) as error:
+            failures.append(error)
+        else:
+            say(console, done)
+    for other in failures[1:]:
+        text = f"{other.filename}: {other.strerror}" if isinstance(other, OSError) else str(other)
+        say(console, f"error: {text}")
+    if failures:
+        raise failures[0]

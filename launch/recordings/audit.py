@@ -28,13 +28,14 @@ from manyhands.launch import bundles as cutting
 from manyhands.launch.preparation import NotCertified, Prepared
 from manyhands.launch.recordings import agreement
 from manyhands.launch.recordings.coupling_again import recompute_coupling
+from manyhands.launch.recordings.course import Course, course_of, sent_no_force
 from manyhands.launch.recordings.device_again import recompute_device
 from manyhands.launch.recordings.findings import Check, Verdict, compare
 from manyhands.launch.recordings.hands import hand_of
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.recomputed import Recomputed
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rows import changes, first_sign, rows_of
+from manyhands.launch.recordings.rows import changed_after, first_sign, rows_of, there
 from manyhands.launch.recordings.run import Run
 from manyhands.launch.recordings.world import Blocks, increments, recompute_environment
 from manyhands.launch.topology import ENVIRONMENT
@@ -155,29 +156,25 @@ class _Auditing:
             {name: self._ports[name] for name in couplings},
             self._wide([*couplings], names.FREE_POSITION),
             self._wide([*couplings], names.FORCE),
-            {},
+            {name: self._course(name, coupling) for name, coupling in couplings.items()},
         )
+        courses = {name: self._course(name, device) for name, device in devices.items()}
         for name, device in devices.items():
             self._follow_guard(name, device, x, f, blocks.f)
         out: list[Check] = []
-        shifts: dict[str, list[tuple[int, int]]] = {}
         for name, coupling in couplings.items():
-            told = self._run.figures.get(name, ())
-            own = self._ports[name]
-            devices_told = [self._run.figures.get(device, ()) for device in self._session.devices_of(name)]
-            ledger = rows_of(self._run, name, names.LEDGER)
+            own, course = self._ports[name], blocks.courses[name]
+            of_devices = [courses[device] for device in self._session.devices_of(name)]
             again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], ledger, told, devices_told, self._tell
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._tell
             )
-            shifts[name] = again.shifts
             out += self._compared(
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
             )
             self._next()
         for name, device in devices.items():
-            out += self._device(name, device, shifts)
+            out += self._device(name, device, courses[name])
             self._next()
-        blocks = Blocks(blocks.bundles, blocks.ports, blocks.p, blocks.f, shifts)
         out += agreement.forces_agree(self._run, blocks, f)
         out += self._environment(blocks)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
@@ -186,7 +183,7 @@ class _Auditing:
         for name, device in devices.items():
             out += agreement.limits_kept(self._run, name, device)
             taus = {0: device.rungs[0].tau} | {
-                tick + 1: device.rungs[rung].tau for tick, rung in self._shifts(name, shifts)
+                tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
             }
             out += [agreement.delay_assumed(self._run, name, taus), agreement.period_assumed(self._run, name)]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
@@ -206,8 +203,9 @@ class _Auditing:
         """
         own, run = self._ports[name], self._run
         if run.recorded.clock != SIMULATED:
-            for window in changes(run.figures.get(name, ()), names.LET_GO)[:1]:
-                x[window.begin :, own] = f[window.begin :, own] = np.nan
+            begin = changed_after(run.figures.get(name, ()), names.LET_GO)
+            if begin is not None:
+                x[begin:, own] = f[begin:, own] = np.nan
             return
         guard: Guard | None = None
         for k in range(run.ticks):
@@ -221,24 +219,27 @@ class _Auditing:
             if guard.let_go and guard.clip(wanted.copy()) == f[k, own].tolist():
                 f[k, own] = wanted
 
-    def _device(self, name: str, bundle: DeviceBundle, shifts: dict[str, list[tuple[int, int]]]) -> list[Check]:
+    def _device(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
         run = self._run
         again = recompute_device(
             bundle,
             lambda: hand_of(bundle, self._session, self._run.recorded.clock),
             rows_of(run, name, names.DISPLACEMENT),
             rows_of(run, name, names.FORCE),
-            run.figures.get(name, ()),
-            self._shifts(name, shifts),
+            course,
             self._tell,
         )
         return self._compared(name, names.DISPLACEMENT, "x follows from f_v by the device and its hand", again)
 
-    def _shifts(self, device: str, shifts: dict[str, list[tuple[int, int]]]) -> list[tuple[int, int]]:
-        """The ticks at which a device changed its rung, which are those of its couplings."""
-        return sorted(
-            shift for name, own in shifts.items() if device in self._session.devices_of(name) for shift in own
-        )
+    def _course(self, name: str, bundle: DeviceBundle | CouplingBundle) -> Course:
+        """What happened to a device or a coupling between its rows."""
+        run, couplings = self._run, []
+        if isinstance(bundle, DeviceBundle):
+            own = [coupling for coupling in self._session.couplings if name in self._session.devices_of(coupling)]
+            couplings = [run.figures.get(coupling, ()) for coupling in own]
+        trace = names.DISPLACEMENT if isinstance(bundle, DeviceBundle) else names.FREE_POSITION
+        rows = there(rows_of(run, name, trace)) & there(rows_of(run, name, names.FORCE))
+        return course_of(run.figures.get(name, ()), rows, len(bundle.rungs), couplings)
 
     def _environment(self, blocks: Blocks) -> list[Check]:
         run, bundle = self._run, self._bundles[ENVIRONMENT]
@@ -260,7 +261,11 @@ class _Auditing:
             what = "q does"
             out.insert(1, compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
         if bundle.Phi_E is not None:
-            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0])
+            told = run.figures.get(ENVIRONMENT, ())
+            silent = np.zeros(blocks.f.shape, dtype=np.bool_)
+            for name, its in blocks.ports.items():
+                silent[:, its] = sent_no_force(told, name, there(blocks.f[:, its]))[:, None]
+            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent)
             what = "what its ledger gains in a tick is the work at the couplings' ends and what Phi_E dissipates"
             source = agreement.let_go_source(own.offsets)
             out.append(
@@ -271,6 +276,7 @@ class _Auditing:
                     ("E",),
                     own.recorded,
                     own.recomputed,
+                    gaps=own.gaps,
                     tolerance=own.tolerance,
                     source=source,
                 )

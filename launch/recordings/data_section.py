@@ -1,4 +1,4 @@
-"""The data section of a recording, record by record: what is wrong in it, and the summary that it implies."""
+"""The data section of a recording, record by record: which of them are damaged, and where the section ends."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Chunk, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex
+from mcap.records import Attachment, Chunk, DataEnd, Header, Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from manyhands.launch.recordings.records import FRAME, Content, content_in, record_of
+from manyhands.launch.recordings.records import FRAME, message_indexes, record_of
 from manyhands.launch.recordings.stream import MOST_RECORD_BYTES, Unpacking
 from manyhands.nodes.recorder.layout import METADATA, Recorded
 
@@ -56,18 +56,12 @@ class DataSection:
         whole_to: up to which byte there are records.
         end: the first byte behind the section's last record; None where none ends it.
         checksum: that its last record states.
-        content: schemas, channels, counts and times of all chunks together; its indexes are empty.
-        chunks, attachments, metadata: the summary's index of each, as it should be.
     """
 
     damages: list[Damage] = field(default_factory=list)
     whole_to: int = 0
     end: int | None = None
     checksum: int = 0
-    content: Content = field(default_factory=Content)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
 
 
 class _Wrong(Exception):
@@ -187,20 +181,10 @@ class Walk:
                 if profile or not library.startswith(_LIBRARY):
                     raise _Wrong(f"found profile {profile!r:.40}, library {library!r:.40}; expected '', {_LIBRARY!r}")
             case Chunk():
-                self._chunk(at, record, FRAME.size + len(body))
+                self._chunk(record, at + FRAME.size + len(body))
             case Attachment():
-                index = AttachmentIndex(
-                    offset=at,
-                    length=FRAME.size + len(body),
-                    log_time=record.log_time,
-                    create_time=record.create_time,
-                    data_size=len(record.data),
-                    name=record.name,
-                    media_type=record.media_type,
-                )
-                self._out.attachments.append(index)
+                pass  # to be read at all, it agrees with its checksum
             case Metadata(name, texts):
-                self._out.metadata.append(MetadataIndex(at, FRAME.size + len(body), name))
                 self._session(name, texts)
             case _ if opcode == Opcode.MESSAGE_INDEX:
                 self._index(at, FRAME.pack(opcode, len(body)) + body)
@@ -217,22 +201,11 @@ class Walk:
         except ValueError as error:
             raise _Wrong(str(error)) from error
 
-    def _chunk(self, at: int, chunk: Chunk, length: int) -> None:
+    def _chunk(self, chunk: Chunk, end: int) -> None:
         try:
-            content = content_in(chunk, self._unpacking, at + length)
+            self._awaited = deque(message_indexes(chunk, self._unpacking, end))
         except ValueError as error:
             raise _Wrong(str(error)) from error
-        self._awaited = deque(content.indexes.values())
-        sizes = chunk.compression, len(chunk.data), chunk.uncompressed_size
-        self._out.chunks.append(_chunk_index(at, length, content, sizes))
-        together = self._out.content
-        if content.counts:
-            together.first = min(together.first, content.first) if together.counts else content.first
-            together.last = max(together.last, content.last)
-        together.schemas |= content.schemas
-        together.channels |= content.channels
-        for channel, count in content.counts.items():
-            together.counts[channel] = together.counts.get(channel, 0) + count
 
     def _index(self, at: int, found: bytes) -> None:
         if self._awaited is None:  # the chunk cannot be read: its indexes may be right
@@ -244,26 +217,6 @@ class Walk:
         if found != self._awaited[0]:
             raise _Wrong("found a message index that does not agree with the messages of its chunk")
         self._awaited.popleft()
-
-
-def _chunk_index(at: int, length: int, content: Content, sizes: tuple[str, int, int]) -> ChunkIndex:
-    """The summary's index of a chunk."""
-    offsets, after = {}, at + length
-    for channel, index in content.indexes.items():
-        offsets[channel] = after
-        after += len(index)
-    compression, compressed, size = sizes
-    return ChunkIndex(
-        chunk_length=length,
-        chunk_start_offset=at,
-        compression=compression,
-        compressed_size=compressed,
-        message_end_time=content.last,
-        message_index_length=after - at - length,
-        message_index_offsets=offsets,
-        message_start_time=content.first,
-        uncompressed_size=size,
-    )
 
 
 def checksum_of(file: BinaryIO, end: int) -> int:

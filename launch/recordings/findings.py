@@ -68,6 +68,12 @@ class Gap:
         return f"{ticks}: {self.why}"
 
 
+def gaps_of(ticks: NDArray[np.bool_], why: str) -> list[Gap]:
+    """Each run of the marked ticks as one gap."""
+    edges = np.flatnonzero(np.diff(ticks, prepend=False, append=False))
+    return [Gap(int(begin), int(end), why) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
 @dataclass(frozen=True)
 class Check:
     """One thing that was checked.

@@ -1,17 +1,20 @@
-"""What is wrong with a recording: every byte is held against the others, and what disagrees is named by its place.
+"""Where a recording was changed or cut: the checksums of its format locate each change to a chunk or a record.
 
-The chunks and attachments have checksums; all else follows from them. A message index is what the messages of its chunk
-make it, the summary is what the data section makes it, the footer is what both make it: each is written anew, in the
-one way in which recorders write it, and compared. What remains, the header, the session's metadata, and the few bytes
-of a compressed chunk that do not matter to its content, is covered by the checksum of the whole data section, from
-whose syndrome follows where a single byte was changed (:mod:`manyhands.launch.recordings.syndrome`).
+| part of the file | what checks it | a change is located to |
+|---|---|---|
+| chunk, attachment | its own checksum | the record |
+| message index | the messages of the chunk before it | the record |
+| header, session's metadata, framing | being readable; the checksum of the data section | the record; the section |
+| summary and footer | the checksum of the summary | the summary |
+
+The data section ends where its last record states the section's checksum; the summary and the footer follow.
 """
 
 from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -21,17 +24,15 @@ from mcap.writer import MCAP0_MAGIC
 
 from manyhands.design.files import open_regular
 from manyhands.launch.recordings.data_section import DATA_END_BYTES, Damage, DataSection, Walk, checksum_of
-from manyhands.launch.recordings.implied import SUMMARY_RECORDS, implied, records_in
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.records import FRAME, bytes_of, record_of
+from manyhands.launch.recordings.records import FRAME, record_of
 from manyhands.launch.recordings.stream import MOST_RECORD_BYTES
-from manyhands.launch.recordings.syndrome import changed_bytes
 
 __all__ = ["Damage", "findings"]
 
+_CRC_BYTES: Final = 4
 _FOOTER_BYTES: Final = FRAME.size + 20
 _TAIL: Final = _FOOTER_BYTES + len(MCAP0_MAGIC)
-_MOST_PLACES: Final = 8  # that are told of, where one changed byte could be at any of them
 
 
 def findings(path: Path, progress: Callable[[float], None] | None = None) -> list[Damage]:
@@ -86,7 +87,7 @@ class _Examination:
         if self._start is None:
             return []
         found = {self._start - DATA_END_BYTES}
-        for opcode, body in records_in(self._read(self._start, self._tail_at)):
+        for opcode, body in _records_in(self._read(self._start, self._tail_at)):
             match record_of(opcode, body):
                 case ChunkIndex() as index:
                     found |= {index.chunk_start_offset, *index.message_index_offsets.values()}
@@ -112,7 +113,7 @@ class _Examination:
             found.append(Damage(end, self._start, "found bytes between the data and its summary; expected none"))
         if not section.damages:
             found += self._checksum(section.checksum, end - DATA_END_BYTES)
-        return found + self._summary(section, end)
+        return found + self._summary(end)
 
     def _cut(self, section: DataSection) -> Damage:
         at = section.whole_to
@@ -126,67 +127,42 @@ class _Examination:
 
     def _checksum(self, stated: int, end: int) -> list[Damage]:
         """Hold the data section against its checksum, when nothing else is wrong with it."""
-        behind = end + DATA_END_BYTES
         actual = checksum_of(self._file, end)
         if actual == stated:
             return []
         if stated == 0:
-            return [Damage(end, behind, "found no checksum of the data; expected one")]
-        disagree = f"the data's checksum is {actual:08x}, and {stated:08x} is stated"
-        found = [Damage(0, behind, f"{disagree}: something in it was changed that no other check can tell")]
-        syndrome = actual ^ stated
-        places = changed_bytes(syndrome, end, _MOST_PLACES + 1)
-        if len(places) > _MOST_PLACES:
-            return found
-        if sum(byte != 0 for byte in syndrome.to_bytes(4, "little")) == 1:
-            found.append(
-                Damage(end, behind, "if one byte was changed, it may be one of the stated checksum of the data")
-            )
-        for place in places:
-            begin, after = self._record_at(place)
-            found.append(Damage(begin, after, f"if one byte was changed, it may be byte {place}, in the record here"))
-        return found
+            return [Damage(end, end + DATA_END_BYTES, "found no checksum of the data; expected one")]
+        what = (
+            f"found data with the checksum {actual:08x}; expected {stated:08x}, as stated. Each chunk, message index "
+            "and attachment agrees with its own, so the header, the session's metadata, the framing or the stated "
+            "checksum was changed"
+        )
+        return [Damage(0, end + DATA_END_BYTES, what)]
 
-    def _record_at(self, place: int) -> tuple[int, int]:
-        """The record that holds the byte at ``place``, in a section whose records are in order."""
-        begin, end = 0, len(MCAP0_MAGIC)
-        while end <= place:
-            begin = end
-            end += FRAME.size + int.from_bytes(self._read(begin + 1, begin + FRAME.size), "little")
-        return begin, end
-
-    def _summary(self, section: DataSection, start: int) -> list[Damage]:
-        """Hold summary and footer against what the data section implies, or at least against their checksum."""
+    def _summary(self, start: int) -> list[Damage]:
+        """Hold summary and footer against their checksum."""
         if self._tail_at - start > MOST_RECORD_BYTES:
             return [Damage(start, self._tail_at, f"found a summary longer than {MOST_RECORD_BYTES} bytes")]
-        told = self._read(start, self._tail_at)
-        if any(damage.begin >= len(MCAP0_MAGIC) for damage in section.damages):
-            if self._footer is not None and self._footer.summary_crc == _footer_crc(told, self._told):
-                return []
-            return [Damage(start, self._tail_at + _FOOTER_BYTES, "the checksum of the summary disagrees with it")]
-        records, offset_start = implied(section, start, told)
-        expected = b"".join(records)
-        found = []
-        at = 0
-        for record in records:
-            if told[at : at + len(record)] != record:
-                what = f"found {SUMMARY_RECORDS[Opcode(record[0])]} in the summary that disagrees with the data"
-                if len(told) != len(expected):
-                    found.append(Damage(start + at, self._tail_at, f"{what}, in a summary of another length"))
-                    break
-                found.append(Damage(start + at, start + at + len(record), what))
-            at += len(record)
-        else:
-            if at < len(told):
-                found.append(Damage(start + at, self._tail_at, "found more in the summary than the data implies"))
-        footer = bytes_of(Footer(start, offset_start, 0))
-        footer = bytes_of(Footer(start, offset_start, _footer_crc(expected, footer)))
-        if self._told != footer:
-            what = "found a footer that disagrees with the summary; expected its places and its checksum"
-            found.append(Damage(self._tail_at, self._tail_at + _FOOTER_BYTES, what))
-        return found
+        actual = _footer_crc(self._read(start, self._tail_at), self._told)
+        stated = int.from_bytes(self._told[-_CRC_BYTES:], "little")
+        if actual == stated:
+            return []
+        what = f"found a summary and a footer with the checksum {actual:08x}; expected {stated:08x}, as stated"
+        return [Damage(start, self._tail_at + _FOOTER_BYTES, what)]
+
+
+def _records_in(summary: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of each record of a summary, up to the first one that is longer than the rest of it."""
+    at = 0
+    while len(summary) - at >= FRAME.size:
+        opcode, length = FRAME.unpack_from(summary, at)
+        at += FRAME.size
+        if length > len(summary) - at:
+            return
+        yield opcode, summary[at : at + length]
+        at += length
 
 
 def _footer_crc(summary: bytes, footer: bytes) -> int:
     """The checksum of a summary and of its footer up to where it states it."""
-    return zlib.crc32(footer[: _FOOTER_BYTES - 4], zlib.crc32(summary))
+    return zlib.crc32(footer[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(summary))

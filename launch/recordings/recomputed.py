@@ -26,13 +26,11 @@ class Recomputed:
         signal: x of a device or p of a coupling, ticks x ports, m; NaN where it could not be recomputed.
         ledger: ticks x 1, J; likewise.
         gaps: why not.
-        shifts: of a coupling, the ticks at which it changed its rung, and to which.
     """
 
     signal: Array
     ledger: Array
     gaps: list[Gap] = field(default_factory=list)
-    shifts: list[tuple[int, int]] = field(default_factory=list)
 
     @classmethod
     def nothing(cls, ticks: int, ports: int) -> Recomputed:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Final, cast
 
@@ -20,7 +19,6 @@ from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     AttachmentIndex,
-    Channel,
     Chunk,
     ChunkIndex,
     DataEnd,
@@ -30,9 +28,6 @@ from mcap.records import (
     MessageIndex,
     Metadata,
     MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
 )
 
 from manyhands.launch.recordings.stream import Unpacking, require_records
@@ -41,29 +36,25 @@ FRAME: Final = struct.Struct("<BQ")
 """Opcode, and length of the body that follows."""
 
 _MESSAGE: Final = struct.Struct("<HIQ")  # channel, sequence, log time; publish time and data follow
-_NUMBER: Final = struct.Struct("<H")  # of a schema or a channel, first in either
+_LEAST_BODY: Final = 2  # of a schema or a channel: its number
 _MESSAGE_HEAD: Final = 22
 _INDEX_ENTRY: Final = struct.Struct("<QQ")  # log time, offset in the chunk
 
 _READERS: Final[Mapping[int, Callable[[ReadDataStream], McapRecord]]] = {
     Opcode.HEADER: Header.read,
     Opcode.FOOTER: Footer.read,
-    Opcode.SCHEMA: Schema.read,
-    Opcode.CHANNEL: Channel.read,
     Opcode.CHUNK: Chunk.read,
     Opcode.MESSAGE_INDEX: MessageIndex.read,
     Opcode.CHUNK_INDEX: ChunkIndex.read,
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex.read,
-    Opcode.STATISTICS: Statistics.read,
     Opcode.METADATA: Metadata.read,
     Opcode.METADATA_INDEX: MetadataIndex.read,
-    Opcode.SUMMARY_OFFSET: SummaryOffset.read,
     Opcode.DATA_END: DataEnd.read,
 }
 
 
-def bytes_of(record: McapRecord) -> bytes:
+def _bytes_of(record: McapRecord) -> bytes:
     """A record as it is written, with its opcode and length."""
     builder = RecordBuilder()
     record.write(builder)
@@ -77,61 +68,48 @@ def record_of(opcode: int, body: bytes) -> McapRecord | None:
         return None
     try:
         record = reader(ReadDataStream(BytesIO(body)))
-        return record if bytes_of(record)[FRAME.size :] == body else None
+        return record if _bytes_of(record)[FRAME.size :] == body else None
     except (McapError, struct.error, ValueError, OverflowError):  # ValueError: a text that is none
         return None
 
 
-@dataclass
-class Content:
-    """What a chunk holds.
+def message_indexes(chunk: Chunk, unpacking: Unpacking, end: int) -> list[bytes]:
+    """The message indexes that belong to a chunk which ends before byte ``end`` of its file, as they are written.
 
-    Attributes:
-        schemas: by number, in order, as they are written.
-        channels: likewise.
-        counts: messages by channel, in the order of their first ones.
-        first: least log time of a message, 0 without any.
-        last: greatest likewise.
-        indexes: by channel, the message index that belongs to the chunk, as it is written.
-    """
-
-    schemas: dict[int, bytes] = field(default_factory=dict)
-    channels: dict[int, bytes] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    first: int = 0
-    last: int = 0
-    indexes: dict[int, bytes] = field(default_factory=dict)
-
-
-def content_in(chunk: Chunk, unpacking: Unpacking, end: int) -> Content:
-    """What a chunk that ends before byte ``end`` of its file holds, held against its size, its checksum and its times.
+    The chunk is held against its size, its checksum and its times.
 
     Raises:
-        ValueError: it cannot be had, or is another; says what was found.
+        ValueError: the chunk cannot be unpacked or disagrees with itself; the text says what was found.
     """
     if chunk.uncompressed_crc == 0:
         raise ValueError("found a chunk without a checksum; expected one")
     try:
-        content = _content_of(unpacking.data(chunk, end), chunk)
+        entries = _entries(unpacking.data(chunk, end), chunk)
     except zstandard.ZstdError as error:
         raise ValueError(f"found a chunk that cannot be unpacked ({error}); expected zstd") from error
     except ValueError as error:
         raise ValueError(f"found {error}") from error
-    stated = chunk.message_start_time, chunk.message_end_time
-    if stated != (content.first, content.last):
-        raise ValueError(f"found a chunk of times {stated}; expected its messages', {content.first, content.last}")
-    return content
+    times = [time for listed in entries.values() for time, _ in listed]
+    stated, actual = (chunk.message_start_time, chunk.message_end_time), (min(times, default=0), max(times, default=0))
+    if stated != actual:
+        raise ValueError(f"found a chunk of times {stated}; expected its messages', {actual}")
+    return [_message_index(channel, listed) for channel, listed in entries.items()]
 
 
-def _content_of(data: bytes, chunk: Chunk) -> Content:
-    """What the uncompressed bytes of a chunk hold.
+def _message_index(channel: int, listed: list[tuple[int, int]]) -> bytes:
+    """The record that lists time and offset of each message of a channel."""
+    body = struct.pack("<HI", channel, len(listed) * _INDEX_ENTRY.size)
+    body += b"".join(_INDEX_ENTRY.pack(*entry) for entry in listed)
+    return FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
+
+
+def _entries(data: bytes, chunk: Chunk) -> dict[int, list[tuple[int, int]]]:
+    """By channel, log time and offset of each message in the uncompressed bytes of a chunk.
 
     Raises:
-        ValueError: they are no schemas, channels and messages, or more of them than can be.
+        ValueError: the bytes are no schemas, channels and messages, or are more of them than there can be.
     """
-    out = Content()
-    entries: dict[int, bytearray] = {}
-    times: list[int] = []
+    entries: dict[int, list[tuple[int, int]]] = {}
     at, size, count = 0, len(data), 0
     while at < size:
         count += 1
@@ -144,18 +122,8 @@ def _content_of(data: bytes, chunk: Chunk) -> Content:
             raise ValueError("a record in the chunk that is longer than the chunk")
         if opcode == Opcode.MESSAGE and length >= _MESSAGE_HEAD:
             channel, _, time = _MESSAGE.unpack_from(data, begin)
-            entries.setdefault(channel, bytearray()).extend(_INDEX_ENTRY.pack(time, at))
-            times.append(time)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and length >= _NUMBER.size:
-            (number,) = _NUMBER.unpack_from(data, begin)
-            (out.schemas if opcode == Opcode.SCHEMA else out.channels)[number] = data[at : begin + length]
-        else:
+            entries.setdefault(channel, []).append((time, at))
+        elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or length < _LEAST_BODY:
             raise ValueError(f"a record in the chunk with opcode 0x{opcode:02x} that is none")
         at = begin + length
-    if times:
-        out.first, out.last = min(times), max(times)
-    for channel, listed in entries.items():
-        body = struct.pack("<HI", channel, len(listed)) + listed
-        out.indexes[channel] = FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
-        out.counts[channel] = len(listed) // _INDEX_ENTRY.size
-    return out
+    return entries

@@ -1,13 +1,12 @@
-"""The rows of a recording as those who recompute it take them, and what its figures say of where they may.
+"""The rows of a recording as those who recompute it take them, and the first tick at which a clutch may have moved.
 
-A row is whole or it is none. What happened to a node between two rows (it ran free, it was frozen, it changed its rung)
-is in no row; but its figures count it, ten times a second, and so say between which ticks it was.
+A row is whole or it is none. What happened to a node between two rows is in its events
+(:mod:`manyhands.launch.recordings.course`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,39 +43,15 @@ def there(rows: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
 
 
-@dataclass(frozen=True)
-class Window:
-    """Something happened at one of these ticks: not before ``begin``, and before ``end``; ``value`` is told then."""
-
-    begin: int
-    end: int
-    value: float
-
-
-def changes(figures: Figures, name: str, at_rest: float = 0.0) -> list[Window]:
-    """Where a figure became another one; it begins as ``at_rest``."""
-    out, before, begin = [], at_rest, 0
+def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | None:
+    """The tick behind which a figure first was no longer ``at_rest``, as far as its telemetry says; None for never."""
+    begin = 0
     for tick, told in figures:
-        value = told.get(name, before)
-        if value != before and not np.isnan(value):
-            out.append(Window(begin, tick, value))
-            before = value
+        value = told.get(name, at_rest)
+        if value != at_rest and not np.isnan(value):
+            return begin
         begin = tick
-    return out
-
-
-def count_until(figures: Figures, name: str) -> Callable[[int], float]:
-    """What a count had come to, at most, when a tick was done: what is told by the first figures behind it."""
-    ticks = [tick for tick, _ in figures]
-    values = [0.0 if np.isnan(value := told.get(name, 0.0)) else value for _, told in figures]
-
-    def at(tick: int) -> float:
-        i = int(np.searchsorted(ticks, tick, side="right"))
-        if not values:
-            return 0.0
-        return values[min(i, len(values) - 1)]
-
-    return at
+    return None
 
 
 def first_sign(run: Run, environment: str) -> tuple[int, str]:
@@ -86,21 +61,23 @@ def first_sign(run: Run, environment: str) -> tuple[int, str]:
     that they have let go; and when one is held to its energy budget. The devices count who lets go, the environment
     all the others.
     """
-    signs: list[tuple[int, str]] = [(run.ticks, "")]
-    told = run.figures.get(environment, ())
-    signs += [(w.begin, "a coupling was frozen") for w in changes(told, names.FROZEN)[:1]]
-    signs += [(w.begin, "a coupling was frozen") for w in changes(told, names.FROZEN_TICKS)[:1]]
+    told, signs = run.figures.get(environment, ()), [(run.ticks, "")]
+
+    def look(figures: Figures, name: str, why: str) -> None:
+        begin = changed_after(figures, name)
+        if begin is not None:
+            signs.append((begin, why))
+
+    look(told, names.FROZEN, "a coupling was frozen")
+    look(told, names.FROZEN_TICKS, "a coupling was frozen")
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:
         figures = run.figures.get(node, ())
-        for name, why in (
-            (names.RELEASED, f"{node} ran free"),
-            (names.JUMPS, f"{node} went on at a later tick"),
-            (names.RUNG, f"{node} changed its rung"),
-        ):
-            signs += [(w.begin, why) for w in changes(figures, name)[:1]]
-        signs += [(w.begin, f"{node} changed its rung") for w in changes(told, f"{names.RUNG}_{node}")[:1]]
-        signs += [(w.begin, f"{node} was held to its budget") for w in changes(told, f"{names.SCALED}{node}")[:1]]
+        look(figures, names.RELEASED, f"{node} ran free")
+        look(figures, names.JUMPS, f"{node} went on at a later tick")
+        look(figures, names.RUNG, f"{node} changed its rung")
+        look(told, f"{names.RUNG}_{node}", f"{node} changed its rung")
+        look(told, f"{names.SCALED}{node}", f"{node} was held to its budget")
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():

@@ -62,13 +62,14 @@ class Traces:
             self.by_node[name] = tuple(
                 Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(told, columns, strict=True)
             )
+        self._signals = {
+            name: [kept for kept in own if kept.topic.trace != LEDGER] for name, own in self.by_node.items()
+        }
         self._ledgers = ledgers
 
     def keep(self, node: str, tick: int, *signals: Sequence[float]) -> None:
         """A tick that ``node`` has done: ``signals`` in the order of its topics; its ledger is looked up."""
-        kept = self.by_node[node]
-        for one, row in zip(kept, signals, strict=False):  # a ledger has no signal, and masses may be none
+        for one, row in zip(self._signals[node], signals, strict=False):  # where there are no masses, q has no topic
             one.values[tick] = row
-        ledger = self._ledgers.get(node)
-        if ledger is not None:
-            kept[-1].values[tick] = ledger.total
+        if node in self._ledgers:
+            self.by_node[node][-1].values[tick] = self._ledgers[node].total

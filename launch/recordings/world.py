@@ -23,7 +23,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.findings import Gap
+from manyhands.launch.recordings.course import Course
+from manyhands.launch.recordings.findings import Gap, gaps_of
 from manyhands.launch.recordings.rows import there
 from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.environment.clutch import LET_GO
@@ -49,14 +50,14 @@ class Blocks:
         ports: by coupling, indices of its ports.
         p: ticks x m, m; NaN where a coupling has no row.
         f: what they handed on, N; likewise.
-        shifts: by coupling, the ticks at which it changed its rung, and to which.
+        courses: by coupling, what happened between its rows.
     """
 
     bundles: Mapping[str, CouplingBundle]
     ports: Mapping[str, NDArray[np.intp]]
     p: Array
     f: Array
-    shifts: Mapping[str, list[tuple[int, int]]]
+    courses: Mapping[str, Course]
 
     @property
     def D_V(self) -> Array:
@@ -76,16 +77,21 @@ class Blocks:
         return out
 
     def ends(self) -> tuple[Array, Array]:
-        """x_c = p + D_V f_c, ticks x m, m, with the D_V of the rung in force, and |p| + |D_V| |f_c|."""
+        """x_c = p + D_V f_c, ticks x m, m, with the D_V of the rung in force, and |p| + |D_V| |f_c|.
+
+        NaN where a coupling of several rungs may be at any of them.
+        """
         out, size = np.full_like(self.p, np.nan), np.full_like(self.p, np.nan)
         for name, bundle in self.bundles.items():
             own = self.ports[name]
             f, p = self.f[:, own], self.p[:, own]
-            steps = [(0, 0), *self.shifts.get(name, []), (len(f), 0)]
+            steps = [(0, 0), *self.courses[name].in_force, (len(f), 0)]
             for (begin, rung), (end, _) in pairwise(steps):
                 D = bundle.rungs[rung].block.D
                 out[begin:end, own] = p[begin:end] + f[begin:end] @ D.T
                 size[begin:end, own] = np.abs(p[begin:end]) + np.abs(f[begin:end]) @ np.abs(D).T
+            for gap in self.courses[name].unknown if len(bundle.rungs) > 1 else ():
+                out[gap.begin : gap.end, own] = np.nan
         return out, size
 
 
@@ -179,15 +185,19 @@ class Increments:
         recomputed: likewise; NaN where they are not known.
         tolerance: of each, J.
         offsets: how often a last offset may have been let go.
+        gaps: where a coupling's force is not known.
     """
 
     recorded: Array
     recomputed: Array
     tolerance: Array
     offsets: int
+    gaps: list[Gap]
 
 
-def increments(Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array, sign: int) -> Increments:
+def increments(
+    Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array, sign: int, silent: NDArray[np.bool_]
+) -> Increments:
     """The increments of the environment's ledger, from tools and couplings alone.
 
     Args:
@@ -197,12 +207,13 @@ def increments(Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array
         tools: recorded x_e, ticks x m, m.
         ledger: recorded, ticks x 1, J.
         sign: the first tick at which a clutch may have moved.
+        silent: ticks x m, where a coupling has no row and was sent no force.
     """
     ends, size = blocks.ends()
     rest = np.zeros((1, tools.shape[1]))
     step_e = np.diff(np.vstack([rest, tools]), axis=0)
     step_c = np.diff(np.vstack([rest, ends]), axis=0)
-    f = np.where(np.isnan(blocks.f), 0.0, blocks.f)  # who is silent is sent none
+    f = np.where(silent, 0.0, blocks.f)
     still = f == 0.0
     work = np.where(still, 0.0, f * np.where(still, 0.0, step_c))
     w = step_e / T
@@ -229,4 +240,6 @@ def increments(Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array
     let_go[:sign] = False
     used = np.flatnonzero(let_go)[:allowed]
     tolerance[used] += most[used]
-    return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used))
+    why = "a coupling has no row there, and no event says that it was sent no force"
+    gaps = gaps_of(np.asarray(np.isnan(f).any(axis=1), dtype=np.bool_), why)
+    return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used), gaps)

@@ -15,6 +15,7 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.exchange import Heard, Joint
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.messages import Absent, Report, Rung, Telemetry, Tool
 
@@ -52,6 +53,7 @@ class Block:
         self._trace_f: list[Floats] = [self._p] * rows
         self._energy = [0.0] * rows
         self._filled = 0
+        self._events = TickEvents()
 
     def _core_of(self, rung: int) -> CouplingCore:
         bundle, of = self._bundle, self._bundle.rungs[rung]
@@ -92,13 +94,14 @@ class Block:
                 self.say_again(tick)
         return heard
 
-    def climb(self) -> int | None:
-        """The rung to go on at, at rest, where the environment has just changed it; None otherwise."""
+    def climb(self, tick: int) -> int | None:
+        """The rung to go on at from ``tick``, at rest, where the environment has just changed it; None otherwise."""
         if self._next_rung == self.rung:
             return None
         before, self.rung = self.core, self._next_rung
         self.core = self._core_of(self.rung)
         self.core.succeed(before)
+        self._events.change_rung(tick, self.rung)
         return self.rung
 
     def settle(self, tick: int) -> None:
@@ -141,6 +144,7 @@ class Block:
             names.RUNG: float(self.rung),
             **names.ledger_figures(self.core.ledger),
             **names.stray_frames([*devices, self.environment]),
+            **self._events.take(self.ticks - rows, self.ticks),
         }
         traces = {
             names.FREE_POSITION: np.array(self._trace_p[:rows]),

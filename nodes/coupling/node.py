@@ -92,7 +92,7 @@ class CouplingNode:
                     self._forget()
                     block.publish_rest(control, devices)  # rows follow each other
                     tick = told
-            rung = block.climb()
+            rung = block.climb(tick)
             for joint in devices:
                 if rung is not None:
                     joint.say(Rung(rung))

@@ -18,6 +18,7 @@ from manyhands.nodes.device.lateness import Lateness
 from manyhands.nodes.distribution import Distribution
 from manyhands.nodes.exchange import Joint
 from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Report, Telemetry
 
@@ -58,9 +59,11 @@ class Account:
         self._speeds = [0.0] * rows
         self._filled, self._rows = 0, common.telemetry_first
         self._sampled: Instant | None = None
+        self._events = TickEvents()
 
-    def assume(self, tau: Duration) -> None:
-        """Another certificate's tau from now on."""
+    def change_rung(self, tick: int, rung: int, tau: Duration) -> None:
+        """Another rung from ``tick`` on, whose certificate assumes another tau."""
+        self._events.change_rung(tick, rung)
         self._assumed_tau = tau
 
     def tick(self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times) -> None:
@@ -88,9 +91,10 @@ class Account:
         self._filled = row + 1
         self.ticks = tick + 1
 
-    def release(self) -> None:
-        """A period without force, for none was heard of."""
+    def release(self, tick: int) -> None:
+        """A period without force, for none of ``tick`` was heard of."""
         self.released += 1
+        self._events.release(tick)
         self._sampled = None
 
     def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
@@ -126,6 +130,7 @@ class Account:
             f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
             **names.ledger_figures(core.ledger),
             **names.stray_frames(joints),
+            **self._events.take(self.ticks - rows, self.ticks),
             **self._told(),
         }
         traces = {

@@ -63,8 +63,8 @@ class CarriedBlock:
         while (word := self.control.listen()) is not None:
             follow(word, [self.block.environment], self.control)
 
-    def end(self) -> None:
-        """The loop is over."""
+    def publish_rest(self) -> None:
+        """Tell of the ticks since the last telemetry: the loop is over, or goes on at a later tick."""
         if self.block is not None and self.control is not None:
             self.block.publish_rest(self.control)
 
@@ -106,7 +106,7 @@ class Within(Joint):
         heard = self._block.hear(tick, patience)
         if heard is Heard.SIGNAL or heard is Heard.TURNED:
             self.put(values, self._block.applied)
-            rung = self._block.climb()
+            rung = self._block.climb(tick if heard is Heard.SIGNAL else self._block.environment.told)
             if rung is not None:
                 listener.aside(self, Rung(rung))
         if heard is Heard.SIGNAL:
@@ -143,7 +143,12 @@ class ColocatedNode(DeviceNode):
             super().loop(start, life, control)
         finally:
             for carried in self._carried:
-                carried.end()
+                carried.publish_rest()
+
+    def _jump(self, control: ControlLine) -> None:
+        super()._jump(control)
+        for carried in self._carried:
+            carried.publish_rest()  # rows follow each other
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
         super()._listen(control, idle)

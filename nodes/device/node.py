@@ -110,11 +110,11 @@ class DeviceNode:
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
                 driver.idle()
-                account.release()
+                account.release(tick)
                 slot += 1
                 continue
             if told > tick:
-                account.jump(control, core, guard, joints)
+                self._jump(control)
                 tick = told
             held = guard.clip(f.copy())  # f is written again in the next tick
             driver.apply(held)
@@ -126,7 +126,7 @@ class DeviceNode:
                 joint.settle(tick)
             driver.idle()
             if self._next_rung != self._rung:
-                self._change_rung()
+                self._change_rung(tick)
             account.tick(tick, x, held, core, (due, ready, sampled, sent, received, applied))
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
@@ -228,9 +228,13 @@ class DeviceNode:
             follow(word, self._joints, control)
             word = control.listen()
 
-    def _change_rung(self) -> None:
+    def _jump(self, control: ControlLine) -> None:
+        """The session is at a later tick."""
+        self._account.jump(control, self._core, self._guard, self._joints)
+
+    def _change_rung(self, tick: int) -> None:
         """Another promise from now on: the force is zero."""
         self._rung = self._next_rung
         rung = self._rungs[self._rung]
         self._core.change(rung.level, rung.K)
-        self._account.assume(from_seconds(rung.tau))
+        self._account.change_rung(tick, self._rung, from_seconds(rung.tau))

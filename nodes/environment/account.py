@@ -14,6 +14,7 @@ from manyhands.nodes.bundle import Common
 from manyhands.nodes.control import ControlLine
 from manyhands.nodes.environment.cores import Core
 from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.messages import Telemetry
 
 
@@ -46,7 +47,12 @@ class Account:
         return self._filled == self._rows
 
     def publish(
-        self, control: ControlLine, core: Core, figures: Mapping[str, float], late: Mapping[str, list[int]]
+        self,
+        control: ControlLine,
+        core: Core,
+        figures: Mapping[str, float],
+        late: Mapping[str, list[int]],
+        events: TickEvents,
     ) -> bool:
         """Telemetry of the ticks since the last; whether there are any.
 
@@ -55,6 +61,7 @@ class Account:
             core: the environment.
             figures: what is told besides.
             late: by coupling, the ticks since the last telemetry in which it was late.
+            events: what happened since the last telemetry.
         """
         rows, self._filled, self._rows = self._filled, 0, self._every
         if rows == 0:
@@ -65,5 +72,6 @@ class Account:
             **names.ledger_trace(core.ledger, self._energy[:rows]),
             **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
         }
-        control.publish(Telemetry(self.ticks, figures, traces))
+        happened = events.take(self.ticks - rows, self.ticks)
+        control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
         return True

@@ -304,6 +304,6 @@ class EnvironmentNode:
             **names.stray_frames(self._joints),
         }
         late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
-        if self._account.publish(control, core, figures, late):
+        if self._account.publish(control, core, figures, late, places.events):
             for ticks in late.values():
                 ticks.clear()

@@ -20,6 +20,7 @@ from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.log import Event as LogEvent
 from manyhands.nodes.log import Log
 from manyhands.nodes.reunion import follow
+from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Absent, Reaction, Rung, Shift, Values
 
@@ -66,6 +67,7 @@ class Places:
         all_seated: whether that is everybody.
         last: the tick after the session's last; 0 for none.
         log: where it is noted who was frozen, lost or back; None for nowhere.
+        events: the same with ticks, for the recording.
         ahead: the latest tick heard from who is ahead of a resumed environment.
     """
 
@@ -96,6 +98,7 @@ class Places:
         self._resumes, self._tick = resumes, 0
         self.ahead = self.last = 0
         self.log: Log | None = None
+        self.events = TickEvents()
         if resumes:
             for place in self.all:
                 core.freeze(place.index)
@@ -311,8 +314,13 @@ class Places:
         self._feedthrough, self._digests = dict(feedthrough), dict(digests)
 
     def _event(self, place: Place, event: Event, tick: int) -> bool:
+        was_seated = place.attendance.seat is Seat.SEATED
         if not place.attendance.on(event, tick):
             return False
+        if place.attendance.seat is Seat.SEATED:
+            self.events.seat(tick, place.joint.peer.name)
+        elif was_seated:
+            self.events.freeze(tick, place.joint.peer.name)
         if self.log is not None and (noted := _NOTED.get(place.attendance.seat)) is not None:
             self.log.note(noted, peer=place.joint.peer.name, tick=tick, heard=event.value)
         if place.attendance.seat is not Seat.SEATED:

@@ -19,6 +19,7 @@ from manyhands.launch.simulation import Silence, Simulation
 from manyhands.launch.topology import topology
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE, Recorded
+from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role
 from manyhands.protocol.topics import LEDGER, TAU
@@ -60,6 +61,7 @@ def written(
     attachments: Mapping[str, bytes],
     rows: Rows,
     more: Callable[[str, int], Mapping[str, float]] = lambda node, tick: {},
+    frozen: bool = True,
 ) -> Path:
     """A recording of these rows; where a node has none, it told of none.
 
@@ -69,6 +71,7 @@ def written(
         attachments: by name.
         rows: by node and trace.
         more: by node and tick, what its figures say besides its ledger.
+        frozen: whether the environment says that it froze a coupling while that has no rows.
     """
     core = RecorderCore(recorded, attachments, START)
     for node, role in recorded.roles.items():
@@ -83,11 +86,27 @@ def written(
                 until = int(ticks[-1]) + 1
                 told = {trace: values[ticks[0] : until] for trace, values in own.items()}
                 figures = {LEDGER: float(told[LEDGER][-1, 0])} if LEDGER in told else {}
+                if frozen and role is Role.ENVIRONMENT:
+                    figures |= _frozen(rows, recorded, int(ticks[0]), until)
+                if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and says so
+                    figures |= TickEvents().take(int(ticks[0]), until)
                 figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
                 core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)
     assert core.refused == 0
     path.write_bytes(core.cut() + core.end())
     return path
+
+
+def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, float]:
+    """What an environment says of the couplings that have no rows, in its telemetry of these ticks."""
+    events = TickEvents()
+    for node, role in recorded.roles.items():
+        if role is Role.COUPLING:
+            there = np.isfinite(rows[node, "p"]).all(axis=1)
+            for tick in (np.flatnonzero(np.diff(there)) + 1).tolist():
+                if begin <= tick < end:
+                    (events.seat if there[tick] else events.freeze)(tick, node)
+    return {name: value for name, value in events.take(0, 0).items() if ":" in name}
 
 
 def forged(path: Path, run: Run, change: Callable[[dict[tuple[str, str], np.ndarray]], None]) -> Path:

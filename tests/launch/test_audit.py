@@ -19,8 +19,11 @@ from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recordings.agreement import bounded
 from manyhands.launch.recordings.audit import Audit, audit
 from manyhands.launch.recordings.coupling_again import recompute_coupling
+from manyhands.launch.recordings.course import Course, course_of
 from manyhands.launch.recordings.device_again import recompute_device
-from manyhands.launch.recordings.findings import Check, Verdict, compare
+from manyhands.launch.recordings.findings import Check, Gap, Verdict, compare
+from manyhands.launch.recordings.integrity import findings
+from manyhands.launch.recordings.rows import Figures, there
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence
@@ -203,6 +206,10 @@ def bundle_of(prepared: Prepared, name: str) -> object:
     return cut(prepared, Way(SIMULATED, None, ""))[name]
 
 
+def course(bundle: DeviceBundle | CouplingBundle, figures: Figures, rows: np.ndarray) -> Course:
+    return course_of(figures, there(rows), len(bundle.rungs))
+
+
 def played_device(
     bundle: DeviceBundle, f: list[float], free: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -234,16 +241,27 @@ def test_a_device_that_ran_free_is_followed(prepared: Prepared, free: Mapping[in
     f = [0.0 if k < 120 else 0.3 * np.sin(0.05 * k) for k in range(TICKS)]
     x, force, energy = played_device(bundle, f, free)
     figures = [
-        (tick, {"released": float(sum(n for k, n in free.items() if k < tick))})
-        for tick in (*range(50, TICKS, 50), TICKS)
+        (
+            tick,
+            {"released": float(sum(n for k, n in free.items() if k < tick))}
+            | {f"released@{k}": float(n) for k, n in free.items() if tick - 50 <= k < tick},
+        )
+        for tick in range(50, TICKS + 50, 50)
     ]
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, figures)
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, figures, x))
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     assert again.gaps == []
     # without a word of it in its figures it is another motion
-    blind = recompute_device(bundle, lambda: driver_of(bundle), x, force, [])
+    blind = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, [], x))
     assert not compare("signal", "dx", "", ("dx",), x, blind.signal).holds
+    # with a count of them alone it is believed from the telemetry before on
+    counted = [(tick, {"released": told["released"]}) for tick, told in figures]
+    unsure = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, counted, x))
+    begin = min(free) // 50 * 50
+    assert [(gap.begin, gap.end) for gap in unsure.gaps] == [(begin, TICKS)]
+    np.testing.assert_array_equal(unsure.signal[:begin], x[:begin])
+    assert np.isnan(unsure.ledger[begin:]).all()
 
 
 def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> None:
@@ -252,7 +270,7 @@ def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> 
     x, force, _ = played_device(bundle, [0.1] * TICKS, {})
     x[200:] += 1e-3
     x[190:200] = np.nan
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, [])
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, [], x))
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(200, TICKS)]
     assert np.isnan(again.ledger[190:]).all()
     np.testing.assert_array_equal(again.signal[:190], x[:190])
@@ -261,7 +279,8 @@ def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> 
 def test_a_device_that_a_person_moved_is_believed(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)
-    again = recompute_device(bundle, lambda: None, np.zeros((9, 1)), np.zeros((9, 1)), [])
+    x = np.zeros((9, 1))
+    again = recompute_device(bundle, lambda: None, x, x, course(bundle, [], x))
     assert np.isnan(again.ledger).all()
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(0, 9)]
 
@@ -285,15 +304,97 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
         core.absorb(f[k].tolist())
         assert core.ledger is not None
         energy[k] = core.ledger.total
-    figures = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
-    again = recompute_coupling(bundle, x, p, f, energy, figures)
+    counted = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
+    figures = [(tick, told | ({"rung@150": 1.0} if tick == 200 else {})) for tick, told in counted]
+    again = recompute_coupling(bundle, x, p, f, course(bundle, figures, p))
     np.testing.assert_array_equal(again.signal, p)
     np.testing.assert_array_equal(again.ledger, energy)
-    assert (again.shifts, again.gaps) == ([(150, 1)], [])
-    blind = recompute_coupling(bundle, x, p, f, energy, [])
+    assert (course(bundle, figures, p).in_force, again.gaps) == ([(150, 1)], [])
+    blind = recompute_coupling(bundle, x, p, f, course(bundle, [], p))
     first = compare("signal", "cx", "", ("dx",), p, blind.signal).first
     assert first is not None
     assert first.tick == 151
+    # with the rung among its figures alone it is believed from the telemetry before on
+    unsure = recompute_coupling(bundle, x, p, f, course(bundle, counted, p))
+    assert [(gap.begin, gap.end) for gap in unsure.gaps] == [(100, TICKS)]
+    assert np.isnan(unsure.signal[100:]).all()
+    np.testing.assert_array_equal(unsure.signal[:100], p[:100])
+
+
+def test_a_process_that_came_back_begins_at_rest(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    one, two = (played_device(bundle, [0.1] * n, {}) for n in (100, TICKS - 130))
+    hole = np.full((30, 1), np.nan)
+    x, f, energy = (np.vstack([before, hole, after]) for before, after in zip(one, two, strict=True))
+    figures: list[tuple[int, dict[str, float]]] = [(100, {"began@0": 1.0}), (200, {"began@130": 1.0})]
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
+    np.testing.assert_array_equal(again.signal, x)
+    np.testing.assert_array_equal(again.ledger, energy)
+    assert again.gaps == []
+
+
+def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    played = played_device(bundle, [0.1] * 100 + [0.0] * 200, {100: 4})
+    x, f, energy = (np.vstack([rows[:100], np.full((30, 1), np.nan), rows[100:]]) for rows in played)
+    happened = {"jumped@130": 100.0, "released@101": 3.0, "released@130": 1.0}
+    figures = [(100, {"began@0": 1.0}), (230, {"released": 4.0} | happened), (330, {"released": 4.0})]
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
+    np.testing.assert_array_equal(again.signal, x)
+    np.testing.assert_array_equal(again.ledger, energy)
+    lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
+    assert course(bundle, lost, x).unknown == [Gap(130, 330, "it had rows missing, and no event says why")]
+
+
+def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    x, f, _ = played_device(bundle, [0.1] * 50, {})
+    figures = [(50, {"began@0": 1.0, "released": 1e15, "released@20": 1e15})]
+    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
+    assert [(gap.begin, gap.end) for gap in again.gaps] == [(20, 50)]
+
+
+def test_a_rung_beyond_the_ladder_is_no_rung(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "cx")
+    assert isinstance(bundle, CouplingBundle)
+    found = course(bundle, [(50, {"began@0": 1.0, "rung@20": 99.0})], np.zeros((50, 1)))
+    assert (found.in_force, [gap.begin for gap in found.unknown]) == ([], [20])
+
+
+def test_a_coupling_killed_before_it_could_report_is_not_called_forged(prepared: Prepared, tmp_path: Path) -> None:
+    rows = simulated(prepared, 600, [Silence("cx", 250, 400)])
+    for trace in ("p", "f_v", LEDGER):
+        rows["cx", trace][200:250] = np.nan  # its last ticks, which it never told of
+    figures = {"frozen:cx@250": 1.0, "returned:cx@400": 1.0}
+
+    def told(node: str, tick: int) -> Mapping[str, float]:
+        return figures if (node, tick) == ("environment", 600) else {}
+
+    parts = recorded_of(prepared), attachments_of(prepared)
+    done = audited(written(tmp_path / "r.mcap", *parts, rows, told, frozen=False))
+    assert broken(done) == {}
+    work = found(done, "environment", "work")
+    assert [(gap.begin, gap.end) for gap in work.gaps] == [(200, 250)]
+    assert work.numbers == 550
+    # of a recording without a word of that less is known
+    done = audited(written(tmp_path / "s.mcap", *parts, rows, frozen=False))
+    assert broken(done) == {}
+    assert [(gap.begin, gap.end) for gap in found(done, "environment", "work").gaps] == [(200, 400)]
+
+
+def test_a_recording_from_before_the_events_is_audited() -> None:
+    path = Path(__file__).parent / "data" / "recording-0.6.0.mcap"
+    run = read_run(path)
+    assert not any("@" in name for told in run.figures.values() for _, figures in told for name in figures)
+    done = audited(path)
+    assert {check.verdict for check in done.checks} == {Verdict.HOLDS}
+    assert (done.ticks, findings(path)) == (30, [])
+    code, out, _ = invoke("replay", path)
+    assert code == 0
+    assert "identical" in out
 
 
 def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:

@@ -11,16 +11,17 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.preparation import Prepared
+from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recordings.hands import GivenMotion
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import Replayed, replay
 from manyhands.launch.recordings.run import read_run
+from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
 from manyhands.protocol.topics import DISPLACEMENT, FORCE, LEDGER
 
-from .recorded import attachments_of, forged, prepared_as, recorded_of, simulated, written
+from .recorded import SESSIONS, attachments_of, forged, prepared_as, recorded_of, simulated, written
 
 TICKS = 330  # no multiple of the ticks between two telemetry messages
 
@@ -48,6 +49,17 @@ def test_every_number_is_the_same(name: str, tmp_path: Path) -> None:
     assert found.identical
     assert found.numbers == sum(values.size for (_, trace), values in rows.items() if trace != "tau_us")
     assert (found.ticks, found.missing, found.deviations, found.differing) == (TICKS, {}, (), 0)
+
+
+@pytest.mark.parametrize("uncertified", [False, True])
+def test_a_session_without_masses_is_replayed(tmp_path: Path, uncertified: bool) -> None:
+    links = ", ".join(f"{{between: [{one}, ground], stiffness: 2600, damping: 0.5}}" for one in ("dx", "dy", "dz"))
+    overrides = ["environment.masses={}", f"environment.links=[{links}]", "design.ladder=[]"]
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides), uncertified=uncertified)
+    rows = simulated(prepared, TICKS)
+    path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
+    assert ("environment", "q") not in rows
+    assert replayed(prepared, path).identical
 
 
 def test_traces_are_what_the_recording_of_a_simulation_holds(prepared: Prepared) -> None:

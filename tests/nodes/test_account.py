@@ -69,7 +69,7 @@ def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Cal
             device.jump()
             jumps += 1
         elif step == 0:
-            device.account.release()
+            device.account.release(tick)
             released += 1
         for _ in range(step):
             device.tick(tick)
@@ -101,7 +101,7 @@ def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(devic
     for tick, tau in enumerate([TAU, TAU + 1, 3 * TAU]):
         device.tick(tick, tau=tau)
     assert device.end()["tau_breaches"] == 2
-    device.account.assume(Duration(3 * TAU))
+    device.account.change_rung(2, 1, Duration(3 * TAU))
     device.tick(3, tau=3 * TAU)
     device.tick(4, tau=3 * TAU + 1)
     assert device.end()["tau_breaches"] == 3
@@ -143,7 +143,7 @@ def test_periods_that_are_none_are_counted(device: Device, after: int, breaches:
 
 def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) -> None:
     device.tick(0)
-    device.account.release()
+    device.account.release(1)
     device.tick(1, after=7 * MS)
     device.jump()
     device.tick(5, after=9 * MS)

@@ -63,7 +63,7 @@ def step(block: Block, world: Held, tick: int, x: float, f: float) -> None:
     block.say(np.array([x]), tick, tick)
     world.say(force(tick, f))
     assert block.hear(tick, NOW) is Heard.SIGNAL
-    block.climb()
+    block.climb(tick)
     block.settle(tick)
 
 
@@ -123,7 +123,7 @@ def shift(block: Block, world: Held, tick: int, rung: int) -> int | None:
     block.say(np.zeros(1), tick, 0)
     world.say(Rung(rung), force(tick, 0.0))
     assert block.hear(tick, NOW) is Heard.SIGNAL
-    climbed = block.climb()
+    climbed = block.climb(tick)
     block.settle(tick)
     return climbed
 
@@ -141,7 +141,7 @@ def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
     np.testing.assert_array_equal(world.said[-1].values, [0.001])  # type: ignore[union-attr] -- at rest
     world.say(force(2, 1.0))
     block.hear(2, NOW)
-    assert block.climb() is None
+    assert block.climb(2) is None
     block.settle(2)
     block.say(np.zeros(1), 3, 0)
     of = bundle.rungs[2].block
@@ -162,7 +162,7 @@ def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world
     world.say(Absent("dx"), force(0, 0.5))
     block.say(np.zeros(1), 0, 0)
     assert block.hear(0, NOW) is Heard.SIGNAL
-    assert block.climb() is None
+    assert block.climb(0) is None
 
 
 def meet_environment(block: Block, tick: int) -> Held:
@@ -189,12 +189,12 @@ def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Bl
     fresh = meet_environment(block, 1)
     fresh.say(force(1, 0.0))
     assert block.hear(1, NOW) is Heard.SIGNAL
-    assert block.climb() == 0
+    assert block.climb(1) == 0
     block.settle(1)
     block.say(np.zeros(1), 2, 0)
     fresh.say(Rung(2), force(2, 0.0))  # it was told, and shifts
     block.hear(2, NOW)
-    assert block.climb() == 2
+    assert block.climb(2) == 2
 
 
 def test_a_flood_ends_the_node(block: Block, world: Held, new_life: Callable[[], Any]) -> None:

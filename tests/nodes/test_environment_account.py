@@ -16,6 +16,7 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.cores import environment_core
+from manyhands.nodes.tick_events import TickEvents
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 T = 0.001
@@ -48,9 +49,9 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
         core.settle()
         account.tick(tick, core)
     assert account.due
-    account.publish(line, core, {"frozen": 0.0}, {})
+    account.publish(line, core, {"frozen": 0.0}, {}, TickEvents())
     (told,) = line.telemetry
-    assert (told.tick, told.figures) == (len(p), {"frozen": 0.0})
+    assert (told.tick, told.figures) == (len(p), {"frozen": 0.0, "began@0": 1.0})
     x_e, q = told.traces["x_e"], told.traces["q"]
     assert x_e.shape == (len(p), m)
     assert q.shape == (len(p), 1)
@@ -78,8 +79,8 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
         core.react([0.001 * tick, 0.0, 0.0])
         core.settle()
         account.tick(tick, core)
-    account.publish(line, core, {}, {})
-    account.publish(line, core, {}, {})
+    account.publish(line, core, {}, {}, TickEvents())
+    account.publish(line, core, {}, {}, TickEvents())
     (told,) = line.telemetry
     assert told.tick == 7
     assert told.traces["x_e"].shape == (7, 3)
@@ -89,11 +90,11 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
 def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) -> None:
     bundle = environment()
     core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
-    assert not account.publish(line, core, {}, {"cz": [3]})  # nothing is sent: they are for the next one
+    assert not account.publish(line, core, {}, {"cz": [3]}, TickEvents())  # nothing is sent: they are for the next one
     core.react([0.0, 0.0, 0.0])
     core.settle()
     account.tick(0, core)
-    assert account.publish(line, core, {}, {"cz": [3, 5]})
+    assert account.publish(line, core, {}, {"cz": [3, 5]}, TickEvents())
     (told,) = line.telemetry
     assert told.traces[names.WAITED_IN + "cz"].tolist() == [[3.0], [5.0]]
     others = names.shown(told)

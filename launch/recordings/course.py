@@ -1,0 +1,221 @@
+"""What happened to a recorded node between its rows, by the events that it recorded with their ticks.
+
+A process began at rest, ran free for some periods, went on at a later tick, or changed its rung
+(:mod:`manyhands.nodes.tick_events`). Events travel with the rows of the same telemetry, and counts among the figures
+say how many there were. Where a count or the rows show that something happened, and no event says what, a node's state
+follows from nothing recorded: that is stated, with the tick, until a process begins anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.recordings.findings import Gap
+from manyhands.launch.recordings.rows import Figures, changed_after
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.tick_events import Kind, events_in
+
+_NEVER: Final = 2**62
+
+
+@dataclass(frozen=True)
+class Happening:
+    """What happened to a node after its row before, and before the row that this belongs to.
+
+    Attributes:
+        began: whether this is the first row of a process, which begins at rest and at rung 0.
+        jumped: whether the session had gone on without the node.
+        released: periods without force.
+        rung: to which the node changed in a tick of which it has no row; None if it did not.
+        unknown: why the node's state is not known from this row on; empty where it is.
+    """
+
+    began: bool = False
+    jumped: bool = False
+    released: int = 0
+    rung: int | None = None
+    unknown: str = ""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A node's way through a recording.
+
+    Attributes:
+        before: by tick of the row, what happened before it; of most rows, nothing.
+        rungs: by the tick at which it changed, the rung.
+        ticks: of the recording.
+    """
+
+    before: Mapping[int, Happening]
+    rungs: Mapping[int, int]
+    ticks: int
+
+    @property
+    def in_force(self) -> list[tuple[int, int]]:
+        """From which tick on which rung holds, in order, behind rung 0 from tick 0 on; who begins is at rung 0."""
+        begun = [(k, 0) for k, happening in self.before.items() if happening.began and k > 0]
+        return sorted([*begun, *self.rungs.items()], key=lambda change: change[0])
+
+    @property
+    def unknown(self) -> list[Gap]:
+        """The ticks from which on the node's state is not known, each up to the next process."""
+        out: list[Gap] = []
+        for k, happening in sorted(self.before.items()):
+            if happening.began and out and out[-1].end > k:
+                out[-1] = replace(out[-1], end=k)
+            if happening.unknown:
+                out.append(Gap(k, self.ticks, happening.unknown))
+        return out
+
+    @property
+    def resampled(self) -> NDArray[np.bool_]:
+        """The ticks at which the node may have been somewhere else when its peers heard of it than in its row."""
+        out = np.zeros(self.ticks, dtype=np.bool_)
+        out[[k for k, h in self.before.items() if h.released or h.jumped or (h.began and k > 0)]] = True
+        for gap in self.unknown:
+            out[gap.begin : gap.end] = True
+        return out
+
+
+def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings: Sequence[Figures] = ()) -> Course:
+    """The course of a node.
+
+    Args:
+        figures: the node's.
+        rows: the ticks of which it has a row.
+        ladder: how many rungs it has.
+        couplings: of a device, the figures of its couplings: where it recorded no events, they show that its rung,
+            which is theirs, changed.
+    """
+    processes = _processes(figures, ladder)
+    if not any(process.recorded for process in processes):
+        changed = [changed_after(told, names.RUNG) for told in couplings]
+        processes[0].doubt(min((at for at in changed if at is not None), default=_NEVER), "a rung")
+    before: dict[int, Happening] = {}
+    rungs: dict[int, int] = {}
+    ticks, every = np.flatnonzero(rows), len(rows)
+    for process, end in zip(processes, [*(p.begin for p in processes[1:]), every], strict=True):
+        own = ticks[(ticks >= process.begin) & (ticks < end)]
+        if len(own):
+            before |= process.happenings(own)
+        rungs |= {max(tick, process.begin): rung for tick, rung in process.rungs.items() if tick < end}
+    return Course(before, rungs, every)
+
+
+def sent_no_force(figures: Figures, coupling: str, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The ticks without a row of a coupling in which the environment sent it no force, by the events of the latter.
+
+    In the others what was sent is not known: a process was killed before it could report its last ticks, telemetry was
+    lost, or the recording is older than the events.
+
+    Args:
+        figures: the environment's.
+        coupling: its name.
+        rows: the ticks of which the coupling has a row.
+    """
+    out = np.zeros(len(rows), dtype=np.bool_)
+    events = [event for _, told in figures for event in events_in(told) if event.peer == coupling]
+    for i, event in enumerate(events):
+        end = events[i + 1].tick if i + 1 < len(events) else len(rows)
+        if event.kind is Kind.FROZEN and event.tick < len(rows):
+            again = np.flatnonzero(rows[event.tick : end])  # with a row it is no longer frozen
+            out[event.tick : event.tick + int(again[0]) if len(again) else end] = True
+    return out
+
+
+@dataclass
+class _Process:
+    """What one process of a node recorded of itself.
+
+    Attributes:
+        begin: the tick of its first row; 0 where no event says which.
+        recorded: whether an event says so.
+        jumps: by the tick of a row, the tick after the row before.
+        releases: by the tick awaited, periods without force.
+        rungs: by tick.
+        known: the tick from which on events are missing.
+        why: how that is known.
+    """
+
+    begin: int = 0
+    recorded: bool = False
+    jumps: dict[int, int] = field(default_factory=dict)
+    releases: dict[int, int] = field(default_factory=dict)
+    rungs: dict[int, int] = field(default_factory=dict)
+    known: int = _NEVER
+    why: str = ""
+
+    def doubt(self, tick: int, what: str) -> None:
+        """Events of ``what`` are missing from ``tick`` on."""
+        if tick < self.known:
+            self.known, self.why = tick, f"{what} changed, and no event says at which tick"
+
+    def happenings(self, rows: NDArray[np.intp]) -> dict[int, Happening]:
+        """What happened before each of the process's rows."""
+        out: dict[int, Happening] = {}
+        first = int(rows[0])
+        if self.recorded:
+            out[first] = Happening(began=True)
+        if first != self.begin:
+            out[first] = replace(out.get(first, Happening()), unknown="its first rows are missing")
+        for i in np.flatnonzero(np.diff(rows) != 1):
+            last, k = int(rows[i]), int(rows[i + 1])
+            if self.jumps.get(k) == last + 1:
+                out[k] = Happening(jumped=True)
+            else:
+                out[k] = Happening(unknown="it had rows missing, and no event says why")
+        for tick, periods in self.releases.items():
+            for k in _row_from(rows, tick):
+                known = out.get(k, Happening())
+                out[k] = replace(known, released=known.released + periods)
+        for tick, rung in sorted(self.rungs.items()):
+            for k in _row_from(rows, tick):
+                if k != tick:
+                    out[k] = replace(out.get(k, Happening()), rung=rung)
+        for k in _row_from(rows, self.known):
+            known = out.get(k, Happening())
+            out[k] = replace(known, unknown=known.unknown or self.why)
+        return out
+
+
+def _row_from(rows: NDArray[np.intp], tick: int) -> list[int]:
+    """The first row of ``tick`` or later, if there is one."""
+    i = int(np.searchsorted(rows, tick))
+    return [int(row) for row in rows[i : i + 1]]
+
+
+def _processes(figures: Figures, ladder: int) -> list[_Process]:
+    """The processes of a node, one after the other; at least one, which has not said that it began."""
+    out = [_Process()]
+    released, rung, before = 0, 0, 0
+    for tick, told in figures:
+        events = sorted(events_in(told), key=lambda event: (event.kind is not Kind.BEGAN, event.tick))
+        for event in events:
+            match event.kind:
+                case Kind.BEGAN:
+                    if event.tick >= out[-1].begin:
+                        out.append(_Process(event.tick, recorded=True))
+                        released, rung, before = 0, 0, event.tick
+                case Kind.JUMPED:
+                    out[-1].jumps[event.tick] = event.value
+                case Kind.RELEASED:
+                    out[-1].releases[event.tick] = event.value
+                    released += event.value
+                case Kind.RUNG if event.value < ladder:
+                    out[-1].rungs[event.tick] = rung = event.value
+                case Kind.RUNG:
+                    out[-1].doubt(event.tick, "the rung")
+        for what, count, figure in (
+            ("the count of free periods", released, names.RELEASED),
+            ("the rung", rung, names.RUNG),
+        ):
+            if told.get(figure, count) != count:
+                out[-1].doubt(before, what)
+        before = tick
+    return out[1:] if len(out) > 1 and out[1].begin == 0 else out

@@ -1,0 +1,96 @@
+"""What happened to a node between its ticks, told with the tick: figures of its telemetry such as ``released@217``.
+
+| figure | of a | value |
+|---|---|---|
+| ``began@k`` | device, coupling | 1: the process began at rest, and its first row is that of tick k |
+| ``jumped@k`` | device, coupling | the tick after the row before; the session had gone on, and the next row is of k |
+| ``released@k`` | device | periods without force while the device awaited the forces of tick k |
+| ``rung@k`` | device, coupling | the rung to which the node changed in tick k, at rest |
+| ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
+| ``returned:cx@k`` | environment | 1: from tick k on it was again |
+
+Rows and events travel in one telemetry, so a recording that has the rows has the events as well. Whoever computes the
+node again from its rows needs nothing else. In a tick in which nothing happens nothing is done for them. An environment
+says when it began and jumped as well.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+MOST_EVENTS: Final = 512
+"""Events of one telemetry from which on releases are counted only; the count among the figures shows that."""
+
+_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung)|(frozen|returned):(.+))@([0-9]{1,15})")
+_MOST_VALUE: Final = 2.0**53
+
+
+class Kind(StrEnum):
+    """What can happen; each is explained in the table of this module."""
+
+    BEGAN = "began"
+    JUMPED = "jumped"
+    RELEASED = "released"
+    RUNG = "rung"
+    FROZEN = "frozen"
+    RETURNED = "returned"
+
+
+class TickEvent(NamedTuple):
+    """One event: what happened, at which tick, its value by the table of this module, and whom it is about.
+
+    ``peer`` is empty for what happened to the node itself.
+    """
+
+    kind: Kind
+    tick: int
+    value: int
+    peer: str = ""
+
+
+class TickEvents:
+    """The events of one process since its last telemetry."""
+
+    def __init__(self) -> None:
+        """The process has told nothing yet."""
+        self._figures: dict[str, float] = {}
+        self._next: int | None = None  # the tick after the last row that was told
+
+    def release(self, tick: int) -> None:
+        """A period without force, while the forces of ``tick`` were awaited."""
+        name = f"{Kind.RELEASED}@{tick}"
+        if name in self._figures or len(self._figures) < MOST_EVENTS:
+            self._figures[name] = self._figures.get(name, 0.0) + 1.0
+
+    def change_rung(self, tick: int, rung: int) -> None:
+        """The node changed to ``rung`` in ``tick``."""
+        self._figures[f"{Kind.RUNG}@{tick}"] = float(rung)
+
+    def freeze(self, tick: int, coupling: str) -> None:
+        """The environment sends ``coupling`` no force from ``tick`` on."""
+        self._figures[f"{Kind.FROZEN}:{coupling}@{tick}"] = 1.0
+
+    def seat(self, tick: int, coupling: str) -> None:
+        """The environment sends ``coupling`` its force again from ``tick`` on."""
+        self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
+
+    def take(self, first: int, end: int) -> dict[str, float]:
+        """The figures of the telemetry whose rows are those of ``first`` to ``end - 1``; they are told once."""
+        figures, self._figures = self._figures, {}
+        if self._next is None:
+            figures[f"{Kind.BEGAN}@{first}"] = 1.0
+        elif first != self._next:
+            figures[f"{Kind.JUMPED}@{first}"] = float(self._next)
+        self._next = end
+        return figures
+
+
+def events_in(figures: Mapping[str, float]) -> Iterator[TickEvent]:
+    """The events among the figures of one telemetry; what is written like one and has no whole value is none."""
+    for name, value in figures.items():
+        found = _FIGURE.fullmatch(name)
+        if found is not None and 0.0 <= value <= _MOST_VALUE and value == int(value):
+            yield TickEvent(Kind(found[1] or found[2]), int(found[4]), int(value), found[3] or "")

@@ -1,0 +1,69 @@
+"""The files of a run: one that cannot be written keeps no other from being written."""
+
+from __future__ import annotations
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from manyhands.launch import running
+from manyhands.launch.files import TargetError
+from manyhands.launch.outcome import Outcome
+from manyhands.launch.preparation import prepare
+from manyhands.launch.reach import IPC
+from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.run_directory import REPORT, SessionDirectory
+from manyhands.launch.session import load_session
+
+from .recorded import SESSIONS
+
+OUTCOME = Outcome(
+    0, (), (), {"ticks": 1}, Recording("s", "c", 1e-3, ("dx",), np.zeros((1, 1)), np.zeros((1, 1))), {}, {}
+)
+
+
+class Over:
+    """In place of the supervisor: a session that is over."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        pass
+
+    def run(self) -> Outcome:
+        return OUTCOME
+
+
+def write_files_of_a_run(record: Path, report: Path, kept: Path, console: Console) -> None:
+    running.run_session(
+        prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True),
+        console,
+        clock="simulated",
+        reach=IPC,
+        ticks=1,
+        record=record,
+        report=report,
+        directory=SessionDirectory(kept),
+    )
+
+
+def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "Supervisor", Over)
+    report, kept, shown = tmp_path / "report.json", tmp_path / "kept", StringIO()
+    with pytest.raises(TargetError, match=r"r\.npz: found no folder"):
+        write_files_of_a_run(tmp_path / "none" / "r.npz", report, kept, Console(file=shown))
+    for path in (report, kept / REPORT):
+        assert json.loads(path.read_text()) == OUTCOME.report
+    assert "recording written" not in shown.getvalue()
+
+
+def test_every_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "Supervisor", Over)
+    shown = StringIO()
+    with pytest.raises(TargetError, match=r"r\.npz"):
+        write_files_of_a_run(
+            tmp_path / "no" / "r.npz", tmp_path / "none" / "r.json", tmp_path / "kept", Console(file=shown)
+        )
+    assert ": No such file or directory" in shown.getvalue().replace("\n", " ")
