@@ -119,18 +119,6 @@ def peers(session: Session) -> Mapping[str, frozenset[str]]:
     return {name: frozenset(others) for name, others in found.items()}
 
 
-def peers_of(session: Session, name: str) -> frozenset[str]:
-    """With whom one of them shares a channel; for several names, :func:`peers` derives the table once.
-
-    Raises:
-        ValueError: the session has no process of this name.
-    """
-    found = peers(session)
-    if name not in found:
-        raise ValueError(f"found the process {name!r}; expected {one_of(found, name)}")
-    return found[name]
-
-
 def capability_violations(session: Session, structure: Mapping[str, Sequence[str]]) -> list[str]:
     """Where blocks of V would need ports that their processes may not both read and write; empty where they agree.
 

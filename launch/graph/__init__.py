@@ -5,14 +5,13 @@ it, :mod:`tables` and :mod:`objects` say it in words and in JSON.
 """
 
 from manyhands.launch.graph.objects import access_object, graph_object, scene_object
-from manyhands.launch.graph.showing import FORMATS, format_of, run_graph, show_scene, show_session
+from manyhands.launch.graph.showing import FORMATS, format_of, show_scene, show_session
 
 __all__ = [
     "FORMATS",
     "access_object",
     "format_of",
     "graph_object",
-    "run_graph",
     "scene_object",
     "show_scene",
     "show_session",

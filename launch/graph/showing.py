@@ -53,21 +53,6 @@ def format_of(name: str | None, output: Path | None, as_json: bool) -> str:
         raise TargetError(f"{output}: found the suffix {output.suffix!r}; expected {known}, or --format") from None
 
 
-def run_graph(session: Session, out: Console, show_access: bool, as_json: bool) -> int:
-    """Print a session's graph, or its capability table.
-
-    Args:
-        session: the session.
-        out: for the tables.
-        show_access: print who may read and write what, instead of nodes and links.
-        as_json: print one JSON object instead of tables.
-
-    Returns:
-        The exit code.
-    """
-    return show_session(session, out, JSON if as_json else TEXT, None, show_access)
-
-
 def show_session(session: Session, out: Console, form: str, output: Path | None, show_access: bool = False) -> int:
     """Show the graph of a session file, or its capability table (as text or JSON); returns the exit code.
 

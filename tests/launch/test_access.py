@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
-from manyhands.launch.access import Capability, access, capability_violations, observed, peers, peers_of
+from manyhands.launch.access import Capability, access, capability_violations, observed, peers
 from manyhands.launch.bundles import Run, cut
 from manyhands.launch.loop import haptic_loop
 from manyhands.launch.preparation import Prepared, prepare
@@ -317,8 +317,6 @@ def test_peers_are_those_who_share_a_channel() -> None:
         "watch": {"supervisor"},
         "scope": {"supervisor"},
     }
-    assert peers_of(session, "b") == {"d", "environment", "supervisor"}
-    with pytest.raises(ValueError, match=r"found the process 'f'; expected one of d, e, a, b"):
-        peers_of(session, "f")
+    assert peers(session)["b"] == {"d", "environment", "supervisor"}
     with pytest.raises(ValueError, match=r"found the observer 'wtch'; expected one of watch, scope \(did you mean"):
         observed(session, "wtch")

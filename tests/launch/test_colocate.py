@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from manyhands.launch.access import access, peers
-from manyhands.launch.graph import graph_object, run_graph
+from manyhands.launch.graph import graph_object, show_session
 from manyhands.launch.placement import placement
 from manyhands.launch.preparation import prepare
 from manyhands.launch.reach import reach
@@ -62,7 +62,7 @@ def test_the_graph_says_who_is_in_whose_process() -> None:
     assert plain["nodes"]["dx"] == {"role": "device", "ports": ["dx"]}
     assert [link["between"] for link in plain["links"]] == [[ENVIRONMENT, name] for name in ("cx", "cy", "cz")]
     text = io.StringIO()
-    run_graph(session_of(), Console(file=text, width=120), show_access=False, as_json=False)
+    show_session(session_of(), Console(file=text, width=120), "text", None)
     assert "coupling, in dx" in text.getvalue()
     assert "sample" not in text.getvalue()
     apart = graph_object(session_of(colocate=False))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.access import access
-from manyhands.launch.graph import access_object, graph_object, run_graph
+from manyhands.launch.graph import access_object, graph_object, show_session
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.topology import topology
 
@@ -28,7 +28,7 @@ def example() -> Session:
 
 def printed(session: Session, show_access: bool, width: int = 140) -> str:
     text = io.StringIO()
-    assert run_graph(session, Console(file=text, width=width), show_access, as_json=False) == 0
+    assert show_session(session, Console(file=text, width=width), "text", None, show_access) == 0
     return text.getvalue()
 
 
@@ -83,7 +83,7 @@ def test_nothing_is_cut_short_where_there_is_little_room(show_access: bool) -> N
 
 
 def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_graph(example(), Console(), show_access=False, as_json=True) == 0
+    assert show_session(example(), Console(), "json", None) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["session"] == "example-1-operator"
     assert said["nodes"]["d"] == {"role": "device", "ports": ["d.x", "d.y", "d.z"]}
@@ -96,7 +96,7 @@ def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_json_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_graph(example(), Console(), show_access=True, as_json=True) == 0
+    assert show_session(example(), Console(), "json", None, show_access=True) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["access"][0] == {
         "node": "d",
