@@ -39,11 +39,6 @@ class Split:
     stiffness: Matrix
     rest: StateSpace
 
-    def hermitian_part(self, points: np.ndarray[tuple[int], np.dtype[np.complex128]], T: float) -> np.ndarray:
-        """The Hermitian part of E_hat at ``points`` of the unit circle (1 excepted), points x m x m, N*s/m."""
-        response = np.stack([self.rest.response(z) for z in points])
-        return (response + np.conj(np.swapaxes(response, 1, 2))) / 2.0 - T / 2.0 * self.stiffness
-
     def environment(self, T: float) -> StateSpace:
         """E put together again, in the state (eta, u_) of Rest's and the displacement of the tick before.
 

@@ -154,10 +154,10 @@ class Simulation:
                 for name in ends.get(k, ()):
                     silent.discard(name)
                     self._set_out(name)
-                    self.environment.engage(blocks[name])
+                    self.environment.clutches.engage(blocks[name])
                 for name in begins.get(k, ()):
                     silent.add(name)
-                    self.environment.freeze(blocks[name])
+                    self.environment.clutches.freeze(blocks[name])
                 couplings = self._heard(silent)
             for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k)))

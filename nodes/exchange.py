@@ -6,7 +6,7 @@ that and says which (:class:`Heard`); what is done about it is the node's own bu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Protocol
 
@@ -277,6 +277,43 @@ class Joint:
             f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
             f"{self.peer.name}"
         )
+
+
+def await_all(
+    joints: Sequence[Joint],
+    last: Joint,
+    values: Floats,
+    tick: int,
+    listener: Listener,
+    react: Callable[[Joint, Heard, int], int],
+    pause: Callable[[int], Duration | None],
+) -> int | None:
+    """Wait until every peer has sent its signal of one tick; listen in turn to those that have not.
+
+    Args:
+        joints: the links.
+        last: the one that was listened to last; the first round begins behind it.
+        values: the node's values, where the signals are put.
+        tick: the tick that is awaited.
+        listener: what the node makes of frames that are not the signal.
+        react: does what the node does about what it heard of a peer while it waited for a tick; returns the tick that
+            is awaited from then on.
+        pause: called before every round with the tick that is awaited; returns how long to listen to each peer at
+            most, ns, or None to wait no longer.
+
+    Returns:
+        The tick that everybody has sent a signal of; None where the node waits no longer.
+    """
+    behind = joints.index(last) + 1
+    order = (*joints[behind:], *joints[:behind])
+    while any(joint.tick != tick for joint in order):
+        left = pause(tick)
+        if left is None:
+            return None
+        for joint in order:
+            if joint.tick != tick:
+                tick = react(joint, joint.hear(values, tick, left, listener), tick)
+    return tick
 
 
 _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}

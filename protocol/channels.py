@@ -118,14 +118,3 @@ _TABLE: Final = (
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({channel.name: channel for channel in _TABLE})
 """Every channel by its name."""
-
-
-def channel_name(session: str, node: str, channel: str) -> str:
-    """The full name of a node's channel, ``/session/node/channel``.
-
-    Raises:
-        ValueError: if there is no such channel.
-    """
-    if channel not in CHANNELS:
-        raise ValueError(f"found channel {channel!r}; expected one of {', '.join(CHANNELS)}")
-    return f"/{session}/{node}/{channel}"

@@ -11,12 +11,10 @@ import sys
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.codec import LAYOUTS
 from manyhands.protocol.limits import MAX_COUNT
-from manyhands.protocol.messages import SignalMessage, Values
+from manyhands.protocol.messages import SignalMessage
 from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, LONGEST, UINT64, USUAL, read_head, type_of
 
 DROP_REASONS: Final = (
@@ -153,15 +151,6 @@ class Gate:
     def forget(self) -> None:
         """Take the next signal as the first: so much time has passed that its step says nothing."""
         self._before = None
-
-    def admit(self, frame: bytes, tick: int) -> Values | None:
-        """:meth:`admitted`, as an array that is read only."""
-        floats = self.admitted(frame, tick)
-        if floats is None:
-            return None
-        values = np.array(floats)
-        values.flags.writeable = False
-        return values
 
     def admitted(self, frame: bytes, tick: int) -> tuple[float, ...] | None:
         """The values of the signal in ``frame`` if it is that of ``tick``; otherwise None, and it is counted.

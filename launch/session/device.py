@@ -147,11 +147,6 @@ class Device(SessionModel):
         """The level Delta_D that the device keeps whatever its true one is: the lower end of an interval."""
         return self.osp.low if isinstance(self.osp, LevelInterval) else self.osp
 
-    @property
-    def osp_high(self) -> Rows:
-        """The upper end of an interval; without one, :attr:`osp_low`."""
-        return self.osp.high if isinstance(self.osp, LevelInterval) else self.osp
-
     def ports(self, name: str) -> tuple[str, ...]:
         """The ports of this device when it is called ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
         if self.axes is None and self.dof == 1:

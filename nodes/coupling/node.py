@@ -11,14 +11,14 @@ from collections.abc import Collection, Mapping
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.control import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.exchange import Heard, Joint, await_all
 from manyhands.nodes.greeting import bounds_by_peer, establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.reunion import follow
-from manyhands.protocol.clock import Instant, RealtimeClock
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.messages import (
     Absent,
     Force,
@@ -74,19 +74,21 @@ class CouplingNode:
             life.look(clock.now())
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 self._obey(word, block, control)
+            sampled: int | None = tick
             for joint in devices:
                 heard = joint.hear(x, tick, turn, self)
                 if heard is not Heard.SIGNAL:
-                    tick = self._await_samples((joint, heard), x, tick, block, life, control)
+                    sampled = self._await_samples(joint, heard, x, tick, block, life, control)
                     break
-            if tick < 0:
+            if sampled is None:
                 break
+            tick = sampled
             stamp = devices[0].gate.stamp
             block.say(x, tick, stamp)
             heard = block.hear(tick, turn)
             if heard is not Heard.SIGNAL:
                 told = self._await_reaction(heard, tick, block, life, control)
-                if told < 0:
+                if told is None:
                     break
                 if told > tick:
                     self._forget()
@@ -131,55 +133,48 @@ class CouplingNode:
             self._life.fail(text)
 
     def _await_samples(
-        self, first: tuple[Joint | None, Heard], x: Floats, tick: int, block: Block, life: Life, control: ControlLine
-    ) -> int:
-        """Wait for every device's sample, whatever else has to be done; ``first`` is what one said instead.
+        self, last: Joint, heard: Heard, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
+    ) -> int | None:
+        """Wait for the sample of every device, after ``heard`` came of ``last`` in place of its sample.
 
         Returns:
-            The tick that they are of: for who resumes, their own. -1 if the node should end.
+            The tick that they are of: for a coupling that resumes, the devices' own. None if the node should end.
         """
-        heard = [joint.tick == tick for joint in self._devices]
         began = self._clock.now()
-        while not all(heard):
+
+        def react(joint: Joint, heard: Heard, tick: int) -> int:
+            if heard is Heard.TURNED:  # the device knows better; nobody will ever send the tick that was awaited
+                if block.environment.tick == tick - 1:  # the device answered last is waited for in between
+                    block.environment.say(Absent(joint.peer.name))
+                self._forget()
+                block.publish_rest(control, self._devices)  # rows follow each other
+                for other in self._devices:
+                    if other.tick == tick:
+                        other.send_zero(Force, joint.told - 1)
+                tick = joint.told
+                joint.take(joint.stray, x, tick)
+            elif heard is Heard.MET:
+                joint.send_zero(Force, tick - 1)
+            return tick
+
+        def pause(tick: int) -> Duration | None:
             self._forget_after(began)
             self._pause(block, life, control, idle=not any(joint.link for joint in self._devices))
             if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Heard.MET:
                 # not heard is as good as not here: the device may wait for another block, and that one for this one
-                self._tell_absences(block, [joint for joint, known in zip(self._devices, heard, strict=True) if known])
-            for i, joint in enumerate(self._devices):
-                if heard[i]:
-                    continue
-                said = first[1] if first[0] is joint else joint.hear(x, tick, self._patience.look, self)
-                match said:
-                    case Heard.SIGNAL:
-                        heard[i] = True
-                    case Heard.TURNED:  # the device knows better; the tick that was awaited will never be said
-                        if block.environment.tick == tick - 1:  # who was answered last is waited for in between
-                            block.environment.say(Absent(joint.peer.name))
-                        self._forget()
-                        block.publish_rest(control, self._devices)  # rows follow each other
-                        for other, known in zip(self._devices, heard, strict=True):
-                            if known:
-                                other.send_zero(Force, joint.told - 1)
-                        tick, heard = joint.told, [False] * len(heard)
-                        heard[i] = joint.take(joint.stray, x, tick)
-                        break
-                    case Heard.MET:
-                        joint.send_zero(Force, tick - 1)
-                    case Heard.NOTHING:
-                        continue
-            first = (None, Heard.NOTHING)
-            if life.stopping:
-                return -1
-        return tick
+                self._tell_absences(block, [joint for joint in self._devices if joint.tick == tick])
+            return None if life.stopping else self._patience.look
 
-    def _await_reaction(self, heard: Heard, tick: int, block: Block, life: Life, control: ControlLine) -> int:
+        found = await_all(self._devices, last, x, react(last, heard, tick), self, react, pause)
+        return None if life.stopping else found
+
+    def _await_reaction(self, heard: Heard, tick: int, block: Block, life: Life, control: ControlLine) -> int | None:
         """Wait for the environment's answer; ask again after a while, for who was lost or late may be behind.
 
         ``heard`` is what it was heard to say so far.
 
         Returns:
-            The tick answered: ``tick``, or a later one with zero force. -1 if the node should end.
+            The tick answered: ``tick``, or a later one with zero force. None if the node should end.
         """
         asked = began = self._clock.now()
         while True:
@@ -195,7 +190,7 @@ class CouplingNode:
                     joint.hear(self._nothing, tick, NOT_AT_ALL, self)
             self._pause(block, life, control, idle=block.environment.link is None)
             if life.stopping:
-                return -1
+                return None
             now = self._clock.now()
             if now - asked >= self._patience.again:
                 asked = now

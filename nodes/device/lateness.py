@@ -9,22 +9,16 @@ all spent on one of three accounts, known from stamps that the loop takes anyway
        ... received   partner      waiting for the forces
        ... applied    own          applying
 
-The thread's processor time in the tick tells how much of its own parts it did run; what they took beyond that
-goes from own to descheduled, unless the kernel has not once taken the processor from this thread since the last late
-tick: then the thread waited by its own doing, a driver that blocks or a page that had to be read.
-
 **The cause is the greatest of the three accounts**; of equal ones the first of own, descheduled, partner. It is the
 cause that a remedy should begin with, not the only one: a tick can be late by three small delays.
 
 What cannot be told apart from within: an answer that came in time while this thread was not woken is the partner's;
-a partner that was itself descheduled, or waits for another, is a partner (its own report tells more); what
-a hypervisor takes from a virtual processor counts as the thread's own time.
+a partner that was itself descheduled, or waits for another, is a partner (its own report tells more); a processor that
+the kernel or a hypervisor took while the thread did its own work counts as that work.
 """
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Callable
 from enum import StrEnum
 
 from manyhands.protocol.clock import Duration, Instant
@@ -38,17 +32,8 @@ class Cause(StrEnum):
     PARTNER = "partner"
 
 
-def cause(
-    due: Instant,
-    ready: Instant,
-    sampled: Instant,
-    sent: Instant,
-    received: Instant,
-    applied: Instant,
-    computed: Duration | None = None,
-    preempted: bool = True,
-) -> Cause:
-    """The cause of one late tick; its instants are in this order, but that ``ready`` may be before or after ``due``.
+def cause(due: Instant, ready: Instant, sampled: Instant, sent: Instant, received: Instant, applied: Instant) -> Cause:
+    """The cause of one late tick; its instants are in this order, only ``ready`` may come before ``due``.
 
     Args:
         due: kT.
@@ -57,60 +42,32 @@ def cause(
         sent: when x(k) was sent to every coupling.
         received: when the last force was there.
         applied: when f_v(k) was applied.
-        computed: processor time of the thread from ``sampled`` on; None where it is not known.
-        preempted: whether the kernel may have taken the processor from the thread in this tick.
     """
     began = max(due, ready)
-    after = (sent - sampled) + (applied - received)
-    own = (began - due) + after
+    own = (began - due) + (sent - sampled) + (applied - received)
     descheduled = sampled - began
-    if computed is not None and preempted:
-        not_run = max(after - computed, 0)
-        own -= not_run
-        descheduled += not_run
     greatest = max(own, descheduled, received - sent)
     if own == greatest:
         return Cause.OWN
     return Cause.DESCHEDULED if descheduled == greatest else Cause.PARTNER
 
 
-def times_preempted() -> int:
-    """How often the kernel has taken the processor from the calling thread."""
-    return resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
-
-
 class Lateness:
     """Counts late ticks by their cause.
-
-    A tick that is in time costs one comparison: what else has to be asked of the kernel is asked when it is late.
 
     Attributes:
         counts: late ticks by cause.
     """
 
-    __slots__ = ("_period", "_preemptions", "_times_preempted", "counts")
+    __slots__ = ("_period", "counts")
 
-    def __init__(self, period: Duration, preemptions: Callable[[], int] = times_preempted) -> None:
-        """Make it in the loop's thread.
-
-        Args:
-            period: T.
-            preemptions: how often this thread has lost the processor so far.
-        """
+    def __init__(self, period: Duration) -> None:
+        """No tick has been late yet; ``period``: T."""
         self.counts = dict.fromkeys(Cause, 0)
         self._period = period
-        self._preemptions = preemptions
-        self._times_preempted = preemptions()
 
     def judge(
-        self,
-        due: Instant,
-        ready: Instant,
-        sampled: Instant,
-        sent: Instant,
-        received: Instant,
-        applied: Instant,
-        computed: Duration | None = None,
+        self, due: Instant, ready: Instant, sampled: Instant, sent: Instant, received: Instant, applied: Instant
     ) -> Cause | None:
         """Count the tick if it was late; the arguments are those of :func:`cause`.
 
@@ -119,9 +76,7 @@ class Lateness:
         """
         if applied <= due + self._period:
             return None
-        times = self._preemptions()
-        found = cause(due, ready, sampled, sent, received, applied, computed, times != self._times_preempted)
-        self._times_preempted = times
+        found = cause(due, ready, sampled, sent, received, applied)
         self.counts[found] += 1
         return found
 

@@ -21,7 +21,7 @@ from manyhands.nodes.device.account import Account
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.driver import Driver
 from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.exchange import Heard, Joint
+from manyhands.nodes.exchange import Heard, Joint, await_all
 from manyhands.nodes.greeting import establish
 from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
@@ -95,17 +95,17 @@ class DeviceNode:
                     joint.send(Sample, tick, sampled, told_x)
             sent = clock.now()
             turns += 1
-            told = tick
+            told: int | None = tick
             for joint in joints:
                 # who runs free waits once, to the end of the period
                 heard = joint.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if heard is not Heard.SIGNAL:
-                    told = self._await_forces((joint, heard), f, told_x, tick, sampled, life, control)
+                    told = self._await_forces(joint, heard, f, told_x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
             received = clock.now()
-            if told < 0:
+            if told is None:
                 driver.apply(self._zero)
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
@@ -158,56 +158,55 @@ class DeviceNode:
 
     def _await_forces(
         self,
-        first: tuple[Joint | None, Heard],
+        last: Joint,
+        heard: Heard,
         f: Floats,
         x: Floats,
         tick: int,
         sampled: Instant,
         life: Life,
         control: ControlLine,
-    ) -> int:
-        """Wait for the force of every coupling; ``first`` is what one of them was heard to say instead.
+    ) -> int | None:
+        """Wait for the force of every coupling, after ``heard`` came of ``last`` in place of its force.
 
         Returns:
-            The tick that they answer: ``tick``, or a later one with zero force. -1 if there is none in time: then the
-            device has let go.
+            The tick that they answer: ``tick``, or a later one with zero force. None if there is none in time, and
+            the device has let go, or if the node should end.
         """
-        patience = self._patience
-        now = asked = self._realtime.now()
+        patience, joints = self._patience, self._joints
+        asked = self._realtime.now()
         due = None if patience.stale is None else Instant(sampled + (self._period if self._free else patience.stale))
-        while not life.stopping:
-            for joint in self._joints:
-                if joint.tick == tick:
-                    continue
-                left = patience.look if due is None else Duration(max(0, min(due - now, patience.look)))
-                heard = first[1] if first[0] is joint else joint.hear(f, tick, left, self)
-                match heard:
-                    case Heard.TURNED:
-                        tick = joint.tick = joint.told
-                        joint.put(f, [0.0] * len(joint.peer.ports))
-                        for other in self._joints:  # who has answered the earlier tick is asked about this one
-                            if other.tick != tick:
-                                other.say(Absent(self._common.name))  # from the ticks in between
-                                other.send(Sample, tick, sampled, x)
-                    case Heard.MET:
-                        joint.send(Sample, tick, sampled, x)
-                    case _:  # the signal, or nothing
-                        pass
-            first = (None, Heard.NOTHING)
-            if all(joint.tick == tick for joint in self._joints):
-                return tick
+
+        def react(joint: Joint, heard: Heard, tick: int) -> int:
+            if heard is Heard.TURNED:
+                tick = joint.tick = joint.told
+                joint.put(f, [0.0] * len(joint.peer.ports))
+                for other in joints:  # a coupling that has answered the earlier tick is asked about this one
+                    if other.tick != tick:
+                        other.say(Absent(self._common.name))  # from the ticks in between
+                        other.send(Sample, tick, sampled, x)
+            elif heard is Heard.MET:
+                joint.send(Sample, tick, sampled, x)
+            return tick
+
+        def pause(tick: int) -> Duration | None:
+            nonlocal asked
             now = self._realtime.now()
             life.check()
             self._listen(control, idle=due is None and not self._anybody)
             if due is not None and (now >= due or not self._anybody):
                 self._let_go()
-                return -1
+                return None
+            if life.stopping:
+                return None
             if due is None and now - asked >= patience.again:
                 asked = now
-                for joint in self._joints:
+                for joint in joints:
                     if joint.tick != tick:
                         joint.send_again()
-        return -1
+            return patience.look if due is None else min(Duration(due - now), patience.look)
+
+        return await_all(joints, last, f, react(last, heard, tick), self, react, pause)
 
     @property
     def _anybody(self) -> bool:

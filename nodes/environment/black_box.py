@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
-from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
+from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
 from manyhands.nodes.environment.energy import Budget, Energy
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.ledger import Ledger
@@ -32,7 +32,6 @@ from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.passivity_controller import PassivityController
 
 Vector = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 class ForceLaw(Protocol):
@@ -134,6 +133,7 @@ class EnforcedCore:
         ledger: its energy ledger; None when it has promised nothing.
         controller: what keeps the ledger from falling below zero; None where nothing is enforced.
         energy: who puts how much into whom.
+        clutches: of the blocks.
         ill_posed: ticks in which the loop had no unique solution: none, by construction or by the certificate.
     """
 
@@ -144,7 +144,7 @@ class EnforcedCore:
         Phi_E: Vector | None,
         T: float,
         enforce: bool,
-        blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
+        blocks: Blocks | None = None,
         ramp: int = RAMP,
         budgets: Sequence[Budget] | None = None,
     ) -> None:
@@ -169,11 +169,10 @@ class EnforcedCore:
             raise ValueError("found no level to enforce; expected the environment's Phi_E")
         self._law, self._Phi, self._T = law, Phi_E, T
         self._D_V = np.array(D_V, dtype=np.float64)
-        self._clutches = tuple(
-            Clutch(np.arange(m)[part].tolist(), ramp) for part in ([slice(None)] if blocks is None else blocks)
-        )
-        self.energy = Energy([clutch.ports for clutch in self._clutches], budgets, T)
-        self._unsettled: list[Clutch] = []
+        parts = ports_of_blocks(blocks, m)
+        self.energy = Energy(parts, budgets, T)
+        self.clutches = Clutches(parts, ramp, self.energy)
+        self._unsettled = self.clutches.unsettled
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
@@ -190,9 +189,9 @@ class EnforcedCore:
 
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m."""
-        r = np.array(p)
         if self._unsettled:
-            return self._through_clutches(r)
+            return self._through_clutches(p)
+        r = np.array(p)
         f: Floats = self._exert(self._law.propose(r, self._D_V, r + self._D_V @ self._f), r).tolist()
         return f
 
@@ -207,7 +206,7 @@ class EnforcedCore:
         self._x_e = self._next
         self._law.advance(self._x_e)
         if self.energy.restrained:
-            self._restrain()
+            self.clutches.restrain()
 
     @property
     def tools(self) -> Floats:
@@ -220,34 +219,6 @@ class EnforcedCore:
         """Where the masses were then, m; none where nobody knows of any."""
         return self._law.masses
 
-    def freeze(self, block: int) -> None:
-        """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
-        self._happens(block, Event.FREEZE)
-
-    def engage(self, block: int) -> None:
-        """Take the block's next p as its reference, and raise s to 1 over the ticks of a ramp after it."""
-        self._happens(block, Event.ENGAGE)
-
-    def disengage(self, block: int) -> None:
-        """Lower s to 0 from where it is; then the block is frozen."""
-        self._happens(block, Event.DISENGAGE)
-
-    def ratio(self, block: int) -> float:
-        """The ratio of the last tick, or 0 if the block has been frozen since."""
-        return self._clutches[block].ratio
-
-    def frozen(self, block: int) -> bool:
-        """Whether s = 0."""
-        return self._clutches[block].ratio == 0.0
-
-    def rests(self, block: int) -> bool:
-        """Whether s was 0 in the last tick and in the one before it."""
-        return self._clutches[block].rests
-
-    def settled(self, block: int) -> bool:
-        """Whether s = 1 and the tool is where the coupling's end is."""
-        return self._clutches[block].settled
-
     def exchange(self, block: int, D_V: Vector) -> None:
         """Give a frozen block another feedthrough, m_i x m_i, m/N.
 
@@ -255,14 +226,7 @@ class EnforcedCore:
             ValueError: the block is not frozen, or the feedthrough is none that this core could have been made with;
                 nothing has changed then.
         """
-        clutch = self._clutches[block]
-        if clutch.phase not in (Phase.FROZEN, Phase.JOINING):
-            raise ValueError(f"found block {block} at the ratio {clutch.ratio:.3g}; expected it frozen: disengage it")
-        size = len(clutch.ports)
-        if np.shape(D_V) != (size, size):
-            raise ValueError(f"found a feedthrough of shape {np.shape(D_V)}; expected {size} x {size}")
-        whole = self._D_V.copy()
-        whole[np.ix_(clutch.ports, clutch.ports)] = D_V
+        whole = self.clutches.exchanged(block, D_V, self._D_V)
         self._stiffness = self._stiffness_of(whole)
         self._D_V = whole
         self._compliance = self._S[:, None] * whole * self._S
@@ -278,21 +242,6 @@ class EnforcedCore:
             )
         return np.asarray(np.linalg.inv(D_V), dtype=np.float64)
 
-    def _restrain(self) -> None:
-        """Hold every party's ratio to what its budget allows, from the next tick on."""
-        for party, clutch in enumerate(self._clutches):
-            was_settled = clutch.settled
-            clutch.restrain(self.energy.ratio(party))
-            if was_settled and not clutch.settled:
-                self._unsettled.append(clutch)
-
-    def _happens(self, block: int, event: Event) -> None:
-        clutch = self._clutches[block]
-        was_settled = clutch.settled
-        clutch.handle(event)
-        if was_settled and not clutch.settled:
-            self._unsettled.append(clutch)
-
     def _exert(self, f: Vector, r: Vector) -> Vector:
         """What is exerted of the raw forces f, N."""
         w = (r + self._compliance @ f - self._x_e) / self._T
@@ -306,45 +255,23 @@ class EnforcedCore:
         self._f, self._w, self._next = f, w, self._x_e + self._T * w
         return f
 
-    def _through_clutches(self, p: Vector) -> Floats:
-        """f_c(k) where some block is not settled. Allocates, as what it makes depends on who that is."""
-        for clutch in self._unsettled:
-            if clutch.fresh:
-                clutch.seize(self._x_e[clutch.ports].tolist())
-            clutch.advance(p[clutch.ports].tolist(), self._f[clutch.ports].tolist())
-        # one a tick, so that its own sign of energy decides
-        going = next((clutch for clutch in self._unsettled if clutch.ready), None)
-        for clutch in self._unsettled:
-            clutch.ready = clutch is going
-        if going is not None:
-            going.let_go()
-        before = self._f
-        f = self._asked(p, before)
-        if going is not None and going.gains(f[going.ports].tolist()):
-            going.keep()
-            f = self._asked(p, before)
-        while self.energy.restrained and self._overdraws(f):
-            f = self._asked(p, before)
-        f_c = self._S * f
+    def _through_clutches(self, p: Floats) -> Floats:
+        """f_c(k) where some block is not settled. Allocates, as what it makes depends on which blocks these are."""
+        clutches, before = self.clutches, self._f
+        r = np.array(p)
+        clutches.choose(p, before.tolist(), self._x_e.tolist(), lambda: self._asked(r, before).tolist(), self._supply)
+        f_c = self._S * self._f
         for clutch in self._unsettled:
             ports = clutch.ports
             self._next[ports] = clutch.conclude((self._D_V[np.ix_(ports, ports)] @ f_c[ports]).tolist())
-        if going is not None and going.settled:
-            self._unsettled.remove(going)
-            self._linked(p)
+        if clutches.conclude():
+            self._linked(r)
         sent: Floats = f_c.tolist()
         return sent
 
-    def _overdraws(self, f: Vector) -> bool:
-        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
-        for party, clutch in enumerate(self._clutches):
-            if self.energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
-                continue
-            ports = clutch.ports
-            if float(f[ports] @ (self._x_e - self._next)[ports]) > self.energy.room(party):
-                clutch.halt()
-                return True
-        return False
+    def _supply(self, clutch: Clutch, f: Floats) -> float:
+        """What the clutch's tool puts into the environment in this tick under f_e(k), N, at its ports, J."""
+        return float(np.array(f) @ (self._x_e - self._next)[clutch.ports])
 
     def _asked(self, p: Vector, before: Vector) -> Vector:
         """f_e(k) at the clutches' present ratios, after the forces of the tick ``before``, N."""

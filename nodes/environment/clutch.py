@@ -22,17 +22,28 @@ and never gains. So that such a tick comes, the lag aims at an end of half LET_G
 
 **A restraint** (:meth:`Clutch.restrain`) is a greatest s for a party that is beyond its energy budget
 (:mod:`manyhands.nodes.environment.energy`): s falls to it at once, and rises with it by no more than the ramp does.
+
+:class:`Clutches` are those of all blocks. Both environment cores use it: a core solves for the forces at given ratios,
+and the clutches choose the ratios, let one offset go a tick, and halt a party that would overdraw its budget.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.linear_map import Floats, dot
+
+Vector = NDArray[np.float64]
+Blocks: TypeAlias = Sequence[slice | Sequence[int] | NDArray[np.intp]]
+"""The ports of each coupling, in its own order."""
 
 RAMP: Final = 100
 """Ticks from s = 0 to s = 1."""
@@ -240,6 +251,192 @@ class Clutch:
         if self.ready and ratio == 1.0:
             self.settled = True
         return self._x_e
+
+
+class Clutches:
+    """The clutches of all blocks, in front of one environment.
+
+    Between ticks blocks are frozen, engaged and disengaged, by their index. A tick in which some block is not settled
+    is :meth:`choose` and :meth:`conclude`, and the core calls :meth:`Clutch.conclude` of these blocks in between.
+
+    Attributes:
+        all: by block.
+        unsettled: those that are not settled, in the order in which they ceased to be; always the same list, whose
+            truth a core asks in every tick.
+    """
+
+    def __init__(self, blocks: Sequence[Sequence[int]], ramp: int, energy: Energy) -> None:
+        """All coupled and settled, everything at 0.
+
+        Args:
+            blocks: the ports of each.
+            ramp: ticks from s = 0 to s = 1.
+            energy: the budgets that the ratios are held to, one party for each block.
+
+        Raises:
+            ValueError: the ramp has no tick.
+        """
+        if ramp < 1:
+            raise ValueError(f"found a ramp of {ramp} ticks; expected 1 or more")
+        self.all = tuple(Clutch(ports, ramp) for ports in blocks)
+        self.unsettled: list[Clutch] = []
+        self._energy = energy
+        self._going: Clutch | None = None  # whose offset may be let go in this tick
+
+    def freeze(self, block: int) -> None:
+        """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
+        self.handle(self.all[block], Event.FREEZE)
+
+    def engage(self, block: int) -> None:
+        """Take the block's next p as its reference, with s = 0, and raise s to 1 over the ticks of a ramp after it.
+
+        A block that is leaving turns round from where its ratio is; for a coupled one nothing changes.
+        """
+        self.handle(self.all[block], Event.ENGAGE)
+
+    def disengage(self, block: int) -> None:
+        """Lower s to 0 from where it is; then the block is frozen."""
+        self.handle(self.all[block], Event.DISENGAGE)
+
+    def ratio(self, block: int) -> float:
+        """The block's s: that of the last tick, or 0 if it has been frozen since."""
+        return self.all[block].ratio
+
+    def frozen(self, block: int) -> bool:
+        """Whether s = 0."""
+        return self.all[block].ratio == 0.0
+
+    def rests(self, block: int) -> bool:
+        """Whether s was 0 in the last tick and in the one before it."""
+        return self.all[block].rests
+
+    def settled(self, block: int) -> bool:
+        """Whether s = 1 and the tool is where the coupling's end is."""
+        return self.all[block].settled
+
+    def offset(self, block: int) -> Floats:
+        """x_e - x_c of the block's ports, m; 0 where it is settled, and of its last tick with s > 0 where frozen."""
+        clutch = self.all[block]
+        return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
+
+    def handle(self, clutch: Clutch, event: Event) -> None:
+        """Something happens to one of them."""
+        was_settled = clutch.settled
+        clutch.handle(event)
+        if was_settled and not clutch.settled:
+            self.unsettled.append(clutch)
+
+    def exchanged(self, block: int, D_V: Vector, whole: Vector) -> Vector:
+        """The couplings' feedthrough with another one for a block, whose force is 0 by now.
+
+        Args:
+            block: its index.
+            D_V: that of the block, m_i x m_i, m/N.
+            whole: that of all, m x m, m/N; left as it is.
+
+        Raises:
+            ValueError: the block is not frozen, or the shape is another.
+        """
+        clutch = self.all[block]
+        if clutch.phase not in (Phase.FROZEN, Phase.JOINING):
+            raise ValueError(
+                f"found block {block} at the ratio {clutch.ratio:.3g}; expected it frozen: disengage first"
+            )
+        size = len(clutch.ports)
+        if np.shape(D_V) != (size, size):
+            raise ValueError(f"found a feedthrough of shape {np.shape(D_V)}; expected {size} x {size}")
+        whole = whole.copy()
+        whole[np.ix_(clutch.ports, clutch.ports)] = D_V
+        return whole
+
+    def restrain(self) -> None:
+        """Hold every party's ratio to what its budget allows, from the next tick on."""
+        for party, clutch in enumerate(self.all):
+            was_settled = clutch.settled
+            clutch.restrain(self._energy.ratio(party))
+            if was_settled and not clutch.settled:
+                self.unsettled.append(clutch)
+
+    def seize(self, x_e: Floats) -> None:
+        """Those that ceased to be settled take the tools' positions x_e(k-1), m."""
+        for clutch in self.unsettled:
+            if clutch.fresh:
+                clutch.seize(ports_of(x_e, clutch))
+
+    def choose(
+        self,
+        p: Floats,
+        f_e: Floats,
+        x_e: Floats,
+        solve: Callable[[], Floats],
+        supply: Callable[[Clutch, Floats], float],
+    ) -> Floats:
+        """Choose the ratios of a tick, and find the forces at them.
+
+        One offset is let go a tick, so that the sign of its own energy decides.
+
+        Args:
+            p: the couplings' free tool positions p(k), m.
+            f_e: the forces of the tick before, N.
+            x_e: the tools' positions of the tick before, m.
+            solve: f_e(k) at the present ratios and references, N.
+            supply: what a clutch's tool would put into the environment in this tick, J, under the forces found last.
+
+        Returns:
+            f_e(k), N.
+        """
+        self.seize(x_e)
+        for clutch in self.unsettled:
+            clutch.advance(ports_of(p, clutch), ports_of(f_e, clutch))
+        going = self._going = next((clutch for clutch in self.unsettled if clutch.ready), None)
+        for clutch in self.unsettled:
+            clutch.ready = clutch is going
+        if going is not None:
+            going.let_go()
+        f = solve()
+        # a loop without a unique solution freezes blocks, and then this one is not ready any more
+        if going is not None and going.ready and going.gains(ports_of(f, going)):
+            going.keep()
+            f = solve()
+        while self._energy.restrained and self._halts_one(f, supply):
+            f = solve()
+        return f
+
+    def conclude(self) -> bool:
+        """Every clutch has concluded the tick; whether one of them is settled from now on."""
+        going = self._going
+        if going is None or not going.settled:
+            return False
+        self.unsettled.remove(going)
+        return True
+
+    def _halts_one(self, f: Floats, supply: Callable[[Clutch, Floats], float]) -> bool:
+        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
+        for party, clutch in enumerate(self.all):
+            if self._energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
+                continue
+            if supply(clutch, ports_of(f, clutch)) > self._energy.room(party):
+                clutch.halt()
+                return True
+        return False
+
+
+def ports_of(values: Floats, clutch: Clutch) -> Floats:
+    """A clutch's part of ``values``, by its ports."""
+    return [values[port] for port in clutch.ports]
+
+
+def ports_of_blocks(blocks: Blocks | None, m: int) -> list[list[int]]:
+    """The ports of each block among m; of one block of all ports for None.
+
+    Raises:
+        ValueError: the blocks do not hold every port once.
+    """
+    given = [slice(None)] if blocks is None else blocks
+    parts = [list(range(m))[part] if isinstance(part, slice) else list(map(int, part)) for part in given]
+    if sorted(port for part in parts for port in part) != list(range(m)) or not all(parts):
+        raise ValueError(f"found the blocks {parts}; expected each of {m} ports in one")
+    return parts
 
 
 def _difference(a: Floats, b: Floats) -> Floats:

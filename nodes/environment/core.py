@@ -32,14 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.statespace import StateSpace
-from manyhands.nodes.environment.clutch import RAMP, Clutch, Event, Phase
+from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, Event, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Budget, Energy
 from manyhands.nodes.ledger import Ledger
 from manyhands.nodes.linear_map import Floats, LinearMap, Rows, dot, linear_map, solve
 from manyhands.nodes.passivity_controller import PassivityController
 
 Vector = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _SINGULAR = 1e12  # condition above which an algebraic loop counts as having no unique solution
 
@@ -52,6 +51,7 @@ class EnvironmentCore:
         controller: a passivity controller that keeps its promise; none is needed where that is proved.
         ledger: its energy ledger; None when the session is not certified.
         energy: who puts how much into whom.
+        clutches: of the blocks.
         ill_posed: ticks in which blocks were frozen because the loop had no unique solution; 0 under a certificate.
     """
 
@@ -64,7 +64,7 @@ class EnvironmentCore:
         D_V: Vector,
         Phi_E: Vector | None,
         T: float,
-        blocks: Sequence[slice | Sequence[int] | Indices] | None = None,
+        blocks: Blocks | None = None,
         ramp: int = RAMP,
         masses: int = 0,
         budgets: Sequence[Budget] | None = None,
@@ -88,11 +88,7 @@ class EnvironmentCore:
                 ports of two blocks.
         """
         n, m = E.order, E.inputs
-        if ramp < 1:
-            raise ValueError(f"found a ramp of {ramp} ticks; expected 1 or more")
-        parts = [_ports(part, m) for part in ([slice(None)] if blocks is None else blocks)]
-        if sorted(int(port) for part in parts for port in part) != list(range(m)) or not all(map(len, parts)):
-            raise ValueError(f"found the blocks {[part.tolist() for part in parts]}; expected each of {m} ports in one")
+        parts = ports_of_blocks(blocks, m)
         inside = np.zeros((m, m), dtype=np.bool_)
         for part in parts:
             inside[np.ix_(part, part)] = True
@@ -112,12 +108,12 @@ class EnvironmentCore:
         self._concluded: list[tuple[int, float]] = []  # port and x_e of clutches, for whom it is known exactly
         self.ledger = None if Phi_E is None else Ledger()
         self.ill_posed = 0
-        self._clutches = tuple(Clutch(part.tolist(), ramp) for part in parts)
-        self.energy = Energy([clutch.ports for clutch in self._clutches], budgets, T, storage is not None)
+        self.energy = Energy(parts, budgets, T, storage is not None)
+        self.clutches = Clutches(parts, ramp, self.energy)
         self._storage, self._bound_in = storage, BOUND_TICKS
         self._begins = budgets is not None
-        self._unsettled: list[Clutch] = []
-        self._regroup = False  # whether the next three are about others than these
+        self._unsettled = self.clutches.unsettled
+        self._group: list[Clutch] = []  # those that the next three are about
         self._f_J: LinearMap = list  # from (eta, r)
         self._deflections: list[LinearMap] = []  # D_V f, by clutch of the group
         self._F_D: Rows = []  # F_JJ D_V at J
@@ -155,7 +151,7 @@ class EnvironmentCore:
             self._bound_in = BOUND_TICKS
             self._bound()
         if self.energy.restrained:
-            self._restrain()
+            self.clutches.restrain()
 
     @property
     def tools(self) -> Floats:
@@ -166,42 +162,6 @@ class EnvironmentCore:
     def masses(self) -> Floats:
         """Where the masses were then, m; none where the environment is no network."""
         return self._eta[self._positions]
-
-    def freeze(self, block: int) -> None:
-        """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
-        self._happens(self._clutches[block], Event.FREEZE)
-
-    def engage(self, block: int) -> None:
-        """Take the block's next p as its reference, with s = 0, and raise s to 1 over the ticks of a ramp after it.
-
-        A block that is leaving turns round from where its ratio is; for a coupled one nothing changes.
-        """
-        self._happens(self._clutches[block], Event.ENGAGE)
-
-    def disengage(self, block: int) -> None:
-        """Lower s to 0 from where it is; then the block is frozen."""
-        self._happens(self._clutches[block], Event.DISENGAGE)
-
-    def ratio(self, block: int) -> float:
-        """The block's s: that of the last tick, or 0 if it has been frozen since."""
-        return self._clutches[block].ratio
-
-    def frozen(self, block: int) -> bool:
-        """Whether s = 0."""
-        return self._clutches[block].ratio == 0.0
-
-    def rests(self, block: int) -> bool:
-        """Whether s was 0 in the last tick and in the one before it."""
-        return self._clutches[block].rests
-
-    def settled(self, block: int) -> bool:
-        """Whether s = 1 and the tool is where the coupling's end is."""
-        return self._clutches[block].settled
-
-    def offset(self, block: int) -> Floats:
-        """x_e - x_c of the block's ports, m; 0 where it is settled, and of the last tick heard where it is frozen."""
-        clutch = self._clutches[block]
-        return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Give a frozen block another feedthrough: the whole matrix is made anew, which may take longer than a tick.
@@ -216,20 +176,11 @@ class EnvironmentCore:
             ValueError: the block is not frozen, the shape is another, or the loop would have no unique solution;
                 nothing has changed then.
         """
-        clutch = self._clutches[block]
-        if clutch.phase not in (Phase.FROZEN, Phase.JOINING):
-            raise ValueError(
-                f"found block {block} at the ratio {clutch.ratio:.3g}; expected it frozen: disengage first"
-            )
-        size = len(clutch.ports)
-        if np.shape(D_V) != (size, size):
-            raise ValueError(f"found a feedthrough of shape {np.shape(D_V)}; expected {size} x {size}")
-        whole = self._D_V.copy()
-        whole[np.ix_(clutch.ports, clutch.ports)] = D_V
+        whole = self.clutches.exchanged(block, D_V, self._D_V)
         self._step = _closed(self._E, whole)
         self._force, self._rest = linear_map(self._step[: self._m]), linear_map(self._step[self._m :])
         self._D_V = whole
-        self._regroup = True
+        self._group = []  # made anew with the next tick that needs it
 
     def _begin(self, p: Floats) -> None:
         """Before the first tick: who begins so far from its tool that it would overdraw its budget comes by the ramp.
@@ -238,10 +189,10 @@ class EnvironmentCore:
         """
         known = self._eta + p
         f, x_e = self._force(known), self._rest(known)[: self._m]
-        for party, clutch in enumerate(self._clutches):
-            if -dot(_of(f, clutch), _of(x_e, clutch)) > 0.5 * self.energy.room(party):
-                self.freeze(party)
-                self.engage(party)
+        for party, clutch in enumerate(self.clutches.all):
+            if -dot(ports_of(f, clutch), ports_of(x_e, clutch)) > 0.5 * self.energy.room(party):
+                self.clutches.freeze(party)
+                self.clutches.engage(party)
 
     def _bound(self) -> None:
         """Tell what is stored, now and then: between, what is burned counts as stored."""
@@ -249,93 +200,54 @@ class EnvironmentCore:
             eta = np.array(self._eta)
             self.energy.bound(0.5 * float(eta @ self._storage @ eta))
 
-    def _restrain(self) -> None:
-        """Hold every party's ratio to what its budget allows, from the next tick on."""
-        for party, clutch in enumerate(self._clutches):
-            was_settled = clutch.settled
-            clutch.restrain(self.energy.ratio(party))
-            if was_settled and not clutch.settled:
-                self._unsettled.append(clutch)
-                self._regroup = True
-
-    def _happens(self, clutch: Clutch, event: Event) -> None:
-        was_settled = clutch.settled
-        clutch.handle(event)
-        if was_settled and not clutch.settled:
-            self._unsettled.append(clutch)
-            self._regroup = True
-
     def _through_clutches(self, p: Floats) -> Floats:
-        """f_c(k) where some block is not settled. Allocates, as what it makes depends on who that is."""
-        before = self._f
-        if self._regroup:
-            self._group()
-        for clutch in self._unsettled:
-            clutch.advance(_of(p, clutch), _of(before, clutch))
-        # one a tick, so that its own sign of energy decides
-        going = next((clutch for clutch in self._unsettled if clutch.ready), None)
-        for clutch in self._unsettled:
-            clutch.ready = clutch is going
-        if going is not None:
-            going.let_go()
-        self._solve(p)
-        if going is not None and going.ready and going.gains(_of(self._f, going)):
-            going.keep()
-            self._solve(p)
-        while self.energy.restrained and self._overdraws():
-            self._solve(p)
-        f_c = self._f.copy()
+        """f_c(k) where some block is not settled. Allocates, as what it makes depends on which blocks these are."""
+        clutches = self.clutches
+        self._f = f = clutches.choose(p, self._f, self._x_e, lambda: self._solve(p), self._supply)
+        f_c = f.copy()
         self._concluded = []
-        for clutch, deflection in zip(self._unsettled, self._deflections, strict=True):
-            forces = [clutch.ratio * self._f[port] for port in clutch.ports]
+        for clutch, deflection in zip(self._group, self._deflections, strict=True):
+            forces = [clutch.ratio * f[port] for port in clutch.ports]
             x_e = clutch.conclude(deflection(forces))
             for port, force, at in zip(clutch.ports, forces, x_e, strict=True):
                 f_c[port] = force
                 self._concluded.append((port, at))
-        if going is not None and going.settled:
-            self._unsettled.remove(going)
-            self._regroup = True
+        clutches.conclude()
         return f_c
 
-    def _overdraws(self) -> bool:
-        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
-        for party, clutch in enumerate(self._clutches):
-            if self.energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
-                continue
-            f = _of(self._f, clutch)
-            deflection = self._deflections[self._unsettled.index(clutch)]([clutch.ratio * force for force in f])
-            if clutch.supply(f, deflection) > self.energy.room(party):
-                clutch.halt()
-                return True
-        return False
+    def _supply(self, clutch: Clutch, f: Floats) -> float:
+        """What the clutch's tool puts into the environment in this tick under f_e(k), N, at its ports, J."""
+        return clutch.supply(f, self._deflections[self._group.index(clutch)]([clutch.ratio * force for force in f]))
 
-    def _solve(self, p: Floats) -> None:
-        """f_e(k) at this tick's ratios, and what the rest follows from."""
+    def _solve(self, p: Floats) -> Floats:
+        """f_e(k) at this tick's ratios, N; what the rest follows from is kept."""
         n = self._n
         f_J = self._at_clutches(p)
         if f_J is None:
             self.ill_posed += 1
-            for clutches in (tuple(self._unsettled), self._clutches):
+            for clutches in (tuple(self._unsettled), self.clutches.all):
                 for clutch in clutches:
-                    self._happens(clutch, Event.FREEZE)
-                self._group()
+                    self.clutches.handle(clutch, Event.FREEZE)
+                self.clutches.seize(self._x_e)
                 f_J = self._at_clutches(p)
                 if f_J is not None:
                     break
         at = 0
-        for clutch, deflection in zip(self._unsettled, self._deflections, strict=True):
+        for clutch, deflection in zip(self._group, self._deflections, strict=True):
             slack, size = 1.0 - clutch.ratio * clutch.ratio, len(clutch.ports)
             if slack > 0.0 and f_J is not None:
                 for port, by in zip(clutch.ports, deflection(f_J[at : at + size]), strict=True):
                     self._known[n + port] -= slack * by
             at += size
-        self._f = self._force(self._known)
+        return self._force(self._known)
 
     def _at_clutches(self, p: Floats) -> Floats | None:
         """f_J(k), N, with r in place of p at the ports J of what is known; None when the loop has no unique solution.
 
         Where all ratios are 1 it is not asked for, and empty.
         """
+        if self._group != self._unsettled:
+            self._regroup()
         self._known = known = self._eta + p
         slacks: Floats = []
         for clutch in self._unsettled:
@@ -352,22 +264,14 @@ class EnvironmentCore:
         open_ = len(slacks) == self._m and all(slack == 1.0 for slack in slacks)
         return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / _SINGULAR)
 
-    def _group(self) -> None:
-        """Take who is not settled as the group J; the clutches new in it take the tools' positions."""
-        for clutch in self._unsettled:
-            if clutch.fresh:
-                clutch.seize(_of(self._x_e, clutch))
-        self._regroup = False
-        J = [port for clutch in self._unsettled for port in clutch.ports]
+    def _regroup(self) -> None:
+        """Make what the group J of the blocks that are not settled needs of the matrices."""
+        self._group = self._unsettled.copy()
+        J = [port for clutch in self._group for port in clutch.ports]
         self._f_J = linear_map(self._step[J])
         F_J = self._step[np.ix_(J, [self._n + port for port in J])]
         self._F_D = (F_J @ self._D_V[np.ix_(J, J)]).tolist()
-        self._deflections = [linear_map(self._D_V[np.ix_(clutch.ports, clutch.ports)]) for clutch in self._unsettled]
-
-
-def _ports(part: slice | Sequence[int] | Indices, m: int) -> Indices:
-    """The indices of a block's ports among m."""
-    return np.arange(m)[part] if isinstance(part, slice) else np.array(part, dtype=np.intp)
+        self._deflections = [linear_map(self._D_V[np.ix_(clutch.ports, clutch.ports)]) for clutch in self._group]
 
 
 def _closed(E: StateSpace, D_V: Vector) -> Vector:
@@ -384,8 +288,3 @@ def _closed(E: StateSpace, D_V: Vector) -> Vector:
     x_e = np.hstack([np.zeros((m, n)), np.eye(m)]) + D_V @ f
     eta = np.hstack([E.A, np.zeros((n, m))]) + E.B @ x_e
     return np.ascontiguousarray(np.vstack([f, x_e, eta]))
-
-
-def _of(values: Floats, clutch: Clutch) -> Floats:
-    """A clutch's part of ``values``."""
-    return [values[port] for port in clutch.ports]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -10,19 +9,17 @@ from numpy.typing import NDArray
 
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.black_box import BlackBox, EnforcedCore, ForceLaw, LinearLaw
+from manyhands.nodes.environment.clutch import Blocks
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.model import AskedModel, make_model
 
 Vector = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 Core: TypeAlias = EnvironmentCore | EnforcedCore
 """What reacts to the tools of all users."""
 
 
-def environment_core(
-    bundle: EnvironmentBundle, D_V: Vector, blocks: Sequence[slice | Sequence[int] | Indices] | None = None
-) -> Core:
+def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
     """The core of an environment, at rest; a model that the bundle names is imported and made here.
 
     Args:

@@ -6,7 +6,7 @@ As long as everybody is there that is one receive and one send for each, and not
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from manyhands.nodes.control import NOT_AT_ALL, ControlLine
 from manyhands.nodes.environment.account import Account
 from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.cores import Core, environment_core
+from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.places import Place, Places
 from manyhands.nodes.exchange import Heard, Joint
@@ -25,7 +26,7 @@ from manyhands.nodes.life import Life
 from manyhands.nodes.linear_map import Floats
 from manyhands.nodes.patience import LISTEN_TICKS, patience
 from manyhands.nodes.realtime import way_giver
-from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
+from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Tool, Values
 from manyhands.protocol.transport import Link
@@ -107,7 +108,7 @@ class EnvironmentNode:
             if not (places.all_seated and self._all_heard(places, p, tick)):
                 found = self._wait(places, p, tick, now, life, control)
                 self._passed = ()
-                if found < 0:
+                if found is None:
                     break
                 if found != tick:
                     self._publish(control, core, places)  # rows follow each other
@@ -191,69 +192,92 @@ class EnvironmentNode:
         least = AT_ONCE * self._period
         places.order.sort(key=lambda place: max(least, late.added[place.index]))
 
-    def _wait(self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine) -> int:
+    def _wait(
+        self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
+    ) -> int | None:
         """Wait for the awaited, listen to the others, give up who is silent while others are there.
 
-        Those who are there already came, at the earliest, a period after the tick before, which ``began`` then. Who has
-        been away itself, for the processor was another's, listens to everybody once before it gives anybody up.
+        When to do what is decided by :mod:`manyhands.nodes.environment.deadline`.
+
+        Args:
+            places: the couplings.
+            p: where the signals of the tick are put.
+            tick: k.
+            began: when the tick before was answered.
+            life: whether the node should still run.
+            control: the line to the supervisor.
 
         Returns:
-            The tick that everybody has spoken for, another than ``tick`` for who resumes; -1 if the node should end.
+            The tick for which everybody has sent its signal; another than ``tick`` for an environment that resumes.
+            None if the node should end.
         """
-        freeze, stale, first, listened = self._patience.freeze, self._patience.stale, Instant(2**62), False
+        deadline = Deadline(self._patience, self._period, Instant(self._due), began)
         awaited = set(self._passed)  # in this tick
         while not life.stopping:
             missing = [place for place in places.order if place.missing(tick)]
-            here = any(place.joint.tick == tick for place in places.all)
+            present = any(place.joint.tick == tick for place in places.all)
             awaited.update(missing)
-            if here and not missing and listened:
+            if deadline.complete(present, bool(missing)):
                 self._late.gone(tick, [place.index for place in awaited if place.joint.tick != tick])
                 places.resumed()
                 return tick
             now = self._clock.now()
-            if stale is not None and now - began > stale:
+            soonest = tick if present else places.soonest(tick)
+            decision = deadline.decide(now, present, bool(missing), soonest != tick, places.anybody_early)
+            if decision.forget:
                 places.forget()
-            if here:  # who speaks before the tick is due waits for nobody yet
-                first = max(Instant(self._due), min(first, now, Instant(began + self._period)))
-            else:
-                if freeze is not None and now - began > freeze:
-                    places.pardon()
-                soonest = places.soonest(tick)  # or nobody would ever bring that tick about
-                if soonest != tick:
-                    tick, first = soonest, Instant(2**62)
+            if decision.pardon:
+                places.pardon()
+            match decision.step:
+                case Step.MOVE:
+                    tick = soonest
                     awaited.clear()
-                    continue
-                if places.anybody_early:  # who is told to go on later waits, too
-                    first = min(first, now)
-            if freeze is not None and listened and missing and now - first >= freeze:
-                self._late.missed(tick, [place.index for place in missing], Duration(now - first))
-                for place in missing:
-                    places.give_up(place, tick)
-                first = Instant(2**62)
-                continue
-            life.look(now)
-            while (word := control.listen()) is not None:
-                places.obey(word, control, tick)
-            turn, reachable = NOT_AT_ALL if here and not missing else _TURN, False
-            for place in (*missing, *places.all):
-                joint = place.joint
-                if not joint.reachable or (joint.tick == tick and joint.here):
-                    continue  # who has spoken and is lost since may be on its way back
-                if places.hear(place, p, tick, turn) is Heard.SIGNAL:
-                    # after somebody else's turn it counts as there since that began
-                    place.arrived = now if here and turn == NOT_AT_ALL else self._clock.now()
-                turn, reachable = NOT_AT_ALL, True
-                if places.ahead > tick:
-                    tick, first, began = places.ahead, Instant(2**62), now
-                    awaited.clear()
-                    places.catch_up(tick)
-                    break
-            listened = True
-            if not (reachable or here):  # nobody is there: wait for the supervisor's word
-                word = control.listen(self._patience.look)
-                if word is not None:
-                    places.obey(word, control, tick)
-        return -1
+                case Step.GIVE_UP:
+                    self._late.missed(tick, [place.index for place in missing], decision.waited)
+                    for place in missing:
+                        places.give_up(place, tick)
+                case Step.LISTEN:
+                    life.look(now)
+                    while (word := control.listen()) is not None:
+                        places.obey(word, control, tick)
+                    anybody = self._listen(places, p, tick, missing, now if present else None)
+                    deadline.listened = True
+                    if anybody and places.ahead > tick:
+                        tick = places.ahead
+                        deadline.restart(now)
+                        awaited.clear()
+                        places.catch_up(tick)
+                    elif not (anybody or present):  # wait for what the supervisor reports
+                        word = control.listen(self._patience.look)
+                        if word is not None:
+                            places.obey(word, control, tick)
+        return None
+
+    def _listen(self, places: Places, p: Floats, tick: int, missing: Sequence[Place], since: Instant | None) -> bool:
+        """Listen once to everybody whose signal of ``tick`` is not there, to those who are missing first.
+
+        Args:
+            places: the couplings.
+            p: where the signals of the tick are put.
+            tick: k.
+            missing: those who are waited for.
+            since: since when somebody is known to be there; None where nobody is.
+
+        Returns:
+            Whether there was anybody to listen to.
+        """
+        turn, anybody = _TURN if missing or since is None else NOT_AT_ALL, False
+        for place in (*missing, *places.all):
+            joint = place.joint
+            if not joint.reachable or (joint.tick == tick and joint.here):
+                continue  # a coupling that has sent its signal and is lost since may be on its way back
+            if places.hear(place, p, tick, turn) is Heard.SIGNAL:
+                # after the turn of another coupling it counts as there since that turn began
+                place.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
+            turn, anybody = NOT_AT_ALL, True
+            if places.ahead > tick:
+                break
+        return anybody
 
     def report(self) -> Report:
         """Ticks, ledger, how often couplings were frozen, and what each made the others wait."""

@@ -101,7 +101,7 @@ class Places:
         self.events = TickEvents()
         if resumes:
             for place in self.all:
-                core.freeze(place.index)
+                core.clutches.freeze(place.index)
         self._shifting = False
         self._life = life
         self._sort()
@@ -171,8 +171,8 @@ class Places:
         """The devices have waited too long and exert no force by now: let everybody in by the ramp again."""
         for place in self.all:
             if place.attendance.seat is Seat.SEATED and place.wanted == place.rung:
-                self._core.freeze(place.index)
-                self._core.engage(place.index)
+                self._core.clutches.freeze(place.index)
+                self._core.clutches.engage(place.index)
         self.forget()
 
     def obey(self, word: Word, control: ControlLine, tick: int) -> None:
@@ -183,7 +183,7 @@ class Places:
                 place.wanted = word.rung
                 self._shifting = True
                 if place.wanted == place.rung and place.attendance.seat is Seat.SEATED:
-                    self._core.engage(place.index)  # had it been about to change
+                    self._core.clutches.engage(place.index)  # had it been about to change
             return
         lost = follow(word, [place.joint for place in self.all], control)
         if lost is not None:
@@ -201,21 +201,21 @@ class Places:
             return
         core = self._core
         changing = [place for place in self.seated if place.wanted != place.rung]
-        resting = [place for place in changing if core.rests(place.index)]
+        resting = [place for place in changing if core.clutches.rests(place.index)]
         for place in changing:
             if place not in resting:
-                core.disengage(place.index)
+                core.clutches.disengage(place.index)
         if not self._independent and (resting != changing or len({place.wanted for place in self.all}) > 1):
             return
         for place in resting:
             name = place.joint.peer.name
-            core.freeze(place.index)  # had it been about to join
+            core.clutches.freeze(place.index)  # had it been about to join
             core.exchange(place.index, self._rungs[name][place.wanted - 1] if place.wanted else self._first(place))
             place.joint.say(Rung(place.wanted))
             if self.log is not None:
                 self.log.note(LogEvent.RUNG, peer=name, rung=place.wanted, tick=self._tick)
             place.rung = place.wanted
-            core.engage(place.index)
+            core.clutches.engage(place.index)
         self._shifting = any(place.wanted != place.rung for place in self.all)
 
     def astray(self, joint: Joint, told: int, awaited: int) -> bool:
@@ -286,7 +286,7 @@ class Places:
             place.joint.tick = -1  # nobody waits for it; it says so again when the pause is over
             return False
         if self._event(place, Event.SIGNAL, tick) and place.wanted == place.rung:  # otherwise it changes its rung first
-            self._core.engage(place.index)
+            self._core.clutches.engage(place.index)
         return True
 
     def _welcome_back(self, place: Place, tick: int) -> None:
@@ -297,7 +297,7 @@ class Places:
             place.joint.lose()
             return
         self._event(place, Event.MET, tick)
-        self._core.freeze(place.index)
+        self._core.clutches.freeze(place.index)
         if place.rung or name not in self._feedthrough:
             self._feedthrough[name] = np.array(hello.feedthrough, dtype=np.float64)
             self._core.exchange(place.index, self._feedthrough[name])
@@ -324,7 +324,7 @@ class Places:
         if self.log is not None and (noted := _NOTED.get(place.attendance.seat)) is not None:
             self.log.note(noted, peer=place.joint.peer.name, tick=tick, heard=event.value)
         if place.attendance.seat is not Seat.SEATED:
-            self._core.freeze(place.index)
+            self._core.clutches.freeze(place.index)
             place.joint.gate.forget()  # it is let in from where it is then
         self._sort()
         return True

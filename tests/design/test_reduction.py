@@ -23,9 +23,9 @@ from manyhands.design.problem import CouplingRequest, DeviceLevel, HapticLoop, L
 from manyhands.design.proof import prove, sparse
 from manyhands.design.proof.claim import Claim, read
 from manyhands.design.proof.contract import Delta_D, Delta_V, condition_10
-from manyhands.design.reduction import at_any_ratio, condition_at, reduced
 from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
+from tests.support.reduction import at_any_ratio, condition_at, reduced
 
 PORTS = ("dx", "dy", "dz")
 DECLARED = np.array([[0.1, 0.02, 0.0], [0.02, 0.2, 0.03], [0.0, 0.03, 0.3]])

@@ -15,7 +15,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Telemetry
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 X, F, P = (np.arange(4.0).reshape(4, 1) + offset for offset in (0.0, 10.0, 20.0))

@@ -19,12 +19,12 @@ from manyhands.design.certificate import Certificate, content
 from manyhands.design.peak_gain import peak_gain
 from manyhands.design.proof import prove
 from manyhands.design.proof.claim import read
-from manyhands.design.reduction import at_any_ratio, reduced
 from manyhands.launch.preparation import Prepared, prepare
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.clutch import LET_GO, RAMP, SLOWEST
+from tests.support.reduction import at_any_ratio, reduced
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 SHIPPED = ("example1", "example1-operator", "example1-delayed", "example1-uncertain")
@@ -182,7 +182,7 @@ def test_the_others_keep_their_promises_and_feel_no_step(base: Prepared, request
             assert np.all(steps <= (gain @ fastest)[others] + size)
             moved += float(np.max(steps)) > 1e-3
         # who comes back is coupled again, and its force rose with the ramp
-        assert returned.environment.ratio(list(returned.couplings).index(name)) >= SLOWEST - 1e-12
+        assert returned.environment.clutches.ratio(list(returned.couplings).index(name)) >= SLOWEST - 1e-12
     assert moved > CASES  # something happened at the others in most of the runs
 
 
@@ -204,7 +204,7 @@ def test_the_offset_is_worked_off_by_a_hand_that_moves() -> None:
     plan = [Silence("cx", 300, 700)]
     simulation.run(700 + RAMP + 1, faults=plan)
     at_the_end.run(2500, faults=plan)
-    before, after = (float(it.environment.offset(0)[0]) for it in (simulation, at_the_end))
+    before, after = (float(it.environment.clutches.offset(0)[0]) for it in (simulation, at_the_end))
     assert abs(before) > 0.01
     assert 0.0 < after / before < 0.85
     keeps_its_promises(at_the_end)
@@ -223,7 +223,7 @@ def test_two_may_be_silent_at_once_and_one_twice() -> None:
     assert np.all(run.f_v[150:251, y] == 0.0)
     assert np.all(run.f_v[252:, y] != 0.0)
     assert np.all(run.f_v[210:, z] != 0.0)  # its own push begins at 200
-    assert [simulation.environment.frozen(block) for block in range(3)] == [True, False, False]
+    assert [simulation.environment.clutches.frozen(block) for block in range(3)] == [True, False, False]
 
 
 def test_one_that_was_never_there() -> None:

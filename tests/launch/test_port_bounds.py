@@ -24,6 +24,7 @@ from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
 from manyhands.protocol.messages import Role, Telemetry, Tool
+from tests.support.gates import admit
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 OVERRIDES = (
@@ -123,7 +124,7 @@ def test_an_honest_coupling_is_never_refused(
     x = X * rng.uniform(-1.0, 1.0, m)
     for tick in range(200):
         p = np.array(core.free_position(x.tolist()))
-        assert gate.admit(encode(Tool(tick, 0, p)), tick) is not None
+        assert admit(gate, encode(Tool(tick, 0, p)), tick) is not None
         f = rng.choice([-1e3, 1e3], m) if extreme else rng.normal(0.0, 3.0, m)
         core.absorb(core.limited(f))
         change = rng.choice([-1.0, 1.0], m) if extreme else rng.uniform(-1.0, 1.0, m)

@@ -51,7 +51,7 @@ def test_the_uncertain_example_surrounds_example_1() -> None:
         assert (interval.low, interval.high) == pytest.approx((0.9 * value, 1.1 * value), rel=1e-15)
     for name, device in session.devices.items():
         np.testing.assert_array_equal(session.osp_level(name), [[1.37]])
-        assert (device.osp_low, device.osp_high) == (((1.37,),), ((1.6,),))
+        assert (device.osp_low, device.osp.high) == (((1.37,),), ((1.6,),))
         assert device.damping == ((1.37 + 1.6) / 2,)
     assert session.blocks == base.blocks
     assert session.design == base.design
@@ -76,7 +76,7 @@ def test_intervals_of_levels_go_axis_by_axis() -> None:
     session = example("example1-operator", f"{key}={{between: [1.2, [1.2, 1.3, 1.4]]}}")
     device = session.devices["d"]
     np.testing.assert_array_equal(device.osp_low, 1.2 * np.eye(3))
-    np.testing.assert_array_equal(device.osp_high, np.diag([1.2, 1.3, 1.4]))
+    np.testing.assert_array_equal(device.osp.high, np.diag([1.2, 1.3, 1.4]))
     assert device.damping == (1.2, 1.25, (1.2 + 1.4) / 2)
     with pytest.raises(SessionError, match=r"lower end 1\.5 above the higher end 1\.4"):
         example("example1-operator", f"{key}={{between: [[1.2, 1.2, 1.5], 1.4]}}")

@@ -214,7 +214,7 @@ def test_ends_enclose_the_value_that_a_run_takes(plain: dict[str, Any]) -> None:
         assert environment.uncertain == any(isinstance(value, Interval) for value in values)
         assert not (environment.uncertain and environment.delay)
     for name, device in session.devices.items():
-        low, high = np.diag(device.osp_low), np.diag(device.osp_high)
+        low, high = np.diag(device.osp_low), np.diag(getattr(device.osp, "high", device.osp))
         assert np.all(low <= high)
         assert np.all(low <= np.array(device.damping) * (1.0 + 1e-12))  # the rounding that the check itself allows
         np.testing.assert_array_equal(session.osp_level(name), device.osp_low)

@@ -40,7 +40,7 @@ from manyhands.protocol.messages import (
     Role,
     Telemetry,
 )
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry, dx/sample, cx/tool]}}"

@@ -31,7 +31,7 @@ from manyhands.nodes.process import Node
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, seconds
 from manyhands.protocol.messages import Absent, Report, Return, Start, Telemetry
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 PATIENCE = 30.0  # s, of a test for what must come
 

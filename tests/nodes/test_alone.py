@@ -25,7 +25,7 @@ from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Force, Reaction, Sample, SignalMessage, Start, Tool, Values
 from manyhands.protocol.transport import Link, TransportError
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 LIMITS = "devices.dx.limits={force: 2, displacement: 0.25, speed: 50}"

@@ -86,7 +86,14 @@ def test_no_model_breaks_the_promise(kind: str, level: float, seed: int, clutche
     assert core.ledger is not None
     assert core.controller is not None
     passed, rounded, x_e, own = 0.0, 0.0, np.zeros(3), 0.0
-    events = {60: core.freeze, 90: core.engage, 150: core.disengage, 200: core.engage, 230: core.freeze}
+    clutches = core.clutches
+    events = {
+        60: clutches.freeze,
+        90: clutches.engage,
+        150: clutches.disengage,
+        200: clutches.engage,
+        230: clutches.freeze,
+    }
     for k, p in enumerate(hands(rng, 300)):
         if clutched and k in events:
             events[k](k % 2)
@@ -166,20 +173,20 @@ def test_as_a_safety_net_it_never_acts_and_changes_nothing(
     for k, p in enumerate(hands(rng, 600)):
         for core in (plain, netted):
             if k in (100, 400):
-                core.freeze(1)
+                core.clutches.freeze(1)
             if k in (150, 450):
-                core.engage(1)
+                core.clutches.engage(1)
             if k == 200:
-                core.disengage(0)
+                core.clutches.disengage(0)
             if k == 260:
                 core.exchange(0, np.array([[1 / 500, 0.0], [0.0, 1 / 600]]))
-                core.engage(0)
+                core.clutches.engage(0)
         f = react(plain, p)
         # both solve the same equations, in another order
         np.testing.assert_allclose(react(netted, p), f, rtol=0, atol=1e-9 * (1.0 + np.abs(f).max()))
         plain.settle()
         netted.settle()
-        ratios = [[core.ratio(i) for i in (0, 1)] for core in (plain, netted)]
+        ratios = [[core.clutches.ratio(i) for i in (0, 1)] for core in (plain, netted)]
         np.testing.assert_allclose(*ratios, rtol=0, atol=1e-9)
     assert netted.controller is not None
     assert (netted.controller.ticks, netted.controller.energy) == (0, 0.0)
@@ -196,7 +203,7 @@ def test_a_block_that_leaves_is_held_to_it_at_the_hands_side_too(seed: int) -> N
     before, own, passed, rounded = np.zeros(3), 0.0, 0.0, 0.0
     for k, p in enumerate(hands(rng, 220)):
         if k == 20:
-            core.disengage(0)
+            core.clutches.disengage(0)
         f = react(core, p)
         core.settle()
         x_c = p + D_V @ f
@@ -208,7 +215,7 @@ def test_a_block_that_leaves_is_held_to_it_at_the_hands_side_too(seed: int) -> N
         # a clutch is lossless: the tools' account is the same, if they move as the forces at the ports make them
         assert core.ledger is not None
         assert abs(own - core.ledger.total) <= 1e-9 * passed + rounded
-    assert core.frozen(0)
+    assert core.clutches.frozen(0)
     assert core.controller is not None
     assert core.controller.ticks > 0
 
@@ -232,9 +239,9 @@ def test_a_model_is_asked_once_a_tick() -> None:
 
 def test_a_frozen_port_feels_nothing_of_the_model() -> None:
     core = core_of(lambda x_e, k: np.full(3, 4.0 * (-1.0) ** k), np.zeros((3, 3)))
-    core.freeze(0)
-    assert core.frozen(0)
-    assert not core.frozen(1)
+    core.clutches.freeze(0)
+    assert core.clutches.frozen(0)
+    assert not core.clutches.frozen(1)
     for k in range(10):
         f = react(core, np.full(3, 1e-4 * k))
         core.settle()

@@ -70,11 +70,11 @@ class Oracle:
         m = len(p)
         S, r = np.ones(m), np.zeros(m)
         for i, block in enumerate(self.blocks):
-            s = core.ratio(i)
+            s = core.clutches.ratio(i)
             S[block] = s
             if s == 0.0:
                 r[block] = self.x_e[block]
-            elif core.settled(i) and not before[i][1]:
+            elif core.clutches.settled(i) and not before[i][1]:
                 r[block] = p[block]
             else:
                 r[block] = self.x_e[block] + s * (p[block] - self.x_c[block])
@@ -100,7 +100,7 @@ def tools(core: EnvironmentCore) -> np.ndarray:
 
 
 def states(core: EnvironmentCore, count: int) -> list[tuple[float, bool]]:
-    return [(core.ratio(i), core.settled(i)) for i in range(count)]
+    return [(core.clutches.ratio(i), core.clutches.settled(i)) for i in range(count)]
 
 
 partitions = st.sampled_from([[[0], [1], [2]], [[0, 2], [1]], [[2, 0, 1]], [[3, 1], [0, 4], [2]], [[0]]])
@@ -128,37 +128,37 @@ def test_every_phase_knows_what_it_can_be_told() -> None:
 def test_a_ramp_rises_and_falls_in_its_ticks_and_never_faster_than_it_may(ramp: int) -> None:
     world = World(1, [[0], [1]], ramp)
     core, p = world.core, np.zeros(2)
-    core.freeze(0)
-    ratios = [core.ratio(0)]
+    core.clutches.freeze(0)
+    ratios = [core.clutches.ratio(0)]
     for k in range(3 * ramp + 6):
         if k == 2:
-            core.engage(0)
+            core.clutches.engage(0)
         if k == ramp + 3:
-            assert core.ratio(0) == 1.0
-            core.disengage(0)
+            assert core.clutches.ratio(0) == 1.0
+            core.clutches.disengage(0)
         if k == 2 * ramp + 4:
-            assert core.frozen(0)
+            assert core.clutches.frozen(0)
         react(core, p)
         core.settle()
-        ratios.append(core.ratio(0))
+        ratios.append(core.clutches.ratio(0))
     assert ratios[:4] == [0.0] * 4  # frozen, and the tick that takes the reference
     assert ratios[-1] == 0.0
     steps = np.abs(np.diff(ratios))
     assert np.max(steps) <= math.pi / (2.0 * ramp) + 1e-12
-    assert core.ratio(1) == 1.0
+    assert core.clutches.ratio(1) == 1.0
 
 
 def test_who_leaves_may_turn_round() -> None:
     core, p = World(2, [[0], [1]], 20).core, np.zeros(2)
-    core.disengage(0)
+    core.clutches.disengage(0)
     for _ in range(8):
         react(core, p)
         core.settle()
-    turned = core.ratio(0)
+    turned = core.clutches.ratio(0)
     assert 0.0 < turned < 1.0
-    core.engage(0)
+    core.clutches.engage(0)
     react(core, p)
-    assert turned < core.ratio(0) <= turned + math.pi / 40.0
+    assert turned < core.clutches.ratio(0) <= turned + math.pi / 40.0
 
 
 def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
@@ -169,11 +169,11 @@ def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
     for which, early in ((core, True), (other, False)):
         f = react(which, p).copy()
         if early:
-            which.freeze(0)
+            which.clutches.freeze(0)
         which.settle()
-        which.freeze(0)
+        which.clutches.freeze(0)
         assert f[0] != 0.0
-        assert which.frozen(0)
+        assert which.clutches.frozen(0)
     np.testing.assert_array_equal(react(core, p * 2), react(other, p * 2))
     core.settle()
     assert core.ledger is not None
@@ -208,14 +208,14 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
     scale, given_up = 0.0, 0.0
     for k in range(tick + 60):
         for block, deed in at.get(k, ()):
-            getattr(core, deed)(block)
+            getattr(core.clutches, deed)(block)
         v = 0.97 * v + rng.normal(0.0, 2e-5, world.m)
         p = p + v
         told = p.copy()
         before = states(core, len(blocks))
         allowed = [core.energy.ratio(i) for i in range(len(blocks))]
         for i, block in enumerate(blocks):
-            if pause and core._clutches[i].phase is Phase.FROZEN:
+            if pause and core.clutches.all[i].phase is Phase.FROZEN:
                 told[block] = np.nan if pause == 1 else 1e9
         found = react(core, told).copy()
         expected = oracle.step(p, core, before)
@@ -224,7 +224,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         core.settle()
         np.testing.assert_allclose(core._x_e, oracle.x_e, rtol=0, atol=1e-12)
         given_up += oracle.given_up
-        newly = [i for i in range(len(blocks)) if core.settled(i) and not before[i][1]]
+        newly = [i for i in range(len(blocks)) if core.clutches.settled(i) and not before[i][1]]
         assert len(newly) <= 1
         if not newly:
             assert abs(oracle.given_up) <= oracle.rounding + 1e-18
@@ -234,10 +234,13 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
             assert oracle.given_up <= LET_GO * float(np.linalg.norm(oracle.f_e[block])) + oracle.rounding
         for i in range(len(blocks)):
             # rounded at most once on either side
-            moved = abs(core.ratio(i) - before[i][0])
-            assert core.ratio(i) <= allowed[i] + 1e-12
+            moved = abs(core.clutches.ratio(i) - before[i][0])
+            assert core.clutches.ratio(i) <= allowed[i] + 1e-12
             # a restraint is obeyed at once
-            assert moved <= math.pi / (2.0 * world.ramp) + 1e-12 or core.ratio(i) in (0.0, pytest.approx(allowed[i]))
+            assert moved <= math.pi / (2.0 * world.ramp) + 1e-12 or core.clutches.ratio(i) in (
+                0.0,
+                pytest.approx(allowed[i]),
+            )
     assert core.ledger is not None
     assert core.ledger.minimum >= 0.0
     assert core.ill_posed == 0
@@ -264,16 +267,16 @@ def test_all_may_be_frozen_and_come_back() -> None:
         react(core, p)
         core.settle()
     for block in range(2):
-        core.freeze(block)
+        core.clutches.freeze(block)
     for _ in range(30):
         assert react(core, np.full(3, np.nan)).tolist() == [0.0, 0.0, 0.0]
         core.settle()
     for block in range(2):
-        core.engage(block)
+        core.clutches.engage(block)
     for _ in range(world.ramp + 1):
         f = react(core, p)
         core.settle()
-    assert core.ratio(0) == core.ratio(1) == 1.0
+    assert core.clutches.ratio(0) == core.clutches.ratio(1) == 1.0
     assert np.all(f != 0.0)
 
 
@@ -313,9 +316,9 @@ def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: 
         p = p + v
         match k:
             case 40:
-                compare(lambda core: core.freeze(0))
+                compare(lambda core: core.clutches.freeze(0))
             case 60:
-                assert compare(lambda core: core.engage(0)) == 0.0
+                assert compare(lambda core: core.clutches.engage(0)) == 0.0
             case _:
                 react(core, p)
         core.settle()
@@ -333,9 +336,9 @@ def test_who_returns_feels_the_force_rise_with_the_ramp(seed: int, blocks: list[
         v = 0.97 * v + rng.normal(0.0, 2e-5, world.m)
         p = p + v
         if k == 80:
-            core.freeze(0)
+            core.clutches.freeze(0)
         if k == 100:
-            core.engage(0)
+            core.clutches.engage(0)
             p[blocks[0]] += 0.05  # the hand has gone elsewhere meanwhile
         before_c, before_e = f_c, f_e
         f_c = react(core, p).copy()
@@ -363,19 +366,19 @@ def returned(
     core, block = world.core, world.blocks[0]
     react(core, p(0))
     core.settle()
-    core.freeze(0)
+    core.clutches.freeze(0)
     react(core, p(0))
     core.settle()
-    core.engage(0)
+    core.clutches.engage(0)
     shift = np.zeros(world.m)
     shift[block] = -offset
     offsets, forces = [], []
     for k in range(ticks):
         react(core, p(k) + shift)
         core.settle()
-        offsets.append(core._clutches[0].offset)
+        offsets.append(core.clutches.all[0].offset)
         forces.append(np.array(core._f)[block])
-        if core.settled(0):
+        if core.clutches.settled(0):
             break
     return np.array(offsets), np.array(forces)
 
@@ -398,8 +401,8 @@ def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
     if push:
         assert np.all(push * forces > 0.0)
     offsets = np.abs(offsets[:, 0])
-    assert core.settled(0)
-    assert core.ratio(0) == core.ratio(1) == 1.0
+    assert core.clutches.settled(0)
+    assert core.clutches.ratio(0) == core.clutches.ratio(1) == 1.0
     assert offsets[-1] == 0.0
     assert 0.0 < offsets[-2] <= LET_GO
     # D_V f of another user's making may move the end against p for a while, and no more than that
@@ -414,7 +417,7 @@ def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> N
         return 0.03 * np.array([math.sin(0.01 * k), math.sin(0.0173 * k), math.cos(0.0127 * k)])
 
     offsets, _ = returned(world, hand, np.array([4e-3, -6e-3, 2e-3]), 60_000)
-    assert world.core.settled(0)
+    assert world.core.clutches.settled(0)
     assert np.all(offsets[-1] == 0.0)
     assert 0.0 < np.linalg.norm(offsets[-2]) <= LET_GO
 
@@ -423,24 +426,24 @@ def test_an_offset_is_not_let_go_under_a_force_that_has_turned() -> None:
     """The force of the tick itself decides, by trial; that of the tick before only says whether to try."""
     k, o = 1000.0, 5e-7
     core = EnvironmentCore(StateSpace.static([[k]]), np.zeros((1, 1)), None, T, None, 1)
-    core.freeze(0)
+    core.clutches.freeze(0)
     react(core, np.zeros(1))
     core.settle()
-    core.engage(0)
+    core.clutches.engage(0)
     forces = []
     s = 1.0 - (o + 0.5 * LET_GO) / WORK_OFF
     for p in (-o, -1e-3, 1e-3, 2e-3):  # the reference; the force turns against it; no try, but a lag; let go
         forces.append(react(core, np.array([p]))[0])
         core.settle()
-        assert core.settled(0) == (p == 2e-3)
+        assert core.clutches.settled(0) == (p == 2e-3)
     assert forces == pytest.approx([0.0, k * (1e-3 - o), k * s * (1e-3 - o - s * 2e-3), -k * 2e-3], rel=1e-12)
 
 
 def test_a_hand_that_rests_keeps_its_offset_and_full_coupling() -> None:
     world = World(13, [[0], [1]])
     offsets, _ = returned(world, lambda _: np.zeros(2), np.array([5e-3]), 400)
-    assert world.core.ratio(0) == 1.0
-    assert not world.core.settled(0)
+    assert world.core.clutches.ratio(0) == 1.0
+    assert not world.core.clutches.settled(0)
     assert np.all(offsets[world.ramp + 1 :] == pytest.approx(5e-3, rel=0.2))
 
 
@@ -479,20 +482,20 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
         v = 0.97 * v + rng.normal(0.0, 2e-5, 3)
         p = p + v
         if k == 20:
-            core.disengage(0)
+            core.clutches.disengage(0)
         if k == 50:
             core.exchange(0, fresh)
             oracle.D_V[np.ix_([0, 2], [0, 2])] = fresh
-            core.engage(0)
+            core.clutches.engage(0)
         before = states(core, 2)
         found = react(core, p).copy()
         expected = oracle.step(p, core, before)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * (1.0 + np.max(np.abs(expected))))
         assert abs(oracle.given_up) <= oracle.rounding + LET_GO * float(np.linalg.norm(oracle.f_e)) * any(
-            core.settled(i) and not before[i][1] for i in range(2)
+            core.clutches.settled(i) and not before[i][1] for i in range(2)
         )
         core.settle()
-    assert core.ratio(0) > 0.99 * SLOWEST
+    assert core.clutches.ratio(0) > 0.99 * SLOWEST
 
 
 def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> None:
@@ -507,18 +510,18 @@ def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> 
         for world in (within, behind):
             core = world.core
             if k == 20:
-                core.disengage(0)
+                core.clutches.disengage(0)
             found.append(react(core, p).tolist())
             if k == 50 and world is within:
                 core.exchange(0, fresh)
-                core.engage(0)
+                core.clutches.engage(0)
             core.settle()
             if k == 50 and world is behind:
                 core.exchange(0, fresh)
-                core.engage(0)
+                core.clutches.engage(0)
             found.append(core.tools)
         assert found[:2] == found[2:], k
-    assert within.core.ratio(0) > 0.99 * SLOWEST
+    assert within.core.clutches.ratio(0) > 0.99 * SLOWEST
 
 
 def test_only_a_frozen_block_may() -> None:
@@ -527,17 +530,17 @@ def test_only_a_frozen_block_may() -> None:
     for _ in range(3):
         with pytest.raises(ValueError, match=r"found block 0 at the ratio .*expected it frozen"):
             core.exchange(0, fresh)
-        core.disengage(0)
+        core.clutches.disengage(0)
         react(core, np.zeros(3))
         core.settle()
-    core.freeze(0)
+    core.clutches.freeze(0)
     with pytest.raises(ValueError, match=r"found a feedthrough of shape \(3, 3\); expected 2 x 2"):
         core.exchange(0, np.eye(3))
     singular = EnvironmentCore(StateSpace.static(np.diag([2.0, 1.0])), np.zeros((2, 2)), None, T, [[0], [1]])
-    singular.freeze(0)
+    singular.clutches.freeze(0)
     with pytest.raises(ValueError, match="no unique solution"):
         singular.exchange(0, np.array([[-0.5]]))
-    singular.engage(0)
+    singular.clutches.engage(0)
     for k in range(RAMP + 2):  # with the feedthrough that it had
         f = react(singular, np.array([0.0 if k == 0 else 1.0, 1.0]))
         singular.settle()
@@ -568,7 +571,7 @@ def test_a_ramp_takes_a_tick_at_least() -> None:
 def test_blocks_may_be_slices_and_arrays() -> None:
     E = StateSpace.static(np.eye(3))
     core = EnvironmentCore(E, np.zeros((3, 3)), None, T, [slice(0, 2), np.array([2])])
-    core.freeze(0)
+    core.clutches.freeze(0)
     assert react(core, np.ones(3)).tolist() == [0.0, 0.0, -1.0]
 
 
@@ -577,16 +580,16 @@ def test_a_ratio_without_a_unique_solution_keeps_the_block_frozen() -> None:
     s = math.sin(0.5 * math.pi * 10 / 20) ** 2
     E = StateSpace.static(np.diag([2.0, 1.0]))
     core = EnvironmentCore(E, np.diag([-0.5 / s**2, 0.0]), None, T, [[0], [1]], 20)
-    core.freeze(0)
+    core.clutches.freeze(0)
     react(core, np.zeros(2))
     core.settle()
-    core.engage(0)
+    core.clutches.engage(0)
     for k in range(40):
         f = react(core, np.array([1e-3 * k, 1.0]))
         core.settle()
         assert np.all(np.isfinite(f))
         assert f[1] == -1.0
-        assert core.ratio(0) < s
+        assert core.clutches.ratio(0) < s
     assert core.ill_posed == 1
-    assert core.frozen(0)
-    assert core.ratio(1) == 1.0
+    assert core.clutches.frozen(0)
+    assert core.clutches.ratio(1) == 1.0

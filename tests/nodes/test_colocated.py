@@ -25,7 +25,7 @@ from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Reaction, Report, Sample, Start, Tool
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 from .stage import Stage
 

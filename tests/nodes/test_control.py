@@ -37,7 +37,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 from manyhands.protocol.transport import Link, TransportError, Trouble
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 REPORT = Report(5, {}, {}, {})
 SECOND = 1_000_000_000

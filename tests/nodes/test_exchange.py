@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count, repeat
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.exchange import Heard, Joint, joint_of
+from manyhands.nodes.exchange import Heard, Joint, await_all, joint_of
 from manyhands.nodes.greeting import handshake_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
@@ -417,3 +417,46 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     forces = [20.0, 21.0, 22.0, 23.0]
     assert joint.send(Force, TICK, 7, forces)
     assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]
+
+
+class Scripted:
+    """A link of which it is written what comes of it, one thing each time that it is listened to."""
+
+    def __init__(self, name: str, script: list[Heard], listened: list[str]) -> None:
+        self.name, self._script, self._listened = name, script, listened
+        self.tick = -1
+
+    def hear(self, _values: object, tick: int, _patience: Duration, _listener: object) -> Heard:
+        self._listened.append(self.name)
+        heard = self._script.pop(0)
+        if heard is Heard.SIGNAL:
+            self.tick = tick
+        return heard
+
+
+def awaited(
+    scripts: dict[str, list[Heard]], rounds: int, moved: Callable[[Heard, int], int] = lambda _heard, tick: tick
+) -> tuple[int | None, str]:
+    """What :func:`await_all` returns after b was listened to last, with so many rounds allowed; who was listened to."""
+    listened: list[str] = []
+    links: Any = [Scripted(name, script, listened) for name, script in scripts.items()]
+    left = iter([Duration(1)] * rounds)
+    found = await_all(
+        links, links[1], [], 7, Ears(), lambda _link, heard, tick: moved(heard, tick), lambda _tick: next(left, None)
+    )
+    return found, "".join(listened)
+
+
+def test_all_are_awaited_in_turn_behind_the_last() -> None:
+    script = {"a": [Heard.SIGNAL], "b": [Heard.MET, Heard.SIGNAL], "c": [Heard.NOTHING, Heard.SIGNAL]}
+    assert awaited(script, 9) == (7, "cabcb")
+
+
+def test_the_wait_ends_when_no_round_is_left() -> None:
+    assert awaited({"a": [Heard.SIGNAL], "b": [Heard.NOTHING], "c": [Heard.SIGNAL]}, 1) == (None, "cab")
+
+
+def test_at_another_tick_all_are_awaited_anew() -> None:
+    script = {"a": [Heard.TURNED, Heard.SIGNAL], "b": [Heard.SIGNAL], "c": [Heard.SIGNAL, Heard.SIGNAL]}
+    moved = awaited(script, 9, lambda heard, tick: tick + (heard is Heard.TURNED))
+    assert moved == (8, "cabca")

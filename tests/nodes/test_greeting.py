@@ -29,7 +29,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 ENVIRONMENT = Peer("environment", Role.ENVIRONMENT, ("a", "b", "c"), binds=False)
 LEFT = Peer("left", Role.DEVICE, ("a", "c"), binds=True)

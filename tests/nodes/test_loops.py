@@ -24,7 +24,7 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.protocol.messages import Start
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 350  # telemetry comes every 100: the last is a part

@@ -144,14 +144,14 @@ def test_who_is_given_up_is_frozen_and_not_answered(world: World) -> None:
     assert world.cy.missing(world.tick)
     world.places.give_up(world.cy, world.tick)
     assert not world.cy.missing(world.tick)
-    assert world.core.frozen(1)
+    assert world.core.clutches.frozen(1)
     assert world.places.seated == [world.cx]
-    before = world.core.offset(1)
+    before = world.core.clutches.offset(1)
     world.finish()
     assert world.forces("cy").keys() == {0}
     world.together(50, but="cy")
-    assert world.core.frozen(1)
-    np.testing.assert_array_equal(world.core.offset(1), before)
+    assert world.core.clutches.frozen(1)
+    np.testing.assert_array_equal(world.core.clutches.offset(1), before)
     assert (world.places.frozen, world.places.absences) == (1, 1)
 
 
@@ -193,7 +193,7 @@ def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: World) -> None:
     steps = np.diff([forces[first + k] for k in range(RAMP + 1)])
     # s moves by at most pi/(2 RAMP) a tick, and f_c = s f_e with x_e moved by s as well
     assert np.max(np.abs(steps)) <= np.pi / RAMP * (STIFFNESS + DAMPING / T) * 0.01
-    assert world.core.ratio(1) == 1.0
+    assert world.core.clutches.ratio(1) == 1.0
 
 
 def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: World) -> None:
@@ -295,7 +295,7 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: World)
         assert world.hear(world.cy) is Heard.NOTHING
         world.together(but="cy")
     assert world.cy.attendance.seat is Seat.GONE
-    assert world.core.frozen(1)
+    assert world.core.clutches.frozen(1)
 
 
 def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: World) -> None:
@@ -370,7 +370,7 @@ def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: W
     world.together(2)
     assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
     assert world.places.all_seated
-    assert 0.0 < world.core.ratio(0) < 0.01
+    assert 0.0 < world.core.clutches.ratio(0) < 0.01
 
 
 class Test_a_coupling_that_was_lost:
@@ -393,7 +393,7 @@ class Test_a_coupling_that_was_lost:
         world.come_back("cy", 2 * D_V)
         assert (world.cy.attendance.seat, world.cy.joint.reachable) == (Seat.GONE, False)
         world.together(3, but="cy")
-        assert world.core.frozen(1)
+        assert world.core.clutches.frozen(1)
 
     def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: World) -> None:
         world.together(200)
@@ -410,7 +410,7 @@ class Test_a_coupling_that_was_lost:
         assert (said[1], said[2].values) == (Rung(2), [0.0])  # type: ignore[union-attr]
         assert world.core._D_V[1, 1] == RUNGS["cy"][1][0, 0]
         world.together(RAMP + 1)
-        assert world.core.ratio(1) == 1.0
+        assert world.core.clutches.ratio(1) == 1.0
 
 
 class Test_a_change_of_rung:
@@ -430,7 +430,7 @@ class Test_a_change_of_rung:
         assert np.all(np.diff(forces) >= 0.0)  # it only fades
         assert world.core._D_V[1, 1] == RUNGS["cy"][0][0, 0]
         world.together(RAMP + 1)
-        assert world.core.ratio(1) == 1.0
+        assert world.core.clutches.ratio(1) == 1.0
         assert not any(isinstance(told, Rung) for told in world.ends["cx"].said)
 
     def test_comes_with_the_second_tick_without_force(self, world: World) -> None:
@@ -449,7 +449,7 @@ class Test_a_change_of_rung:
         for word in (Shift("cy", 1), Shift("cy", 0)):
             world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
             world.together(RAMP // 2)
-        assert (world.cy.rung, world.core.ratio(1)) == (0, 1.0)
+        assert (world.cy.rung, world.core.clutches.ratio(1)) == (0, 1.0)
 
     @pytest.mark.parametrize("between", [0, RAMP // 2, 2 * RAMP])
     def test_where_no_mixture_is_certified_comes_for_all_in_one_tick(
@@ -466,7 +466,7 @@ class Test_a_change_of_rung:
             world.together()
         assert world.cx.rung == 1
         world.together(RAMP + 1)
-        assert [world.core.ratio(block) for block in (0, 1)] == [1.0, 1.0]
+        assert [world.core.clutches.ratio(block) for block in (0, 1)] == [1.0, 1.0]
 
     def test_where_no_mixture_is_certified_waits_for_nobody_who_is_frozen(self, new_life: Callable[[], Any]) -> None:
         world = World(new_life(), independent=False)
@@ -476,13 +476,13 @@ class Test_a_change_of_rung:
         world.together(RAMP + 2, but="cy")
         assert (world.cx.rung, world.cy.rung) == (1, 0)
         world.together()
-        assert (world.cy.rung, world.core.ratio(1)) == (1, 0.0)
+        assert (world.cy.rung, world.core.clutches.ratio(1)) == (1, 0.0)
 
     @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
     def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: World, word: Shift) -> None:
         world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
         world.together(3)
-        assert (world.cy.rung, world.cy.wanted, world.core.ratio(1)) == (0, 0, 1.0)
+        assert (world.cy.rung, world.cy.wanted, world.core.clutches.ratio(1)) == (0, 0, 1.0)
 
     def test_of_a_frozen_coupling_waits_until_it_is_seated(self, world: World) -> None:
         frozen_for(world, 20)
@@ -502,7 +502,7 @@ class Test_an_environment_that_comes_back:
     def test_awaits_everybody_with_nobody_let_in(self, back: World) -> None:
         assert [place.missing(400) for place in back.places.all] == [True, True]
         assert back.places.seated == []
-        assert all(back.core.frozen(block) for block in (0, 1))
+        assert all(back.core.clutches.frozen(block) for block in (0, 1))
 
     def test_takes_the_greatest_tick_and_tells_the_others(self, back: World) -> None:
         back.say("cx", 430)
@@ -607,7 +607,7 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
         for place in world.places.all:
             seated = place.attendance.seat is Seat.SEATED
             assert seated == (place in world.places.seated)
-            assert seated or world.core.frozen(place.index)
+            assert seated or world.core.clutches.frozen(place.index)
             rungs[place.joint.peer.name] = place.rung
         assert world.places.all_seated == (world.places.frozen == 0)
         assert world.places.absences >= absences
@@ -665,6 +665,7 @@ def waiting(world: World) -> int:
     world.life.look = lambda _now: None
     tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
     assert clock.looks < 30
+    assert tick is not None
     return tick
 
 

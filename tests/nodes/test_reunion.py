@@ -15,7 +15,7 @@ from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Return, Role, Sample
 from manyhands.protocol.transport import Link, TransportError
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 OWN = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("x",))
 DEVICE = Peer("dx", Role.DEVICE, ("x",), binds=True)

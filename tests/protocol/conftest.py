@@ -8,8 +8,8 @@ import pytest
 
 from manyhands.protocol.keys import KeyRing, new_pair
 from manyhands.protocol.transport import Link, Transport
-from manyhands.protocol.transport.memory import MemoryTransport
 from manyhands.protocol.transport.zeromq import ZmqTransport
+from tests.support.memory_transport import MemoryTransport
 
 NODES = ("cx", "dx", "dy")
 PAIRS = {name: new_pair() for name in ("supervisor", *NODES)}

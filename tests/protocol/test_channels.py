@@ -2,7 +2,7 @@
 
 import pytest
 
-from manyhands.protocol.channels import CHANNELS, Rate, channel_name
+from manyhands.protocol.channels import CHANNELS, Rate
 from manyhands.protocol.codec import LAYOUTS
 from manyhands.protocol.messages import Condition, Force, Observation, Reaction, Role, Sample, Tool
 
@@ -33,12 +33,6 @@ def test_the_environment_never_sees_a_sample_nor_a_device_a_tool() -> None:
     seen = {role: {c.name for c in CHANNELS.values() if role in c.receivers} for role in Role}
     assert "sample" not in seen[Role.ENVIRONMENT]
     assert not {"tool", "reaction"} & seen[Role.DEVICE]
-
-
-def test_names_follow_ros() -> None:
-    assert channel_name("example-1", "dx", "sample") == "/example-1/dx/sample"
-    with pytest.raises(ValueError, match="found channel 'smaple'; expected one of sample, tool"):
-        channel_name("example-1", "dx", "smaple")
 
 
 def test_an_observer_writes_to_nobody_and_reads_observations_alone() -> None:

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.memory import MemoryTransport
+from tests.support.memory_transport import MemoryTransport
 
 
 def test_closing_leaves_no_descriptor() -> None:

@@ -50,9 +50,9 @@ from manyhands.protocol.messages import (
 )
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.door import Refused
-from manyhands.protocol.transport.memory import MemoryTransport
 from manyhands.protocol.transport.sockets import HUB_DROPS, ZmqHub
 from manyhands.protocol.transport.zeromq import ZmqTransport
+from tests.support.memory_transport import MemoryTransport
 
 from .spec_text import SPEC, listed, table
 

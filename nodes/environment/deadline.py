@@ -1,0 +1,101 @@
+"""When the environment stops waiting for couplings that have not come. Pure: instants go in, a decision comes out.
+
+The node looks, decides, and acts on the decision, again and again until the tick is complete. In real time a missing
+coupling is given up once it has kept others waiting for ``freeze``. That time begins for the others when the node finds
+the first of them, but neither before their devices sample nor before a period is over since the wait began.
+
+Under the simulated clock ``freeze`` and ``stale`` are None: then nobody is ever given up.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final, NamedTuple
+
+from manyhands.nodes.patience import Patience
+from manyhands.protocol.clock import Duration, Instant
+
+_NOBODY_WAITS: Final = Instant(2**62)
+
+
+class Step(Enum):
+    """What the node does next."""
+
+    LISTEN = "listen to everybody who has not come"
+    GIVE_UP = "give those up who are missing"
+    MOVE = "wait at a later tick, before which nobody is awaited"
+
+
+class Decision(NamedTuple):
+    """The next step, and what else follows from the time.
+
+    Attributes:
+        step: what the node does next.
+        forget: whether the devices have let go by now, so that the next signals are first ones.
+        pardon: whether nobody has come for so long that those who were given up keep nobody waiting.
+        waited: how long others have waited for those who are given up, ns; 0 at another step.
+    """
+
+    step: Step
+    forget: bool
+    pardon: bool
+    waited: Duration = Duration(0)
+
+
+class Deadline:
+    """The wait of one tick.
+
+    Attributes:
+        listened: whether the node has listened to everybody since the wait began. Before that it gives nobody up: the
+            node may have been away itself, while another process had its processor.
+    """
+
+    __slots__ = ("_began", "_due", "_first", "_patience", "_period", "listened")
+
+    def __init__(self, patience: Patience, period: Duration, due: Instant, began: Instant) -> None:
+        """Begin to wait; nobody is there yet.
+
+        Args:
+            patience: ``freeze`` and ``stale`` are used.
+            period: T, ns.
+            due: when the devices sample the present tick.
+            began: when the tick before was answered.
+        """
+        self._patience, self._period, self._due, self._began = patience, period, due, began
+        self._first = _NOBODY_WAITS  # since when somebody who is there waits
+        self.listened = False
+
+    def complete(self, present: bool, missing: bool) -> bool:
+        """Whether the wait is over: somebody is there, nobody is missing, and everybody was listened to."""
+        return present and not missing and self.listened
+
+    def decide(self, now: Instant, present: bool, missing: bool, later: bool, early: bool) -> Decision:
+        """What to do at ``now``.
+
+        Args:
+            now: the present time.
+            present: whether the signal of any coupling for this tick is there.
+            missing: whether any coupling is waited for.
+            later: whether no coupling is awaited before a later tick.
+            early: whether any coupling has sent a signal of a later tick; it waits, too.
+        """
+        freeze, stale = self._patience.freeze, self._patience.stale
+        elapsed = now - self._began
+        forget = stale is not None and elapsed > stale
+        pardon = freeze is not None and elapsed > freeze and not present
+        if present:
+            self._first = max(self._due, min(self._first, now, Instant(self._began + self._period)))
+        elif later:
+            self._first = _NOBODY_WAITS
+            return Decision(Step.MOVE, forget, pardon)
+        elif early:
+            self._first = min(self._first, now)
+        waited = now - self._first
+        if freeze is not None and waited >= freeze and missing and self.listened:
+            self._first = _NOBODY_WAITS
+            return Decision(Step.GIVE_UP, forget, pardon, Duration(waited))
+        return Decision(Step.LISTEN, forget, pardon)
+
+    def restart(self, now: Instant) -> None:
+        """The session is at another tick, which the node waits for from ``now`` on."""
+        self._began, self._first = now, _NOBODY_WAITS
