@@ -150,18 +150,11 @@ class FixedPoleFamily(Family):
         return program.solve(cost, "the nearest passive coupling")[:-1]
 
     def stiffest(self) -> Matrix:
-        """The member with the least static compliance, trace v(1) summed over the blocks.
-
-        Raises:
-            ProgramInfeasible: there is no member.
-            SolverFailure: the solver gave no usable answer.
-        """
-        program = LinearMatrixProgram(self.size)
-        self.constrain(program, np.zeros(self.size))
+        """The member with the least static compliance, trace v(1) summed over the blocks; see :meth:`cheapest`."""
         traces = [np.trace(b.derivatives(np.zeros(1))[0].real, axis1=1, axis2=2) for b in self.blocks]
         cost = np.zeros(self.size)
         cost[: sum(len(t) for t in traces)] = np.concatenate(traces)
-        return program.solve(cost, "the stiffest linear coupling")
+        return self.cheapest(cost, "the stiffest linear coupling")
 
     def roomiest(self, most: float) -> Matrix:
         """The member with the most room in every condition among those with v(1) <= ``most`` kappa I.
