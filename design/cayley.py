@@ -12,10 +12,17 @@ same in both, d psi/dt = sqrt(a/2) (psi_d+ - psi_d), so that
 the continuous storage inequality with P is a congruence of the discrete one with the same P. Unlike Tustin's
 rule, whose rate is 2/T, nothing is approximated: the rate is free, and only decides which frequency comes to the
 middle of the circle.
+
+The other way, at the rate 1, z = (1 + s)/(1 - s) takes the circle to the imaginary axis, where the frequencies at which
+a level is crossed are the imaginary eigenvalues of a Hamiltonian matrix ([Boyd1989]_, [Bruinsma1990]_). Between two of
+them the level is kept or violated throughout, so that one frequency in each gap decides: the searches for a norm
+(:mod:`manyhands.design.hinfinity`), for the environment's level (:mod:`manyhands.design.environment_level`) and for a
+supply ratio (:mod:`manyhands.design.level_sets`) need no grid.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -62,6 +69,49 @@ def cayley(system: StateSpace, rate: float) -> StateSpace:
         root * system.C @ R,
         system.D + system.C @ R @ system.B,
     )
+
+
+def axis_image(system: StateSpace) -> StateSpace:
+    """The continuous system that has at s the response that a discrete one has at z = (1 + s)/(1 - s).
+
+    It is the inverse of :func:`cayley` at the rate 1. With R = (A + I)^{-1} it reads
+
+        (R (A - I),    sqrt(2) R B,    sqrt(2) C R,    D - C R B).
+
+    Args:
+        system: discrete, without a pole at -1; inputs and outputs may differ in number.
+
+    Raises:
+        numpy.linalg.LinAlgError: A has the eigenvalue -1.
+    """
+    I = np.eye(system.order)
+    R = np.linalg.inv(system.A + I)
+    root = np.sqrt(2.0)
+    return StateSpace(R @ (system.A - I), root * R @ system.B, root * system.C @ R, system.D - system.C @ R @ system.B)
+
+
+def crossing_angles(hamiltonian: Matrix, relative: float, absolute: float = 0.0) -> Matrix:
+    """The angles 2 atan |s| of the imaginary eigenvalues s of a Hamiltonian matrix, ascending, in [0, pi].
+
+    Args:
+        hamiltonian: 2n x 2n, in the coordinates of :func:`axis_image`.
+        relative: an eigenvalue counts as imaginary up to |Re s| = relative |s| + absolute. A false crossing costs an
+            evaluation, a missed one the result, so that generous figures are right.
+        absolute: the same for eigenvalues near 0, for rounding.
+    """
+    values = np.linalg.eigvals(hamiltonian)
+    near = np.abs(values.real) <= relative * np.abs(values) + absolute
+    return np.unique(2.0 * np.arctan(np.abs(values[near].imag)))
+
+
+def gaps(crossings: Sequence[float] | Matrix) -> tuple[Matrix, Matrix]:
+    """The gaps that crossings leave on the upper half circle: their ends, 0 and pi among them, and their middles.
+
+    Args:
+        crossings: angles in [0, pi], in any order.
+    """
+    ends = np.unique(np.concatenate([[0.0], crossings, [np.pi]]))
+    return ends, np.asarray((ends[1:] + ends[:-1]) / 2.0)
 
 
 def in_discrete_time(system: StateSpace, time: Time) -> tuple[StateSpace, float]:

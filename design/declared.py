@@ -13,13 +13,14 @@ from typing import NoReturn
 
 import numpy as np
 
+from manyhands.design.environment import WithoutEnergy
 from manyhands.design.errors import Infeasible
 from manyhands.design.split import Split
 from manyhands.design.statespace import Matrix, StateSpace, matrix
 
 
 @dataclass(frozen=True, eq=False)
-class DeclaredEnvironment:
+class DeclaredEnvironment(WithoutEnergy):
     """An environment known by its declared level alone.
 
     Attributes:
@@ -49,11 +50,6 @@ class DeclaredEnvironment:
         return same and np.array_equal(self.level, other.level)
 
     __hash__ = None  # type: ignore[assignment]  # matrices have none
-
-    @property
-    def passive_network(self) -> None:
-        """None: there is no physics to speak of."""
-        return None
 
     @property
     def order(self) -> int:

@@ -7,6 +7,7 @@ kind whose physics is a proof: their energy is a storage function whatever the p
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -39,6 +40,33 @@ class Environment(Protocol):
 
     def split(self, T: float) -> Split:
         """E_hat without its integrators; raises Infeasible where E_hat is passive at no level."""
+
+
+class WithoutEnergy:
+    """An environment whose passivity no energy proves: physics arrives late in it, or is not what it is given by."""
+
+    @property
+    def passive_network(self) -> None:
+        """None: there is no network whose energy is a storage function."""
+        return None
+
+
+class _Discretised(WithoutEnergy, ABC):
+    """An environment that is discretised first and delayed then."""
+
+    delay: int
+
+    @abstractmethod
+    def discrete(self, T: float) -> StateSpace:
+        """E without its delay, discrete with period T (s)."""
+
+    def environment(self, T: float) -> StateSpace:
+        """E z^-d."""
+        return delayed_system(self.discrete(T), self.delay)
+
+    def split(self, T: float) -> Split:
+        """E_hat z^-d, split."""
+        return delayed_split(split_system(self.discrete(T), T), self.delay, T)
 
 
 @dataclass(frozen=True)
@@ -109,7 +137,7 @@ class NetworkBox:
 
 
 @dataclass(frozen=True)
-class DelayedNetwork:
+class DelayedNetwork(WithoutEnergy):
     """A network whose forces come a whole number of ticks late, E z^-d: not passive in general.
 
     Attributes:
@@ -130,11 +158,6 @@ class DelayedNetwork:
         return self.network.ports
 
     @property
-    def passive_network(self) -> None:
-        """None: energy arrives late."""
-        return None
-
-    @property
     def order(self) -> int:
         """Of the network's Rest, and the chain of late velocities."""
         return self.network.order + self.delay * len(self.ports)
@@ -149,7 +172,7 @@ class DelayedNetwork:
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpaceEnvironment:
+class StateSpaceEnvironment(_Discretised):
     """An environment given by its matrices.
 
     Attributes:
@@ -181,11 +204,6 @@ class StateSpaceEnvironment:
     __hash__ = None  # type: ignore[assignment]  # matrices have none
 
     @property
-    def passive_network(self) -> None:
-        """None: matrices are not physics."""
-        return None
-
-    @property
     def order(self) -> int:
         """Of Rest."""
         return self.system.order + self.delay * len(self.ports)
@@ -194,17 +212,9 @@ class StateSpaceEnvironment:
         """E without its delay."""
         return self.system if self.method is None else discretise(self.system, self.method, T)
 
-    def environment(self, T: float) -> StateSpace:
-        """E z^-d."""
-        return delayed_system(self.discrete(T), self.delay)
-
-    def split(self, T: float) -> Split:
-        """E_hat z^-d, split."""
-        return delayed_split(split_system(self.discrete(T), T), self.delay, T)
-
 
 @dataclass(frozen=True)
-class TransferEnvironment:
+class TransferEnvironment(_Discretised):
     """An environment given by rational functions of s, k + b s + M s^2 and the like.
 
     Attributes:
@@ -227,11 +237,6 @@ class TransferEnvironment:
             raise ValueError("expected no denominator to be zero")
 
     @property
-    def passive_network(self) -> None:
-        """None: a rational function is not physics."""
-        return None
-
-    @property
     def order(self) -> int:
         """Of Rest: the degree of every entry, and the delay's chain."""
         degrees = (max(len(num), len(den)) - 1 for row in self.entries for num, den in row)
@@ -240,11 +245,3 @@ class TransferEnvironment:
     def discrete(self, T: float) -> StateSpace:
         """E without its delay, one companion form an entry."""
         return realise(tuple(tuple(substitute(entry, self.method, T) for entry in row) for row in self.entries))
-
-    def environment(self, T: float) -> StateSpace:
-        """E z^-d."""
-        return delayed_system(self.discrete(T), self.delay)
-
-    def split(self, T: float) -> Split:
-        """E_hat z^-d, split."""
-        return delayed_split(split_system(self.discrete(T), T), self.delay, T)

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from manyhands.design.cayley import gaps
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.frequency import Dissipation, crossings
 from manyhands.design.partition import Partition
@@ -230,9 +231,7 @@ def _lowest(
         probe = t - _TOLERANCE * max(abs(t), floor)
         if progress is not None:
             progress(f"environment's level: at most {t:.6g} (at {worst / dissipation.T:.4g} rad/s), test {tests}")
-        found = crossings(dissipation, family.level(probe))
-        ends = np.unique(np.concatenate([[0.0, np.pi], found]))
-        middles = (ends[1:] + ends[:-1]) / 2.0
+        ends, middles = gaps(crossings(dissipation, family.level(probe)))
         inside, angle = _least_of(dissipation, family, middles, probe, worst)
         if inside >= probe:
             return t, worst, tests

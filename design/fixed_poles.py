@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.basis import FixedPoleBlock
 from manyhands.design.conic import LinearMatrixProgram
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.hinfinity import frequency_grid
 from manyhands.design.minimax import Family
 from manyhands.design.statespace import Matrix, StateSpace
@@ -28,12 +28,12 @@ class FixedPoleFamily(Family):
     """Linear couplings over given poles; x holds the gains of all blocks, then their storage matrices.
 
     Attributes:
-        frame: the loop.
+        loop: the normalised loop.
         blocks: the unknowns of each block.
         room: least eigenvalue asked of the blocks' conditions.
     """
 
-    frame: Frame
+    loop: NormalisedLoop
     blocks: tuple[FixedPoleBlock, ...]
     room: float
 
@@ -45,17 +45,17 @@ class FixedPoleFamily(Family):
     @property
     def affine(self) -> bool:
         """Loop shaping is."""
-        return self.frame.loop.aim.objective == "loop-shaping"
+        return self.loop.aim.objective == "loop-shaping"
 
     def grid(self, x: Matrix) -> Matrix:
         """Angles that see the poles of the loop and of the coupling."""
-        return self.frame.grid(self.coupling(x))
+        return self.loop.grid(self.coupling(x))
 
     def coupling(self, x: Matrix) -> StateSpace:
         """V in physical units."""
         blocks = zip(self.blocks, self.parts(x), strict=True)
-        return self.frame.partition.join(
-            [self.frame.physical(block.realisation(part), i) for i, (block, part) in enumerate(blocks)]
+        return self.loop.partition.join(
+            [self.loop.physical(block.realisation(part), i) for i, (block, part) in enumerate(blocks)]
         )
 
     @cached_property
@@ -97,13 +97,13 @@ class FixedPoleFamily(Family):
 
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
-        V = self.frame.coupling(self._blocks(x, self._slopes(angles)), len(angles))
-        return self.frame.loop.factors(V, angles)[0]
+        V = self.loop.coupling(self._blocks(x, self._slopes(angles)), len(angles))
+        return self.loop.weighted.factors(V, angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """The slopes of G at ``angles``."""
         slopes = self._slopes(angles)
-        return self.frame.derivatives(self._blocks(x, slopes), slopes, angles)
+        return self.loop.derivatives(self._blocks(x, slopes), slopes, angles)
 
     def constrain(self, program: LinearMatrixProgram, x: Matrix) -> None:
         """Require the conditions of every block, exactly."""
@@ -150,18 +150,11 @@ class FixedPoleFamily(Family):
         return program.solve(cost, "the nearest passive coupling")[:-1]
 
     def stiffest(self) -> Matrix:
-        """The member with the least static compliance, trace v(1) summed over the blocks.
-
-        Raises:
-            ProgramInfeasible: there is no member.
-            SolverFailure: the solver gave no usable answer.
-        """
-        program = LinearMatrixProgram(self.size)
-        self.constrain(program, np.zeros(self.size))
+        """The member with the least static compliance, trace v(1) summed over the blocks; see :meth:`cheapest`."""
         traces = [np.trace(b.derivatives(np.zeros(1))[0].real, axis1=1, axis2=2) for b in self.blocks]
         cost = np.zeros(self.size)
         cost[: sum(len(t) for t in traces)] = np.concatenate(traces)
-        return program.solve(cost, "the stiffest linear coupling")
+        return self.cheapest(cost, "the stiffest linear coupling")
 
     def roomiest(self, most: float) -> Matrix:
         """The member with the most room in every condition among those with v(1) <= ``most`` kappa I.

@@ -2,9 +2,9 @@
 
     H(w) = He(E_hat(e^jwT)) = He(Rest(e^jwT)) - T/2 E1                    (:mod:`manyhands.design.split`)
 
-Evaluation puts A into complex Schur form once, after which a frequency costs one triangular solve. The test maps the
-circle to the imaginary axis, z = (1 + s)/(1 - s), where H + Phi is singular exactly at the imaginary eigenvalues of a
-Hamiltonian matrix [Boyd1989]_: between two of them no sign can change, so that one frequency in each gap decides.
+Evaluation puts A into complex Schur form once, after which a frequency costs one triangular solve. The test finds where
+H + Phi is singular by the imaginary eigenvalues of a Hamiltonian matrix [Boyd1989]_, as :mod:`manyhands.design.cayley`
+explains.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur, solve_triangular
 
+from manyhands.design.cayley import axis_image, crossing_angles
 from manyhands.design.errors import SolverFailure
 from manyhands.design.split import Split
 from manyhands.design.statespace import Matrix, symmetric_part
@@ -84,7 +85,7 @@ class Dissipation:
 def crossings(dissipation: Dissipation, Phi: Matrix) -> Angles:
     """All angles in [0, pi] at which H + Phi may be singular, in ascending order.
 
-    With (A, B, C, D) the image of Rest under z = (1 + s)/(1 - s) and R = He(D) + Phi - T/2 E1 (H + Phi at z = -1),
+    With (A, B, C, D) the image of Rest on the imaginary axis and R = He(D) + Phi - T/2 E1 (H + Phi at z = -1),
     they belong to the imaginary eigenvalues s = j tan(wT/2) of
 
         [ A - B R^{-1} C / 2         -B R^{-1} B^T            ]
@@ -97,15 +98,11 @@ def crossings(dissipation: Dissipation, Phi: Matrix) -> Angles:
     Returns:
         Every crossing up to rounding, and possibly some that are none.
     """
-    rest, n = dissipation.split.rest, dissipation.split.rest.order
-    if n == 0:
+    if dissipation.split.rest.order == 0:
         return np.zeros(0)
-    inverse = np.linalg.inv(rest.A + np.eye(n))
-    A, B = inverse @ (rest.A - np.eye(n)), np.sqrt(2.0) * inverse @ rest.B
-    C, D = np.sqrt(2.0) * rest.C @ inverse, rest.D - rest.C @ inverse @ rest.B
-    R = symmetric_part(D) + Phi - dissipation.T / 2.0 * dissipation.split.stiffness
+    image = axis_image(dissipation.split.rest)
+    A, B, C = image.A, image.B, image.C
+    R = symmetric_part(image.D) + Phi - dissipation.T / 2.0 * dissipation.split.stiffness
     RC, RB = np.linalg.solve(R, C), np.linalg.solve(R, B.T)
     hamiltonian = np.block([[A - B @ RC / 2.0, -B @ RB], [C.T @ RC / 4.0, C.T @ RB / 2.0 - A.T]])
-    values = np.linalg.eigvals(hamiltonian)
-    near = np.abs(values.real) <= _NEAR_AXIS * np.abs(values) + _ROUNDING * float(np.linalg.norm(hamiltonian))
-    return np.unique(2.0 * np.arctan(np.abs(values[near].imag)))
+    return crossing_angles(hamiltonian, _NEAR_AXIS, _ROUNDING * float(np.linalg.norm(hamiltonian)))

@@ -4,7 +4,7 @@
 
 A fine grid finds the peaks, narrowed down one by one; that no peak escaped between two points is then checked
 without a grid ([Bruinsma1990]_): gamma is a singular value of S(e^{j theta}) for some theta iff a Hamiltonian matrix
-(after a Cayley transform z = (1 + s)/(1 - s)) has an imaginary eigenvalue, and that eigenvalue tells where.
+has an imaginary eigenvalue, and that eigenvalue shows where (:mod:`manyhands.design.cayley`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
+from manyhands.design.cayley import axis_image, crossing_angles, gaps
 from manyhands.design.coordinates import reachability
 from manyhands.design.errors import SolverFailure
 from manyhands.design.statespace import Matrix, StateSpace, frequency_response, symmetric_part
@@ -111,9 +112,7 @@ def hinf_norm(system: StateSpace, T: float = 1.0) -> tuple[float, float]:
         crossings = _crossings(system, gamma * (1.0 + _TOLERANCE))
         if crossings.size == 0:
             break
-        edges = np.unique(np.concatenate([[0.0], crossings, [np.pi]]))
-        between = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2.0])
-        angles, heights = refined_peaks(height, np.unique(between), passes=10)
+        angles, heights = refined_peaks(height, np.unique(np.concatenate(gaps(crossings))), passes=10)
         if heights[0] <= gamma * (1.0 + _TOLERANCE):
             break
         angle, gamma = float(angles[0]), float(heights[0])
@@ -208,16 +207,9 @@ def _units(system: StateSpace, gramian: Matrix) -> Matrix:
 
 def _crossings(system: StateSpace, gamma: float) -> Matrix:
     """Angles in [0, pi] at which gamma may be a singular value of S(e^{j theta}); none only if it is not."""
-    A, B, C, D = system.A, system.B, system.C, system.D
-    n, p, m = system.order, system.inputs, system.outputs
-    inverse = np.linalg.inv(A + np.eye(n))
-    A_c, B_c, C_c = inverse @ (A - np.eye(n)), np.sqrt(2.0) * inverse @ B, np.sqrt(2.0) * C @ inverse
-    D_c = (D - C @ inverse @ B) / gamma
-    C_c = C_c / gamma
-    R = np.linalg.inv(D_c.T @ D_c - np.eye(p))
-    S = np.linalg.inv(D_c @ D_c.T - np.eye(m))
-    F = A_c - B_c @ R @ D_c.T @ C_c
-    hamiltonian = np.block([[F, -B_c @ R @ B_c.T], [C_c.T @ S @ C_c, -F.T]])
-    eigenvalues = np.linalg.eigvals(hamiltonian)
-    near = np.abs(eigenvalues.real) <= _ON_AXIS * np.abs(eigenvalues)
-    return np.asarray(2.0 * np.arctan(np.abs(eigenvalues[near].imag)))
+    image = axis_image(system)
+    A, B, C, D = image.A, image.B, image.C / gamma, image.D / gamma
+    R = np.linalg.inv(D.T @ D - np.eye(system.inputs))
+    S = np.linalg.inv(D @ D.T - np.eye(system.outputs))
+    F = A - B @ R @ D.T @ C
+    return crossing_angles(np.block([[F, -B @ R @ B.T], [C.T @ S @ C, -F.T]]), _ON_AXIS)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 
-from manyhands.design.cayley import Time, frequency_of, in_discrete_time
+from manyhands.design.cayley import Time, frequency_of, gaps, in_discrete_time
 from manyhands.design.errors import SolverFailure
 from manyhands.design.passivity import storage_inequality
 from manyhands.design.statespace import Matrix, StateSpace
@@ -129,8 +129,7 @@ def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
     for _ in range(_ROUNDS):
         step = _LEVEL_STEP * max(scale, abs(best.value))
         angles = _crossings(system, Q - (best.value - step) * N)
-        middles = [(a + b) / 2.0 for a, b in zip([0.0, *angles], [*angles, np.pi], strict=True)]
-        found = _least_of(system, Q, R, map(_circle, [*angles, *middles]), silent)
+        found = _least_of(system, Q, R, map(_circle, [*angles, *gaps(angles)[1]]), silent)
         if found is None or found.value >= best.value:
             return best
         if found.value >= best.value - step:

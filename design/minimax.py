@@ -77,6 +77,21 @@ class Family(ABC):
     def restored(self, x: Matrix) -> Matrix | None:
         """A member of X near x; None where there is none near."""
 
+    def cheapest(self, cost: Matrix, what: str) -> Matrix:
+        """The member of a convex X with the least cost^T x.
+
+        Args:
+            cost: one entry an unknown.
+            what: for messages.
+
+        Raises:
+            ProgramInfeasible: X is empty.
+            SolverFailure: the solver gave no usable answer.
+        """
+        program = LinearMatrixProgram(self.size)
+        self.constrain(program, np.zeros(self.size))
+        return program.solve(cost, what)
+
 
 @dataclass(frozen=True, eq=False)
 class Minimum:

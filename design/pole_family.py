@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.basis import PoleBasis, symmetric_units
 from manyhands.design.conic import LinearMatrixProgram
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.hinfinity import frequency_grid, refined_peaks
 from manyhands.design.minimax import Family
 from manyhands.design.statespace import Matrix
@@ -106,12 +106,12 @@ class FreePoleFamily(Family):
     """Couplings of given order per block with free poles; x holds the blocks' unknowns one after the other.
 
     Attributes:
-        frame: the loop.
+        loop: the normalised loop.
         shapes: order and ports of each block.
         levels: Delta of each block in scaled ports.
     """
 
-    frame: Frame
+    loop: NormalisedLoop
     shapes: tuple[PoleShape, ...]
     levels: tuple[Matrix, ...]
 
@@ -128,8 +128,8 @@ class FreePoleFamily(Family):
     def grid(self, x: Matrix) -> Matrix:
         """Angles that see the poles of E and of the couplings; dense, for those of F(E,V) are not at hand here."""
         poles = [np.array(shape.basis(part).poles) for shape, part in zip(self.shapes, self.parts(x), strict=True)]
-        density = 40 if self.frame.loop.aim.objective == "loop-shaping" else _DENSE
-        return frequency_grid(np.concatenate([self.frame.loop.poles(), *poles]).astype(np.complex128), density)
+        density = 40 if self.loop.aim.objective == "loop-shaping" else _DENSE
+        return frequency_grid(np.concatenate([self.loop.weighted.poles(), *poles]).astype(np.complex128), density)
 
     def parts(self, x: Matrix) -> list[Matrix]:
         """Each block's unknowns."""
@@ -153,17 +153,17 @@ class FreePoleFamily(Family):
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
         v, _ = self._blocks(x, angles)
-        return self.frame.loop.factors(self.frame.coupling(v, len(angles)), angles)[0]
+        return self.loop.weighted.factors(self.loop.coupling(v, len(angles)), angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """The slopes of G at ``angles``."""
         v, slopes = self._blocks(x, angles)
-        return self.frame.derivatives(v, slopes, angles)
+        return self.loop.derivatives(v, slopes, angles)
 
     def passivity(self, i: int, x: Matrix, angles: Matrix) -> tuple[ComplexArray, ComplexArray]:
         """The module's condition for block i and its slopes, Hermitian: angles x m_i x m_i, angles x unknowns x ..."""
         v, slopes = self.block(i, x, angles)
-        X = v - self.frame.kappa * np.eye(self.shapes[i].ports)
+        X = v - self.loop.kappa * np.eye(self.shapes[i].ports)
         factor = (0.5 + 0.5j / np.tan(np.clip(angles, 1e-9, np.pi) / 2.0))[:, None, None]
         Delta = self.levels[i]
         XD = np.conj(np.swapaxes(X, 1, 2)) @ Delta
@@ -189,7 +189,7 @@ class FreePoleFamily(Family):
             angles = np.concatenate([self.tightest(i, part)[0], np.geomspace(1e-4, np.pi, _CHECKED)])
             value, slope = self.passivity(i, part, angles)
             v, static = self.block(i, part, np.zeros(1))
-            value = np.concatenate([value, v - self.frame.kappa * np.eye(shape.ports)])
+            value = np.concatenate([value, v - self.loop.kappa * np.eye(shape.ports)])
             slope = np.concatenate([slope, static])
             constant = value - np.tensordot(slope, part, axes=((1,), (0,))) - ROOM * np.eye(shape.ports)
             for c, s in zip(constant, slope, strict=True):
@@ -204,7 +204,7 @@ class FreePoleFamily(Family):
         for part, shape in zip(self.parts(x), self.shapes, strict=True):
             gains = part[shape.poles :]
             span = np.full(len(part), radius)
-            span[shape.poles :] = radius * np.maximum(2.0 * np.abs(gains), max(self.frame.kappa, np.max(np.abs(gains))))
+            span[shape.poles :] = radius * np.maximum(2.0 * np.abs(gains), max(self.loop.kappa, np.max(np.abs(gains))))
             span[: shape.poles] = min(radius, 0.5)
             low.append(part - span)
             high.append(part + span)
@@ -221,7 +221,7 @@ class FreePoleFamily(Family):
             D = part[len(part) - shape.ports * (shape.ports + 1) // 2 :]
             before = np.inf
             for _ in range(_REPAIRS):
-                static = self.block(i, part, np.zeros(1))[0][0].real - self.frame.kappa * np.eye(shape.ports)
+                static = self.block(i, part, np.zeros(1))[0][0].real - self.loop.kappa * np.eye(shape.ports)
                 missing = ROOM - min(self.tightest(i, part)[1][0], float(np.linalg.eigvalsh(static)[0]) / 2.0)
                 if missing <= 0.0:
                     break

@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 from manyhands.design.basis import PoleBasis
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.hinfinity import frequency_grid
 from manyhands.design.minimax import Minimum, minimise_peak
-from manyhands.design.partition import Partition
 from manyhands.design.pole_family import FreePoleFamily, PoleShape, fitted, section
 from manyhands.design.solver import ProgramInfeasible
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.statespace import Matrix
 from manyhands.design.transparency import (
     ROOM,
     LinearDesign,
@@ -38,7 +37,6 @@ from manyhands.design.transparency import (
     minimised,
     recovered,
 )
-from manyhands.design.weighted_loop import Transparency, WeightedLoop
 
 MOST_ORDER = 16  # poles a port
 _FREQUENCIES = 9
@@ -51,12 +49,7 @@ _SMALLEST_POLE = 1e-3  # modulus: faster ones are delays, and no frequency of th
 
 
 def design_linear(
-    E: StateSpace,
-    Delta_D: Matrix,
-    kappa: float,
-    T: float,
-    partition: Partition,
-    aim: Transparency,
+    loop: NormalisedLoop,
     orders: tuple[int, ...],
     least_levels: tuple[Matrix, ...],
     progress: Progress | None = None,
@@ -67,15 +60,10 @@ def design_linear(
     """Search for a transparent linear coupling with n_i poles a port in block i.
 
     Args:
-        E: discrete, displacement (m) to force (N), m x m.
-        Delta_D: m x m, N*s/m, with the partition's structure.
-        kappa: K = kappa T Delta_D^{-1}; 1/2 without delay.
-        T: period, s.
-        partition: structure of the coupling.
-        aim: objective and weights.
+        loop: the normalised loop, with the aim.
         orders: greatest n_i of each block, up to :data:`MOST_ORDER`; the block has n_i m_i states.
         least_levels: Delta_V,i that each block must have, m_i x m_i, positive definite, N*s/m.
-        progress: told of every stage and whenever the level falls.
+        progress: called with a line of text at every stage and whenever the level falls.
         starts: how many candidates of each stage are followed.
         seed: of the perturbations; the same seed gives the same coupling.
         room: least eigenvalue kept in the conditions, in ports where Delta_D = I.
@@ -87,13 +75,12 @@ def design_linear(
     Raises:
         Infeasible: no coupling has these levels.
         SolverFailure: the solver gave no usable answer.
-        ValueError: arguments that do not fit each other.
+        ValueError: not one order within the bounds and one positive definite level for each block.
         KeyboardInterrupt: nothing had been found yet.
     """
-    if len(orders) != len(partition.blocks) or not all(0 <= n <= MOST_ORDER for n in orders):
-        raise ValueError(f"orders: found {orders}, expected {len(partition.blocks)} between 0 and {MOST_ORDER}")
-    frame = Frame.of(WeightedLoop(E, aim), Delta_D, kappa, T, partition)
-    search = _Search(frame, least_levels, room, np.random.default_rng(seed), starts, progress)
+    if len(orders) != len(loop.partition.blocks) or not all(0 <= n <= MOST_ORDER for n in orders):
+        raise ValueError(f"orders: found {orders}, expected {len(loop.partition.blocks)} between 0 and {MOST_ORDER}")
+    search = _Search(loop, least_levels, room, np.random.default_rng(seed), starts, progress)
     interrupted = False
     try:
         search.run(orders)
@@ -112,50 +99,26 @@ def design_linear(
     return recovered(family, replace(found, interrupted=interrupted), tuple(search.history))
 
 
-def level_against_order(
-    E: StateSpace,
-    Delta_D: Matrix,
-    kappa: float,
-    T: float,
-    partition: Partition,
-    aim: Transparency,
-    orders: tuple[int, ...],
-    least_levels: tuple[Matrix, ...],
-    progress: Progress | None = None,
-) -> tuple[tuple[int, LinearDesign], ...]:
-    """The curve gamma(order), the same order in every block: what another pair of poles is worth.
-
-    Minutes for the higher orders. Arguments as for :func:`design_linear`, but for ``orders``: those of the curve.
-    """
-    curve = []
-    for n in orders:
-        if progress is not None:
-            progress(f"curve: order {n}")
-        each = (n,) * len(partition.blocks)
-        curve.append((n, design_linear(E, Delta_D, kappa, T, partition, aim, each, least_levels, progress)))
-    return tuple(curve)
-
-
 class _Search:
     """State of one search: the best so far, and the logarithms of its pole coefficients, block by block."""
 
     def __init__(
         self,
-        frame: Frame,
+        loop: NormalisedLoop,
         levels: tuple[Matrix, ...],
         room: float,
         rng: np.random.Generator,
         starts: int,
         progress: Progress | None,
     ) -> None:
-        self.frame = frame
+        self.loop = loop
         self.levels = levels
         self.room = room
         self.rng = rng
         self.starts = starts
         self.progress = progress
         self.best: tuple[FixedPoleFamily, Minimum] | None = None
-        self.logs: tuple[Matrix, ...] = tuple(np.zeros(0) for _ in frame.partition.blocks)
+        self.logs: tuple[Matrix, ...] = tuple(np.zeros(0) for _ in loop.partition.blocks)
         self.history: list[float] = []
 
     def run(self, orders: tuple[int, ...]) -> None:
@@ -194,11 +157,11 @@ class _Search:
         spread = tuple(logs + _PERTURBATION * self.rng.standard_normal(len(logs)) for logs in start)
         shapes = tuple(
             PoleShape(len(logs) // 2, len(logs) % 2 == 1, len(ports))
-            for logs, ports in zip(spread, self.frame.partition.blocks, strict=True)
+            for logs, ports in zip(spread, self.loop.partition.blocks, strict=True)
         )
         try:
             family, found = self._solved(spread, _TRIAL_STEPS)
-            free = FreePoleFamily(self.frame, shapes, tuple(block.level for block in family.blocks))
+            free = FreePoleFamily(self.loop, shapes, tuple(block.level for block in family.blocks))
             x = free.restored(_converted(family, found.x, shapes, spread))
             if x is None:
                 return
@@ -214,9 +177,9 @@ class _Search:
         """The convex program over the poles; for the closed loop, from the best coupling so far."""
         bases = tuple(
             PoleShape(len(part) // 2, len(part) % 2 == 1, len(ports)).basis(part)
-            for part, ports in zip(logs, self.frame.partition.blocks, strict=True)
+            for part, ports in zip(logs, self.loop.partition.blocks, strict=True)
         )
-        family = fixed_pole_family(self.frame, bases, self.levels, self.room)
+        family = fixed_pole_family(self.loop, bases, self.levels, self.room)
         start = None
         if self.best is not None and not family.affine:
             start = _projected(family, self.best[0], self.best[1].x)
@@ -242,7 +205,7 @@ class _Search:
 
     def _candidates(self) -> list[tuple[float, float]]:
         """Frequencies (rad a sample) and damping ratios worth trying: around the poles of E and of the weights."""
-        poles = self.frame.loop.poles()
+        poles = self.loop.weighted.poles()
         corners = np.abs(np.log(poles[(np.abs(poles) > _SMALLEST_POLE) & (np.abs(poles - 1.0) > 1e-9)]))
         low, high = (float(np.min(corners)), float(np.max(corners))) if corners.size else (0.01, 0.1)
         frequencies = np.geomspace(0.4 * low, min(2.5 * high, 1.5), _FREQUENCIES)

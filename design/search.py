@@ -29,6 +29,7 @@ from manyhands.design.delay import PIECES, device_share, gain_for_share, greates
 from manyhands.design.environment import NetworkBox
 from manyhands.design.environment_level import lack_of_passivity
 from manyhands.design.errors import Infeasible
+from manyhands.design.frame import UNWEIGHTED, NormalisedLoop
 from manyhands.design.pole_search import design_linear as design_linear_by_search
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearWanted, Pole, SpringDamperWanted, Wish
 from manyhands.design.solver import SOLVER
@@ -208,17 +209,10 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
     """Springs and dampers by sequential convex programs."""
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
-    found = transparency.design_spring_damper(
-        loop.split.environment(loop.period),
-        loop.Delta_D,
-        device.kappa,
-        loop.period,
-        loop.partition,
-        aim,
-        max(needed, 0.0) * loop.Delta_D,  # with less, V_hat might be output strictly passive at no level
-        device.share,
-        progress,
-    )
+    T = loop.period
+    Phi_E = max(needed, 0.0) * loop.Delta_D  # with less, V_hat might be output strictly passive at no level
+    normalised = NormalisedLoop(loop.split.environment(T), loop.Delta_D, device.kappa, T, loop.partition, aim)
+    found = transparency.design_spring_damper(normalised, Phi_E, device.share, progress)
     method: dict[str, str | int] = {"algorithm": "spring-damper class, sequential convex programs"}
     method["iterations"] = len(found.history)
     coupling = found.coupling.restrict(loop.partition)
@@ -235,7 +229,7 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
             f"{device.share:.4g} is there",
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         )
-    wish, T, partition = wanted.wish, loop.period, loop.partition
+    wish, T = wanted.wish, loop.period
     if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
         E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, nothing is asked of it but its ports
     else:
@@ -244,14 +238,14 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
         LEAST_LEVEL * Delta + (1.0 + LEAST_LEVEL) * least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks
     )
-    common = (E, loop.Delta_D, device.kappa, T, partition)
+    normalised = NormalisedLoop(E, loop.Delta_D, device.kappa, T, loop.partition, wish.aim or UNWEIGHTED)
     if wish.aim is not None and wanted.poles is None:
-        found = design_linear_by_search(*common, wish.aim, wanted.orders, least, progress)
+        found = design_linear_by_search(normalised, wanted.orders, least, progress)
         kind = "linear class over fixed poles, poles searched"
     else:
-        aim: Any = wish.aim or wish.objective
+        static: Any = wish.objective if wish.aim is None else None
         poles = tuple(poles_in_z(wanted.poles or default_poles(order), T, order) for order in wanted.orders)
-        found = transparency.design_fixed_poles(*common, aim, poles, least, progress)
+        found = transparency.design_fixed_poles(normalised, poles, least, progress, static)
         kind = f"linear class over fixed poles, {wish.objective}"
     method: dict[str, str | int] = {"algorithm": kind, "iterations": len(found.history)}
     levels = tuple(BlockLevel(Delta, P) for Delta, P in zip(least, found.storages, strict=True))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from manyhands.design.basis import symmetric_units
 from manyhands.design.conic import LinearMatrixProgram, coefficients
 from manyhands.design.coupling import SpringDamper
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.minimax import Family
 from manyhands.design.statespace import Matrix, symmetric_part
 
@@ -37,18 +37,18 @@ class SpringDamperFamily(Family):
         [      .                .        Lambda       ]
 
     Attributes:
-        frame: the loop.
+        loop: the normalised loop.
         Phi: Phi_E in scaled ports, m x m.
         share: G_hat is (share Delta_D)-OSP.
     """
 
-    frame: Frame
+    loop: NormalisedLoop
     Phi: Matrix
     share: float
 
     @cached_property
     def _units(self) -> tuple[Matrix, ...]:
-        return tuple(symmetric_units(len(ports)) for ports in self.frame.partition.blocks)
+        return tuple(symmetric_units(len(ports)) for ports in self.loop.partition.blocks)
 
     @property
     def size(self) -> int:
@@ -62,7 +62,7 @@ class SpringDamperFamily(Family):
 
     def grid(self, x: Matrix) -> Matrix:
         """Angles that see the poles of the loop and of the coupling."""
-        return self.frame.grid(self.coupling(x).realisation(self.frame.T))
+        return self.loop.grid(self.coupling(x).realisation(self.loop.T))
 
     def matrices(self, x: Matrix) -> list[tuple[Matrix, Matrix]]:
         """(k, b) of each block."""
@@ -77,11 +77,11 @@ class SpringDamperFamily(Family):
     def coupling(self, x: Matrix) -> SpringDamper:
         """The coupling in physical units."""
         K, B = [], []
-        for (k, b), S in zip(self.matrices(x), self.frame.scaling, strict=True):
+        for (k, b), S in zip(self.matrices(x), self.loop.scaling, strict=True):
             inverse = np.linalg.inv(S)
-            K.append(symmetric_part(inverse @ k @ inverse / self.frame.T))
+            K.append(symmetric_part(inverse @ k @ inverse / self.loop.T))
             B.append(symmetric_part(inverse @ b @ inverse))
-        partition = self.frame.partition
+        partition = self.loop.partition
         return SpringDamper(partition.embed(K), partition.embed(B))
 
     def _blocks(self, x: Matrix, angles: Matrix) -> tuple[list[ComplexArray], ComplexArray]:
@@ -91,7 +91,7 @@ class SpringDamperFamily(Family):
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
         v, _ = self._blocks(x, angles)
-        return self.frame.loop.factors(self.frame.coupling(v, len(angles)), angles)[0]
+        return self.loop.weighted.factors(self.loop.coupling(v, len(angles)), angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """The slopes of G at ``angles``."""
@@ -100,19 +100,19 @@ class SpringDamperFamily(Family):
         for v_i, units in zip(v, self._units, strict=True):
             stiff = -v_i[:, None] @ units @ v_i[:, None]
             slopes.append(np.concatenate([stiff, s[:, None] * stiff], axis=1))
-        return self.frame.derivatives(v, slopes, angles)
+        return self.loop.derivatives(v, slopes, angles)
 
     def conditions(self, x: Matrix) -> tuple[Matrix, ...]:
         """The left-hand sides, to be positive: k, J, J - B of each block, then (10)'s for all ports."""
-        half = 0.5 / self.frame.kappa  # Lambda in scaled ports
-        m, a = self.frame.partition.size, 2.0 * self.frame.kappa * self.share
+        half = 0.5 / self.loop.kappa  # Lambda in scaled ports
+        m, a = self.loop.partition.size, 2.0 * self.loop.kappa * self.share
         J, B, out = [], [], []
         for k, b in self.matrices(x):
             I = np.eye(len(k))
             J.append(half * I - k / 2.0)
             B.append(b)
             out += [k - ROOM * half * I, J[-1] - ROOM * half * I, J[-1] - b - _ROOM_LEVEL * half * I]
-        J_all, B_all, I = self.frame.partition.embed(J), self.frame.partition.embed(B), np.eye(m)
+        J_all, B_all, I = self.loop.partition.embed(J), self.loop.partition.embed(B), np.eye(m)
         rows = [[a * half * I - self.Phi, -a * J_all], [-a * J_all, J_all + B_all]]
         if a < 1.0:
             side = np.sqrt(1.0 - a) * J_all
@@ -137,21 +137,14 @@ class SpringDamperFamily(Family):
             program.positive(constant, wide)
 
     def stiffest(self) -> Matrix:
-        """The member with the greatest trace of k.
-
-        Raises:
-            ProgramInfeasible: the class is empty.
-            SolverFailure: the solver gave no usable answer.
-        """
-        program = LinearMatrixProgram(self.size)
-        self.constrain(program, np.zeros(self.size))
+        """The member with the greatest trace of k; see :meth:`cheapest`."""
         unit = np.eye(self.size)
         cost = np.array([-sum(float(np.trace(k)) for k, _ in self.matrices(row)) for row in unit])
-        return program.solve(cost, "the stiffest spring-damper coupling")
+        return self.cheapest(cost, "the stiffest spring-damper coupling")
 
     def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
         """Every entry of k and b moves by a part of Lambda."""
-        span = radius / (2.0 * self.frame.kappa)
+        span = radius / (2.0 * self.loop.kappa)
         return x - span, x + span
 
     def restored(self, x: Matrix) -> Matrix | None:

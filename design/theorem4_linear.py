@@ -58,25 +58,12 @@ def design_linear(
 ) -> tuple[LinearCoupling, Convergence]:
     """Find a stabilising linear coupling with the loop's block structure.
 
-    Args:
-        loop: the haptic loop.
-        orders: n_i >= 0 of each block, in the partition's order.
-        progress: called with a line of text after each iteration.
-        kappa: of the loop gain K = kappa T Delta_D^{-1}; 1/2 without delay.
-        share: G_hat is (share Delta_D)-OSP; 1 without delay.
-        iterations: cap on the iterations.
-
-    Returns:
-        The coupling and the convergence. That it stabilises the loop is for
-        :func:`manyhands.design.theorem3.certify_given` to prove.
+    ``orders`` has n_i >= 0 for each block, in the partition's order. All other arguments, the pair that is returned
+    and the errors are those of :func:`manyhands.design.theorem4.design_spring_damper`, with two errors more.
 
     Raises:
-        Infeasible: step 2 has no solution.
-        StoppedShort: the cap on iterations was reached; ``best`` is the best iterate's coupling, or None.
-        Interrupted: KeyboardInterrupt arrived; ``best`` likewise.
-        SolverFailure: the solver gave no usable answer.
         TooLarge: a block of more than :data:`MOST_STATES` states and ports.
-        ValueError: not one order >= 0 for each block, kappa or share not positive, or a negative cap.
+        ValueError: not one order >= 0 for each block.
     """
     partition = loop.partition
     if len(orders) != len(partition.blocks) or min(orders) < 0:

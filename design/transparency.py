@@ -21,15 +21,13 @@ from manyhands.design.basis import FixedPoleBlock, PoleBasis
 from manyhands.design.coupling import SpringDamper
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.hinfinity import hinf_norm
 from manyhands.design.minimax import Minimum, minimise_peak
-from manyhands.design.partition import Partition
 from manyhands.design.solver import ProgramInfeasible
 from manyhands.design.spring_damper_family import SpringDamperFamily
 from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.design.weighted_loop import Transparency, WeightedLoop, weighted
-from manyhands.design.weights import Filter
+from manyhands.design.weighted_loop import Transparency, weighted
 
 __all__ = [
     "LinearDesign",
@@ -48,7 +46,6 @@ ROOM = (
     1e-6  # least eigenvalue of a linear block's conditions where Delta_D = I: ten digits above rounding, 3e-5 of gamma
 )
 FEASIBLE_COMPLIANCE = 4.0  # "feasible": v(1) up to this times the loop's K, a quarter of the greatest stiffness
-_NO_AIM = Transparency("loop-shaping", Filter.one(), Filter.one())
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +93,7 @@ class LinearDesign:
 
 
 def design_spring_damper(
-    E: StateSpace,
-    Delta_D: Matrix,
-    kappa: float,
-    T: float,
-    partition: Partition,
-    aim: Transparency,
+    loop: NormalisedLoop,
     Phi_E: Matrix,
     share: float = 1.0,
     progress: Progress | None = None,
@@ -109,24 +101,17 @@ def design_spring_damper(
     """Minimise the weighted loop over the spring-damper class, all blocks at once.
 
     Args:
-        E: discrete, displacement (m) to force (N), m x m.
-        Delta_D: m x m, N*s/m, with the partition's structure.
-        kappa: K = kappa T Delta_D^{-1}; 1/2 without delay.
-        T: period, s.
-        partition: structure of the coupling.
-        aim: objective and weights.
+        loop: the normalised loop, with the aim.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
         share: G_hat is (share Delta_D)-OSP.
-        progress: told the level as it falls.
+        progress: called with a line of text whenever the level falls.
 
     Raises:
         Infeasible: no coupling of the class satisfies (10) with this Phi_E.
         SolverFailure: the solver gave no usable answer.
-        ValueError: arguments that do not fit each other.
     """
-    frame = Frame.of(WeightedLoop(E, aim), Delta_D, kappa, T, partition)
-    S = partition.embed(frame.scaling)
-    family = SpringDamperFamily(frame, symmetric_part(S @ Phi_E @ S), share)
+    S = loop.partition.embed(loop.scaling)
+    family = SpringDamperFamily(loop, symmetric_part(S @ Phi_E @ S), share)
     history: list[float] = []
     try:
         start = family.stiffest()
@@ -135,55 +120,45 @@ def design_spring_damper(
             "no spring-damper coupling satisfies (10) with this Phi_E: E_hat + Delta_D is not passive enough",
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         ) from error
-    found = minimise_peak(family, start, "spring-damper transparency", _told(progress, history))
+    found = minimise_peak(family, start, "spring-damper transparency", _noting(progress, history))
     coupling = family.coupling(found.x)
     if min(np.linalg.eigvalsh(M)[0] for M in family.conditions(found.x)) < -1e-6:
         raise SolverFailure("spring-damper transparency: the answer does not survive a check of its conditions")
-    gamma, frequency = hinf_norm(weighted(E, coupling.realisation(T), aim), T)
+    gamma, frequency = hinf_norm(weighted(loop.E, coupling.realisation(loop.T), loop.aim), loop.T)
     return SpringDamperDesign(coupling, gamma, frequency, tuple(history), found.interrupted)
 
 
 def design_fixed_poles(
-    E: StateSpace,
-    Delta_D: Matrix,
-    kappa: float,
-    T: float,
-    partition: Partition,
-    aim: Transparency | StaticAim,
+    loop: NormalisedLoop,
     poles: tuple[tuple[complex, ...], ...],
     least_levels: tuple[Matrix, ...],
     progress: Progress | None = None,
+    static: StaticAim | None = None,
     room: float = ROOM,
 ) -> LinearDesign:
     """The best coupling over given poles.
 
     Args:
-        E: discrete, displacement (m) to force (N), m x m.
-        Delta_D: m x m, N*s/m, with the partition's structure.
-        kappa: K = kappa T Delta_D^{-1}; 1/2 without delay.
-        T: period, s.
-        partition: structure of the coupling.
-        aim: objective and weights; or "stiffest", the least trace of S^{-1} V(1) S^{-1}; or "feasible",
-            the coupling with the most room among those up to :data:`FEASIBLE_COMPLIANCE` as compliant as the loop's K.
+        loop: the normalised loop; its aim is minimised unless ``static`` asks for something else.
         poles: of each block in the z plane, complex ones each followed by the conjugate; none is a static spring.
         least_levels: Delta_V,i that each block must have, m_i x m_i, positive definite, N*s/m.
-        progress: told the level as it falls.
+        progress: called with a line of text whenever the level falls.
+        static: "stiffest", the least trace of S^{-1} V(1) S^{-1}; or "feasible", the coupling with the most room among
+            those up to :data:`FEASIBLE_COMPLIANCE` as compliant as the loop's K; None for the loop's aim.
         room: least eigenvalue kept in the conditions, in ports where Delta_D = I.
 
     Raises:
         Infeasible: no coupling over these poles has these levels.
         SolverFailure: the solver gave no usable answer.
-        ValueError: arguments that do not fit each other.
+        ValueError: not one set of poles and one level for each block, or a level that is not positive definite.
     """
-    loop = WeightedLoop(E, aim if isinstance(aim, Transparency) else _NO_AIM)
-    frame = Frame.of(loop, Delta_D, kappa, T, partition)
-    family = fixed_pole_family(frame, tuple(PoleBasis(block) for block in poles), least_levels, room)
+    family = fixed_pole_family(loop, tuple(PoleBasis(block) for block in poles), least_levels, room)
     history: list[float] = []
     try:
-        if isinstance(aim, Transparency):
-            found = minimised(family, None, _told(progress, history))
+        if static is None:
+            found = minimised(family, None, _noting(progress, history))
         else:
-            x = family.stiffest() if aim == "stiffest" else family.roomiest(FEASIBLE_COMPLIANCE)
+            x = family.stiffest() if static == "stiffest" else family.roomiest(FEASIBLE_COMPLIANCE)
             found = Minimum(x, np.inf, 0.0, 1)
     except ProgramInfeasible as error:
         raise Infeasible(
@@ -191,34 +166,34 @@ def design_fixed_poles(
             ("ask for smaller levels: (10) needs Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E",),
         ) from error
     design = recovered(family, found, tuple(history))
-    return design if isinstance(aim, Transparency) else replace(design, gamma=None, frequency=None)
+    return design if static is None else replace(design, gamma=None, frequency=None)
 
 
 def fixed_pole_family(
-    frame: Frame, bases: tuple[PoleBasis, ...], least_levels: tuple[Matrix, ...], room: float
+    loop: NormalisedLoop, bases: tuple[PoleBasis, ...], least_levels: tuple[Matrix, ...], room: float
 ) -> FixedPoleFamily:
     """The couplings over ``bases`` with the least levels (N*s/m) of each block.
 
     Raises:
         ValueError: not one basis and one level for each block, or a level that is not positive definite.
     """
-    count = len(frame.partition.blocks)
+    count = len(loop.partition.blocks)
     if len(bases) != count or len(least_levels) != count:
         raise ValueError(f"expected poles and a level for {count} blocks, found {len(bases)} and {len(least_levels)}")
     blocks = []
     for basis, ports, level, S, name in zip(
-        bases, frame.partition.blocks, least_levels, frame.scaling, frame.partition.names, strict=True
+        bases, loop.partition.blocks, least_levels, loop.scaling, loop.partition.names, strict=True
     ):
         if level.shape != S.shape or not np.linalg.eigvalsh(level)[0] > 0.0:
             raise ValueError(f"coupling {name}: expected a positive definite {len(ports)} x {len(ports)} level")
-        blocks.append(FixedPoleBlock(basis, len(ports), frame.kappa, symmetric_part(S @ level @ S)))
-    return FixedPoleFamily(frame, tuple(blocks), room)
+        blocks.append(FixedPoleBlock(basis, len(ports), loop.kappa, symmetric_part(S @ level @ S)))
+    return FixedPoleFamily(loop, tuple(blocks), room)
 
 
 def minimised(
     family: FixedPoleFamily,
     start: Matrix | None,
-    told: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     most_steps: int = 60,
 ) -> Minimum:
     """The optimum over fixed poles: global for loop shaping; for the closed loop from ``start``.
@@ -226,17 +201,17 @@ def minimised(
     Args:
         family: the couplings.
         start: gains (C, D) to start from; the loop-shaping optimum by default.
-        told: called with the level as it falls.
+        progress: called with the level whenever it falls.
         most_steps: cap on the programs.
     """
     what = "transparency over fixed poles"
     if family.affine:
-        return minimise_peak(family, _plain(family), what, told, most_steps=most_steps)
+        return minimise_peak(family, _plain(family), what, progress, most_steps=most_steps)
     if start is None:
-        loop = WeightedLoop(family.frame.loop.E, replace(family.frame.loop.aim, objective="loop-shaping"))
-        shaped = replace(family, frame=replace(family.frame, loop=loop))
+        loop = replace(family.loop, aim=replace(family.loop.aim, objective="loop-shaping"))
+        shaped = replace(family, loop=loop)
         start = shaped.gains(minimise_peak(shaped, _plain(shaped), what).x)
-    return minimise_peak(family, family.nearest(start), what, told, most_steps=most_steps)
+    return minimise_peak(family, family.nearest(start), what, progress, most_steps=most_steps)
 
 
 def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...]) -> LinearDesign:
@@ -245,17 +220,17 @@ def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...
     Raises:
         SolverFailure: the numbers do not satisfy the conditions.
     """
-    frame = family.frame
+    loop = family.loop
     blocks, storages = [], []
     for i, (block, x) in enumerate(zip(family.blocks, family.parts(found.x), strict=True)):
         if min(block.margins(x)) <= 0.0:
             raise SolverFailure(
-                f"coupling {frame.partition.names[i]}: the answer does not survive a check: least eigenvalues "
+                f"coupling {loop.partition.names[i]}: the answer does not survive a check: least eigenvalues "
                 f"{block.margins(x)[0]:.3g} of the storage and {block.margins(x)[1]:.3g} of the supply"
             )
-        blocks.append(frame.physical(block.realisation(x), i))
-        storages.append(frame.storage(block.unpack(x)[2], i))
-    gamma, frequency = hinf_norm(weighted(frame.loop.E, frame.partition.join(blocks), frame.loop.aim), frame.T)
+        blocks.append(loop.physical(block.realisation(x), i))
+        storages.append(loop.storage(block.unpack(x)[2], i))
+    gamma, frequency = hinf_norm(weighted(loop.E, loop.partition.join(blocks), loop.aim), loop.T)
     return LinearDesign(
         tuple(blocks),
         tuple(storages),
@@ -278,12 +253,12 @@ def _plain(family: FixedPoleFamily) -> Matrix:
     return family.joined(parts)
 
 
-def _told(progress: Progress | None, history: list[float]) -> Callable[[float], None]:
-    """Note the level, and tell it."""
+def _noting(progress: Progress | None, history: list[float]) -> Callable[[float], None]:
+    """A function that adds a level to the history and reports it."""
 
-    def told(level: float) -> None:
+    def note(level: float) -> None:
         history.append(level)
         if progress is not None:
             progress(f"gamma = {level:.5g}")
 
-    return told
+    return note

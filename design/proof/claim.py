@@ -13,9 +13,9 @@ from typing import Any
 from flint import fmpq
 
 from manyhands.design.proof.finding import ProofInputError
-from manyhands.design.proof.physical import DeclaredData, EnvironmentData, feedthrough_or_static, read_environment
+from manyhands.design.proof.physical import DeclaredData, EnvironmentData, Realisation, read_environment, realisation
 from manyhands.design.proof.reading import MAX_DEGREE, MAX_DENSE, MAX_PORTS, Item, Number, Table, exact
-from manyhands.design.proof.sparse import Sparse, add
+from manyhands.design.proof.sparse import Sparse, block_diagonal
 
 FORMAT = "manyhands-certificate"
 VERSION = 3
@@ -65,21 +65,13 @@ class SpringDamper:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
-    """A block (A, B, C, D), discrete, from force (N) to displacement (m), and its storage matrix.
+class Linear(Realisation):
+    """A block of m_i ports, discrete, from force (N) to displacement (m), and its storage matrix.
 
     Attributes:
-        A, B, C: n x n, n x m_i, m_i x n.
-        D: m_i x m_i; None where the static gain is stated instead.
-        static: V(1), m_i x m_i, m/N; None where D is stated.
         P: n x n, the storage matrix.
     """
 
-    A: Table
-    B: Table
-    C: Table
-    D: Table | None
-    static: Table | None
     P: Table
 
 
@@ -263,13 +255,9 @@ def _by_block(item: Item, blocks: tuple[Part, ...]) -> tuple[Table, ...]:
 
 def _input_level(item: Item, blocks: tuple[Part, ...], m: int) -> Sparse:
     """Phi_E, whole or by block."""
-    out: Sparse = {}
     if isinstance(item.value, Mapping):
-        for block, table in zip(blocks, _by_block(item, blocks), strict=True):
-            add(out, block.ports, table)
-    else:
-        add(out, range(m), item.symmetric(m))
-    return out
+        return block_diagonal([block.ports for block in blocks], _by_block(item, blocks))
+    return block_diagonal([range(m)], [item.symmetric(m)])
 
 
 def _storage(item: Item, word: str) -> Table | None:
@@ -309,13 +297,7 @@ def _linear(item: Item, storage: Item, m: int) -> Linear:
     n = parts["A"].length()
     if n > MAX_DENSE:
         raise ProofInputError(f"{item.path}.A: found {n} rows, expected at most {MAX_DENSE}")
-    return Linear(
-        parts["A"].table(n, n),
-        parts["B"].table(n, m),
-        parts["C"].table(m, n),
-        *feedthrough_or_static(item, parts, m),
-        storage.table(n, n),
-    )
+    return Linear(*realisation(item, parts, n, m), storage.table(n, n))
 
 
 def _transparency(item: Item) -> TransparencyClaim | None:

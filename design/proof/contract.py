@@ -33,26 +33,17 @@ _ALLOWED = fmpq(1, 10**6)  # relative: by how much a stated margin may exceed wh
 
 def device_levels(claim: Claim) -> Sparse:
     """The devices' promised levels, m x m."""
-    out: Sparse = {}
-    for device, table in zip(claim.devices, claim.osp, strict=True):
-        sparse.add(out, device.ports, table)
-    return out
+    return sparse.block_diagonal([device.ports for device in claim.devices], claim.osp)
 
 
 def Delta_D(claim: Claim) -> Sparse:
     """The level that the design counts on, m x m, with the structure of V."""
-    out: Sparse = {}
-    for block, table in zip(claim.blocks, claim.Delta_D, strict=True):
-        sparse.add(out, block.ports, table)
-    return out
+    return sparse.block_diagonal([block.ports for block in claim.blocks], claim.Delta_D)
 
 
 def Delta_V(claim: Claim) -> Sparse:
     """The level of V_hat, m x m."""
-    out: Sparse = {}
-    for block, table in zip(claim.blocks, claim.Delta_V, strict=True):
-        sparse.add(out, block.ports, table)
-    return out
+    return sparse.block_diagonal([block.ports for block in claim.blocks], claim.Delta_V)
 
 
 def condition_10(claim: Claim) -> Sparse:

@@ -56,15 +56,13 @@ class NetworkData:
 
 
 @dataclass(frozen=True, eq=False)
-class SystemData:
-    """A state space from displacement (m) to force (N).
+class Realisation:
+    """A state space of n states and m ports, as it is stated.
 
     Attributes:
         A, B, C: n x n, n x m, m x n.
         D: m x m; None where the static gain is stated instead.
-        static: E(1), m x m, N/m; None where D is stated.
-        method: how the continuous system is discretised; None for one that is discrete.
-        delay: whole ticks by which its forces are late.
+        static: the response at z = 1 (s = 0 in continuous time), m x m; None where D is stated.
     """
 
     A: Table
@@ -72,6 +70,17 @@ class SystemData:
     C: Table
     D: Table | None
     static: Table | None
+
+
+@dataclass(frozen=True, eq=False)
+class SystemData(Realisation):
+    """A state space from displacement (m) to force (N).
+
+    Attributes:
+        method: how the continuous system is discretised; None for one that is discrete.
+        delay: whole ticks by which its forces are late.
+    """
+
     method: str | None
     delay: int
 
@@ -160,27 +169,23 @@ def _system(item: Item, m: int) -> SystemData:
         method = parts["method"].text("backward-euler", "tustin", "zoh")
     elif "method" in parts and parts["method"].value is not None:
         raise parts["method"].refusal("no method for a discrete system")
-    return SystemData(
-        parts["A"].table(n, n),
-        parts["B"].table(n, m),
-        parts["C"].table(m, n),
-        *feedthrough_or_static(item, parts, m),
-        method,
-        parts["delay"].whole(0, _MAX_DELAY),
-    )
+    return SystemData(*realisation(item, parts, n, m), method, parts["delay"].whole(0, _MAX_DELAY))
 
 
-def feedthrough_or_static(item: Item, parts: dict[str, Item], m: int) -> tuple[Table | None, Table | None]:
-    """D and the static gain of a state space: one of the two is stated.
+def realisation(
+    item: Item, parts: dict[str, Item], n: int, m: int
+) -> tuple[Table, Table, Table, Table | None, Table | None]:
+    """The entries of a :class:`Realisation` from the fields of ``item``, of which D or static is stated.
 
     Raises:
-        ProofInputError: both are, or none.
+        ProofInputError: a matrix of another shape, both of D and static, or neither.
     """
+    A, B, C = parts["A"].table(n, n), parts["B"].table(n, m), parts["C"].table(m, n)
     if ("D" in parts) == ("static" in parts):
         found = "both" if "D" in parts else "neither"
         raise ProofInputError(f"{item.path}: found {found} of the keys D and static, expected one of them")
     D, static = (parts[key].table(m, m) if key in parts else None for key in ("D", "static"))
-    return D, static
+    return A, B, C, D, static
 
 
 def _transfer(item: Item, m: int) -> TransferData:

@@ -29,6 +29,14 @@ def add(into: Sparse, indices: Sequence[int], table: Table) -> None:
                 add_entry(into, i, j, exact(value))
 
 
+def block_diagonal(blocks: Sequence[Sequence[int]], tables: Sequence[Table]) -> Sparse:
+    """The matrix that has each table on the indices of its block, and zeros elsewhere; blocks that overlap add up."""
+    out: Sparse = {}
+    for indices, table in zip(blocks, tables, strict=True):
+        add(out, indices, table)
+    return out
+
+
 def add_entry(into: Sparse, i: int, j: int, value: fmpq) -> None:
     """Add to one entry, and forget it where it becomes zero."""
     total = into.get((i, j), fmpq(0)) + value

@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 
-from manyhands.design.cayley import cayley, frequency_of, in_discrete_time, natural_rate
+from manyhands.design.cayley import (
+    axis_image,
+    cayley,
+    crossing_angles,
+    frequency_of,
+    gaps,
+    in_discrete_time,
+    natural_rate,
+)
 from manyhands.design.level_sets import input_rows, least_hermitian_eigenvalue, least_ratio, pairs_at, supply_form
 from manyhands.design.passivity import storage_inequality
 from manyhands.design.statespace import StateSpace
@@ -117,6 +126,36 @@ def test_the_cayley_transform_keeps_response_and_storage(seed: int, n: int, m: i
     W = np.block([[np.sqrt(2.0 * rate) * R, R @ B], [np.zeros((m, n)), np.eye(m)]])
     M = storage_inequality(discrete, P)
     np.testing.assert_allclose(M, W.T @ N @ W, atol=1e-9 * (1.0 + np.abs(M).max()))
+
+
+@given(seeds, st.integers(0, 4), st.integers(1, 3), st.floats(0.05, np.pi - 0.05))
+def test_the_image_on_the_axis_has_the_response_of_the_circle(seed: int, n: int, m: int, angle: float) -> None:
+    """At s = j tan(angle/2) the image responds as the system does at z = e^(j angle); cayley takes it back."""
+    system = stable(seed, n, m)
+    image, z = axis_image(system), np.exp(1j * angle)
+    np.testing.assert_allclose(image.response((z - 1.0) / (z + 1.0)), system.response(z), rtol=1e-8, atol=1e-8)
+    back = cayley(image, 1.0)
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_allclose(getattr(back, name), getattr(system, name), rtol=1e-8, atol=1e-8)
+
+
+def test_imaginary_eigenvalues_are_crossings_and_others_are_none() -> None:
+    rotation = np.array([[0.0, np.tan(0.4)], [-np.tan(0.4), 0.0]])
+    decay = np.diag([0.3, -0.3])
+    nearly = np.array([[1e-4, 1.0], [-1.0, 1e-4]])
+    joined = block_diag(rotation, decay, nearly)
+    assert crossing_angles(joined, 1e-9) == pytest.approx([0.8])
+    assert crossing_angles(joined, 1e-3) == pytest.approx([0.8, np.pi / 2.0])
+    assert crossing_angles(joined, 0.0, 0.31) == pytest.approx([0.0, 0.8, np.pi / 2.0])
+
+
+def test_crossings_leave_gaps_with_one_middle_each() -> None:
+    ends, middles = gaps([2.0, 1.0, 1.0, np.pi])
+    np.testing.assert_array_equal(ends, [0.0, 1.0, 2.0, np.pi])
+    np.testing.assert_array_equal(middles, [0.5, 1.5, (2.0 + np.pi) / 2.0])
+    ends, middles = gaps([])
+    np.testing.assert_array_equal(ends, [0.0, np.pi])
+    np.testing.assert_array_equal(middles, [np.pi / 2.0])
 
 
 def test_a_rate_must_suit_the_system() -> None:

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from manyhands.design.contract import loop_inequality
 from manyhands.design.errors import Infeasible
+from manyhands.design.frame import UNWEIGHTED, NormalisedLoop
 from manyhands.design.network import GROUND, Link, Network
 from manyhands.design.partition import Partition
-from manyhands.design.pole_search import design_linear, level_against_order
+from manyhands.design.pole_search import design_linear
 from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.design.transparency import (
     LinearDesign,
@@ -93,7 +94,9 @@ def example(problems: Any, aim: Any, poles: tuple[complex, ...], partition: Part
     partition = problems.decentralised if partition is None else partition
     E, Delta_D = problems.network.environment(T), problems.osp * np.eye(3)
     levels = small_levels(partition)
-    design = design_fixed_poles(E, Delta_D, 0.5, T, partition, aim, (poles,) * len(partition.blocks), levels)
+    weights, static = (aim, None) if isinstance(aim, Transparency) else (UNWEIGHTED, aim)
+    loop = NormalisedLoop(E, Delta_D, 0.5, T, partition, weights)
+    design = design_fixed_poles(loop, (poles,) * len(partition.blocks), levels, static=static)
     assert_promises(design, E, Delta_D, 0.5, partition, levels)
     if isinstance(aim, Transparency):
         assert design.gamma == pytest.approx(recomputed(E, partition.join(design.blocks), aim), rel=1e-6)
@@ -107,7 +110,7 @@ def example(problems: Any, aim: Any, poles: tuple[complex, ...], partition: Part
 def spring_damper(problems: Any, aim: Transparency, partition: Partition) -> Any:
     network = problems.network
     E, Delta_D, Phi_E = network.environment(T), problems.osp * np.eye(3), physical_level(network)
-    design = design_spring_damper(E, Delta_D, 0.5, T, partition, aim, Phi_E)
+    design = design_spring_damper(NormalisedLoop(E, Delta_D, 0.5, T, partition, aim), Phi_E)
     assert design.gamma == pytest.approx(recomputed(E, design.coupling.realisation(T), aim), rel=1e-6)
     J, J_minus_B, greatest = problems.greatest_level(Delta_D, design.coupling, T)
     assert all(np.linalg.eigvalsh(M)[0] > 0.0 for M in (J, J_minus_B, design.coupling.stiffness))
@@ -152,7 +155,7 @@ def test_no_spring_damper_of_one_port_is_better(problems: Any, data: st.DataObje
     kappa, share = data.draw(st.sampled_from([(0.5, 1.0), (0.9, 0.5), (1.25, 0.4)]))
     Delta_D, E = np.array([[1.37]]), network.environment(T)
     Phi_E = np.array([[data.draw(st.floats(-0.5, 0.3))]])
-    design = design_spring_damper(E, Delta_D, kappa, T, ONE, aim, Phi_E, share)
+    design = design_spring_damper(NormalisedLoop(E, Delta_D, kappa, T, ONE, aim), Phi_E, share)
     Lambda = 1.37 / (2.0 * kappa)
 
     def certified(k: float, b: float) -> bool:
@@ -178,8 +181,9 @@ def test_no_spring_damper_of_one_port_is_better(problems: Any, data: st.DataObje
 
 def test_no_spring_damper_where_the_environment_takes_more_than_the_device_has(problems: Any) -> None:
     E = problems.network.environment(T)
+    loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, problems.decentralised, SHAPING)
     with pytest.raises(Infeasible, match=r"no spring-damper coupling satisfies \(10\)"):
-        design_spring_damper(E, 1.37 * np.eye(3), 0.5, T, problems.decentralised, SHAPING, 1.4 * np.eye(3))
+        design_spring_damper(loop, 1.4 * np.eye(3))
 
 
 # --- linear couplings over fixed poles
@@ -242,9 +246,9 @@ def test_a_richer_basis_is_never_worse(problems: Any, data: st.DataObject) -> No
     E = network.environment(T)
     levels = tuple(0.01 * d for d in partition.restrict(Delta_D))
     poles = [()] + [RESONANCE[: 2 * n] + (0.7 + 0j,) * n for n in (1,)]
-    gammas = []
+    loop, gammas = NormalisedLoop(E, Delta_D, 0.8, T, partition, SHAPING), []
     for basis in poles:
-        design = design_fixed_poles(E, Delta_D, 0.8, T, partition, SHAPING, (basis,) * len(levels), levels)
+        design = design_fixed_poles(loop, (basis,) * len(levels), levels)
         assert_promises(design, E, Delta_D, 0.8, partition, levels)
         assert design.gamma is not None
         assert design.gamma >= design.bound * (1.0 - 1e-6)
@@ -261,18 +265,19 @@ def test_a_full_level_of_two_axes(problems: Any) -> None:
     Delta_D = np.array([[1.5, 0.3], [0.3, 1.2]])
     E, levels = network.environment(T), (np.array([[0.5, 0.1], [0.1, 0.4]]),)
     whole = Partition(("d",), ((1, 0),))
-    design = design_fixed_poles(E, Delta_D, 0.5, T, whole, SHAPING, (RESONANCE,), levels)
+    design = design_fixed_poles(NormalisedLoop(E, Delta_D, 0.5, T, whole, SHAPING), (RESONANCE,), levels)
     assert_promises(design, E, Delta_D[::-1, ::-1], 0.5, Partition(("d",), ((0, 1),)), levels)
 
 
 def test_levels_and_poles_that_do_not_fit(problems: Any) -> None:
     E, p = problems.network.environment(T), problems.decentralised
+    loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING)
     with pytest.raises(ValueError, match="poles and a level for 3 blocks, found 1 and 3"):
-        design_fixed_poles(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING, ((),), small_levels(p))
+        design_fixed_poles(loop, ((),), small_levels(p))
     with pytest.raises(ValueError, match="coupling cx: expected a positive definite 1 x 1 level"):
-        design_fixed_poles(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING, ((),) * 3, small_levels(p, 0.0))
+        design_fixed_poles(loop, ((),) * 3, small_levels(p, 0.0))
     with pytest.raises(Infeasible, match="no linear coupling over these poles has the least levels"):
-        design_fixed_poles(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING, ((),) * 3, small_levels(p, 1e9))
+        design_fixed_poles(loop, ((),) * 3, small_levels(p, 1e9))
 
 
 # --- the search for poles
@@ -283,7 +288,8 @@ def test_example_2_with_one_resonance_a_port(problems: Any) -> None:
     E, Delta_D, p = problems.network.environment(T), 1.37 * np.eye(3), problems.decentralised
     told: list[str] = []
     levels = small_levels(p)
-    design = design_linear(E, Delta_D, 0.5, T, p, SHAPING, (2, 2, 2), levels, told.append, starts=1)
+    loop = NormalisedLoop(E, Delta_D, 0.5, T, p, SHAPING)
+    design = design_linear(loop, (2, 2, 2), levels, told.append, starts=1)
     assert_promises(design, E, Delta_D, 0.5, p, levels)
     assert design.gamma is not None
     assert design.gamma <= 4.5
@@ -301,7 +307,8 @@ def one_port() -> StateSpace:
 
 def one_port_design(aim: Transparency, order: int, progress: Any = None, seed: int = 0) -> LinearDesign:
     E, Delta_D, levels = one_port(), np.array([[1.0]]), (np.array([[0.2]]),)
-    design = design_linear(E, Delta_D, 0.5, T, ONE, aim, (order,), levels, progress, starts=1, seed=seed)
+    loop = NormalisedLoop(E, Delta_D, 0.5, T, ONE, aim)
+    design = design_linear(loop, (order,), levels, progress, starts=1, seed=seed)
     assert_promises(design, E, Delta_D, 0.5, ONE, levels)
     assert design.gamma == pytest.approx(recomputed(E, design.blocks[0], aim), rel=1e-6)
     assert design.history[-1] == pytest.approx(design.gamma, rel=1e-6)
@@ -356,23 +363,21 @@ def test_interrupted_spring_dampers_are_certified(problems: Any) -> None:
         raise KeyboardInterrupt
 
     E = problems.network.environment(T)
-    design = design_spring_damper(
-        E, 1.37 * np.eye(3), 0.5, T, problems.decentralised, SHAPING, physical_level(problems.network), 1.0, progress
-    )
+    loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, problems.decentralised, SHAPING)
+    design = design_spring_damper(loop, physical_level(problems.network), 1.0, progress)
     assert design.interrupted
     assert np.all(np.diag(design.coupling.stiffness) < 2740.0)
 
 
 def test_the_curve_falls_with_the_order() -> None:
-    E, levels = one_port(), (np.array([[1e-3]]),)
-    curve = level_against_order(E, np.array([[1.0]]), 0.5, T, ONE, SHAPING, (0, 1, 2), levels)
-    assert [n for n, _ in curve] == [0, 1, 2]
-    gammas = [design.gamma for _, design in curve]
+    loop, levels = NormalisedLoop(one_port(), np.array([[1.0]]), 0.5, T, ONE, SHAPING), (np.array([[1e-3]]),)
+    gammas = [design_linear(loop, (n,), levels).gamma for n in (0, 1, 2)]
     assert gammas[0] >= gammas[1] >= gammas[2]  # type: ignore[operator]
 
 
 def test_orders_that_are_refused(problems: Any) -> None:
     E, p = problems.network.environment(T), problems.decentralised
+    loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING)
     for orders in ((2, 2), (2, 2, -1), (2, 2, 17)):
         with pytest.raises(ValueError, match="expected 3 between 0 and 16"):
-            design_linear(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING, orders, small_levels(p))
+            design_linear(loop, orders, small_levels(p))

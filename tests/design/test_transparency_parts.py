@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from manyhands.design.basis import FixedPoleBlock, PoleBasis, symmetric_units
 from manyhands.design.conic import LinearMatrixProgram, coefficients
 from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import Frame
+from manyhands.design.frame import NormalisedLoop
 from manyhands.design.hinfinity import hinf_norm
 from manyhands.design.minimax import Family, peaks
 from manyhands.design.network import GROUND, Link, Network
@@ -30,9 +30,9 @@ DELTA_D = np.array([[1.5, 0.0, 0.3], [0.0, 0.7, 0.0], [0.3, 0.0, 2.2]])
 PARTITION = Partition(("outer", "inner"), ((2, 0), (1,)))
 
 
-def frame(problems: Any, objective: Any) -> Frame:
+def normalised(problems: Any, objective: Any) -> NormalisedLoop:
     E = problems.network.environment(problems.T)
-    return Frame.of(WeightedLoop(E, Transparency(objective, W1, W2)), DELTA_D, 0.7, problems.T, PARTITION)
+    return NormalisedLoop(E, DELTA_D, 0.7, problems.T, PARTITION, Transparency(objective, W1, W2))
 
 
 # --- the weighted loop
@@ -75,18 +75,17 @@ def test_what_does_not_fit_is_refused(problems: Any) -> None:
         weighted(E, StateSpace.static(np.eye(2)), aim)
     with pytest.raises(ValueError, match=r"I \+ D_E D_V is singular"):
         weighted(E, StateSpace.static(-np.linalg.inv(E.D)), aim)
-    loop = WeightedLoop(E, aim)
     with pytest.raises(ValueError, match="joins no ports of different blocks"):
-        Frame.of(loop, DELTA_D, 0.5, 1e-3, problems.decentralised)
+        NormalisedLoop(E, DELTA_D, 0.5, 1e-3, problems.decentralised)
     with pytest.raises(ValueError, match="coupling outer: found a least eigenvalue -1"):
-        Frame.of(loop, np.diag([1.0, 1.0, -1.0]), 0.5, 1e-3, PARTITION)
+        NormalisedLoop(E, np.diag([1.0, 1.0, -1.0]), 0.5, 1e-3, PARTITION)
     with pytest.raises(ValueError, match="found 3 x 3 and 2 x 2"):
-        Frame.of(loop, np.eye(2), 0.5, 1e-3, PARTITION)
+        NormalisedLoop(E, np.eye(2), 0.5, 1e-3, PARTITION)
     with pytest.raises(ValueError, match=r"positive period and kappa, found 0\.001 and 0"):
-        Frame.of(loop, np.eye(3), 0.0, 1e-3, PARTITION)
-    floating = WeightedLoop(StateSpace(np.eye(1), np.ones((1, 3)), np.ones((3, 1)), np.eye(3)), aim)
+        NormalisedLoop(E, np.eye(3), 0.0, 1e-3, PARTITION)
+    floating = StateSpace(np.eye(1), np.ones((1, 3)), np.ones((3, 1)), np.eye(3))
     with pytest.raises(ValueError, match="environment: found a pole of modulus 1, expected a stable E"):
-        Frame.of(floating, DELTA_D, 0.5, 1e-3, PARTITION)
+        NormalisedLoop(floating, DELTA_D, 0.5, 1e-3, PARTITION)
 
 
 # --- bases
@@ -182,7 +181,7 @@ def test_conditions_are_lemma_1_of_v_hat(basis: PoleBasis, ports: int, seed: int
 def families(problems: Any, objective: Any) -> list[tuple[Family, Matrix]]:
     rng = np.random.default_rng(1)
     basis = PoleBasis((0.9 + 0.1j, 0.9 - 0.1j, 0.3 + 0j))
-    here = frame(problems, objective)
+    here = normalised(problems, objective)
     fixed = FixedPoleFamily(
         here, (FixedPoleBlock(basis, 2, 0.7, np.eye(2)), FixedPoleBlock(PoleBasis(()), 1, 0.7, np.eye(1))), 1e-6
     )
@@ -231,7 +230,7 @@ def test_passivity_of_free_poles_is_that_of_v_hat(problems: Any) -> None:
 def test_restored_couplings_are_passive(problems: Any) -> None:
     """D pays for what is missing; what cannot be repaired is given up."""
     shapes, levels = (PoleShape(1, True, 2), PoleShape(2, False, 1)), (1e-3 * np.eye(2), 1e-3 * np.eye(1))
-    family = FreePoleFamily(frame(problems, "loop-shaping"), shapes, levels)
+    family = FreePoleFamily(normalised(problems, "loop-shaping"), shapes, levels)
     rng = np.random.default_rng(2)
     repaired = 0
     for _ in range(20):
@@ -269,7 +268,7 @@ def test_the_class_of_spring_dampers_is_its_closed_form(problems: Any) -> None:
     assert isinstance(family, SpringDamperFamily)
     rng = np.random.default_rng(4)
     Lambda, T = DELTA_D / 1.4, problems.T
-    S = PARTITION.embed(family.frame.scaling)
+    S = PARTITION.embed(family.loop.scaling)
     Phi_E = np.linalg.inv(S) @ family.Phi @ np.linalg.inv(S)
     seen = set()
     for _ in range(3000):
@@ -292,7 +291,7 @@ def test_the_class_of_spring_dampers_is_its_closed_form(problems: Any) -> None:
 def family_unknowns(family: SpringDamperFamily, coupling: Any, T: float) -> Matrix:
     parts = []
     for K, B, S in zip(
-        PARTITION.restrict(coupling.stiffness), PARTITION.restrict(coupling.damping), family.frame.scaling, strict=True
+        PARTITION.restrict(coupling.stiffness), PARTITION.restrict(coupling.damping), family.loop.scaling, strict=True
     ):
         rows, columns = np.tril_indices(len(S))
         parts += [(T * S @ K @ S)[rows, columns], (S @ B @ S)[rows, columns]]
@@ -305,7 +304,7 @@ def test_no_peak_is_missed(problems: Any, objective: Any) -> None:
     links = (Link(("p", "m"), 3000.0, 0.002), Link(("m", GROUND), 2000.0, 0.002))
     E = Network(("p",), (("m", 20.0),), links).environment(1e-4)
     aim, one = Transparency(objective, Filter.one(), Filter.one()), Partition(("c",), ((0,),))
-    here = Frame.of(WeightedLoop(E, aim), np.eye(1), 0.5, 1e-4, one)
+    here = NormalisedLoop(E, np.eye(1), 0.5, 1e-4, one, aim)
     springs = SpringDamperFamily(here, np.zeros((1, 1)), 1.0)
     block = FixedPoleBlock(PoleBasis((0.5 + 0j,)), 1, 0.5, np.eye(1))
     fixed = FixedPoleFamily(here, (block,), 1e-6)
