@@ -20,7 +20,7 @@ CODE = [path for room in ("design", "protocol", "nodes", "launch") for path in (
 
 
 def commands(text: str) -> list[tuple[list[str], int]]:
-    """The manyhands commands of the console blocks, with the exit code that a comment may state; a prompt is optional."""
+    """The manyhands commands of the console blocks, with the exit code that a comment may state."""
     out = []
     for block in re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL):
         for line in block.splitlines():
