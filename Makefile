@@ -91,8 +91,9 @@ soak: $(VENV)/.installed
 users: $(VENV)/.installed
 	$(BIN)/python benchmarks/users.py --profile --json docs/loop-users.json --plot docs/images/loop-users.png --markdown docs/loop-benchmark.md
 
-# what docs/images/ shows of the design; the linear couplings' search takes about half a minute
+# what docs/images/ shows of the architecture and the design; the linear couplings' search takes about half a minute
 pictures: $(VENV)/.installed
+	$(BIN)/manyhands graph example1.yaml --format svg -o docs/images/architecture.svg
 	$(BIN)/manyhands budget example1.yaml --plot docs/images/budget.png
 	$(BIN)/manyhands design example2-linear.yaml --plot out/design
 	cp out/design/singular-values.png docs/images/design-singular-values.png

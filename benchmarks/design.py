@@ -25,6 +25,7 @@ import platform
 import resource
 import subprocess
 import sys
+import textwrap
 import time
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -34,8 +35,8 @@ from typing import Any
 FOLDER = Path(__file__).resolve().parent
 SIZES = (3, 6, 12, 24, 48, 100, 300, 1000)
 NOTE = (
-    "From 126 ports on, where a storage matrix would be of an order above 250, the passive network is proved by its "
-    "mechanical energy, which needs no matrix: hence the dip."
+    "From 126 ports on a storage matrix would be of an order above 250. There the mechanical energy of the passive "
+    "network proves it, and no matrix is needed: hence the dip."
 )
 COMPARED = 24  # ports up to which every method is run, whatever limits it reached before
 MOST_LATE = 100  # ports: storage matrices are dense
@@ -244,9 +245,11 @@ def table(runs: list[Run], limit: float, gibibytes: float, told: dict[str, str])
     lines = [
         "# Design: time and memory against the number of ports",
         "",
-        f"Produced by `python benchmarks/design.py --limit {limit:g}`, which says what is measured. "
-        "Median of the repeats, with least and greatest. "
-        f"Limits a run: {limit:g} s, {gibibytes:g} GiB. Machine: {', '.join(f'{k} {v}' for k, v in told.items())}.",
+        *wrapped(
+            f"`python benchmarks/design.py --limit {limit:g}` produced this page; its docstring states what is "
+            "measured. The figures are the median of the repeats, with the least and the greatest. "
+            f"Limits a run: {limit:g} s, {gibibytes:g} GiB. Machine: {', '.join(f'{k} {v}' for k, v in told.items())}."
+        ),
         "",
         "| ports | " + " | ".join(METHODS.values()) + " |",
         "|---:|" + "---:|" * len(METHODS),
@@ -258,13 +261,18 @@ def table(runs: list[Run], limit: float, gibibytes: float, told: dict[str, str])
             cells.append("" if run is None else cell(run))
         lines.append(f"| {ports} | " + " | ".join(cells) + " |")
     lines += ["", "An empty cell was not run: the method had reached a limit at a smaller size, or is dense.", ""]
-    lines += [NOTE, "", "![time and memory against ports](images/design-benchmark.png)", ""]
+    lines += [*wrapped(NOTE), "", "![time and memory against ports](images/design-benchmark.png)", ""]
     lines += speedups(by, sizes)
     notes = [run for run in runs if run.method not in OURS and run.outcome != "converged, its coupling can be proved"]
     if notes:
         lines += ["", "Runs of the transcription that did not end in a provable coupling:", ""]
         lines += [f"- {METHODS[run.method]}, {run.ports} ports: {run.outcome}" for run in notes]
     return "\n".join(lines) + "\n"
+
+
+def wrapped(paragraph: str) -> list[str]:
+    """A paragraph of the page, in lines of at most 120 characters."""
+    return textwrap.wrap(paragraph, 120, break_long_words=False, break_on_hyphens=False)
 
 
 def cell(run: Run) -> str:
@@ -282,7 +290,10 @@ def cell(run: Run) -> str:
 def speedups(by: dict[tuple[str, int], Run], sizes: list[int]) -> list[str]:
     """How many times quicker than the transcription, a lower bound where that was ended."""
     lines = [
-        "How many times quicker for the passive network than the transcription, or than the limit that ended it:",
+        *wrapped(
+            "The table states how many times quicker the design of the passive network is than the transcription, or "
+            "than the limit that ended it:"
+        ),
         "",
     ]
     lines += [

@@ -89,6 +89,22 @@ def test_the_readmes_session_is_valid_and_certified(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_the_readmes_python_prints_what_it_says(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"# {done.stdout}" == block.splitlines(keepends=True)[-1]
+
+
+def test_the_readmes_architecture_is_drawn_by_the_command_it_names(tmp_path: Path) -> None:
+    text = (ROOT / "README.md").read_text()
+    assert "`manyhands graph example1.yaml --format svg` draws this picture" in " ".join(text.split())
+    run("graph", "example1.yaml", "--format", "svg", "-o", "drawn.svg", cwd=tmp_path)
+    assert (tmp_path / "drawn.svg").read_text() == (ROOT / "docs" / "images" / "architecture.svg").read_text()
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
@@ -106,6 +122,6 @@ def test_citations_resolve() -> None:
 def test_the_readmes_two_commands_are_targets() -> None:
     text = (ROOT / "README.md").read_text()
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
-    named = re.findall(r"^\$ make (\w+)", text, flags=re.MULTILINE)
+    named = re.findall(r"^make (\w+)", text, flags=re.MULTILINE)
     assert named == ["demo", "test"]
     assert set(named) <= targets
