@@ -22,7 +22,6 @@ _HOMES = {
     "lemma2_expression": "lemma2",
     "lemma2_matrix": "lemma2",
     "lemma3": "continuous",
-    "level_against_order": "pole_search",
     "loop_gain": "transformation",
     "mass_with_damping": "continuous",
     "passive_operator": "continuous",
