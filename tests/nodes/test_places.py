@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.statespace import StateSpace
@@ -554,6 +554,15 @@ events = st.one_of(
 
 @settings(max_examples=80)
 @given(happening=st.lists(events, max_size=40))
+@example(happening=[("word", Shift("cx", 1), None), ("give up", "cx", None), ("ticks", 10, "cy")])
+@example(
+    happening=[
+        ("word", Shift("cy", 1), None),
+        ("ticks", RAMP + 5, ""),
+        ("word", Shift("cy", 0), None),
+        ("ticks", 3, "cy"),
+    ]
+)
 def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
     """Who is seated is answered, who is not is frozen, and rungs change without force alone."""
     world = World(new_life())
@@ -602,6 +611,7 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
                     if place.rung != rungs[name]:
                         assert told[0] == Rung(place.rung)
                         assert told[1].values == [0.0]  # type: ignore[union-attr]
+                        rungs[name] = place.rung
                     else:
                         assert not any(isinstance(one, Rung) for one in told)
         for place in world.places.all:
