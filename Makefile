@@ -43,7 +43,7 @@ CLAIMS  ?= 100000
 MINUTES ?= 120
 campaign: $(VENV)/.installed
 	for round in $$(seq $(ROUNDS)); do \
-		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/test_session_properties.py || exit 1; \
+		$(BIN)/pytest -q --hypothesis-profile=campaign tests/design tests/protocol tests/launch/session/test_properties.py || exit 1; \
 	done
 	MANYHANDS_UNMOVED_SESSIONS=120 $(BIN)/pytest -q tests/design/test_unmoved_masses.py
 	$(BIN)/python -m tests.attack.campaign --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)

@@ -25,15 +25,15 @@ from chaos_faults import Chaos
 from chaos_kinds import ENDURING, SESSIONS, Kind
 from page import fill
 
-from manyhands.launch import supervisor as supervisor_module
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
-from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.tables import read_recording
+from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.recorder import RecorderProcess
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import topology
 from manyhands.protocol.clock import from_seconds
 
 LOOK = from_seconds(0.05)

@@ -22,9 +22,9 @@ import numpy as np
 from chaos_kinds import PROMISE
 from numpy.typing import NDArray
 
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.simulation import Silence, Simulation
 
 STEP = 2.0  # the simulation is exact, but cannot try every tick and every combination

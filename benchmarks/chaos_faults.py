@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 from chaos_kinds import VICTIMS, Kind, draw
 
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.outcome import Progress
-from manyhands.launch.topology import Topology
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Role
 
@@ -60,7 +60,7 @@ class Chaos:
         for node, told in progress.telemetry.items():
             if names.LEDGER_MIN in told.figures:
                 self.ledgers[node] = min(self.ledgers.get(node, 0.0), told.figures[names.LEDGER_MIN])
-        if progress.phase is not Phase.RUNNING or self._interrupted:
+        if progress.phase is not SessionPhase.RUNNING or self._interrupted:
             return
         self._hold(progress)
         self._watch_calm(progress)

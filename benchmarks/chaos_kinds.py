@@ -11,7 +11,7 @@ from pathlib import Path
 from random import Random
 from typing import Final
 
-from manyhands.launch.topology import Topology
+from manyhands.launch.plan.topology import Topology
 from manyhands.protocol.messages import Role
 
 FOLDER: Final = Path(__file__).parent

@@ -93,18 +93,17 @@ def child(method: str, ports: int) -> dict[str, Any]:
     """Do one run and say how it went."""
     import numpy as np
 
-    from manyhands.design.coupling import SpringDamper
-    from manyhands.design.environment import DelayedNetwork
     from manyhands.design.errors import DesignError
-    from manyhands.design.network import GROUND, Link, Network
-    from manyhands.design.partition import Partition
+    from manyhands.design.models.coupling import Partition, SpringDamper
+    from manyhands.design.models.environment import DelayedNetwork
+    from manyhands.design.models.network import GROUND, Network, NetworkLink
     from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperGiven, SpringDamperWanted
     from manyhands.design.synthesis import design
 
     k = STIFFNESS["late" if method == "late" else "passive"]
-    links = [Link((f"p{i}", f"m{i}"), k, 0.1) for i in range(ports)]
-    links += [Link((f"m{i}", f"m{(i + 1) % ports}"), k / 2.0, 0.2) for i in range(ports)]
-    links += [Link((f"m{i}", GROUND), k / 3.0, 0.5) for i in range(0, ports, 10)]
+    links = [NetworkLink((f"p{i}", f"m{i}"), k, 0.1) for i in range(ports)]
+    links += [NetworkLink((f"m{i}", f"m{(i + 1) % ports}"), k / 2.0, 0.2) for i in range(ports)]
+    links += [NetworkLink((f"m{i}", GROUND), k / 3.0, 0.5) for i in range(0, ports, 10)]
     network = Network(tuple(f"p{i}" for i in range(ports)), tuple((f"m{i}", 0.5) for i in range(ports)), tuple(links))
     loop = HapticLoop(
         session="benchmark",

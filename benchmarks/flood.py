@@ -27,9 +27,9 @@ from typing import Any
 
 import zmq
 
-from manyhands.launch.keys import load_folder
+from manyhands.launch.plan.keys import load_folder
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
 from manyhands.protocol.codec import encode
 from manyhands.protocol.keys import KeyPair, new_pair
 from manyhands.protocol.messages import Telemetry

@@ -30,8 +30,8 @@ from loop_ours import MANYHANDS, OURS, ours
 from loop_runs import Failed, Run, Treatment
 from page import fill
 
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
 from manyhands.protocol.clock import from_seconds
 
 SESSION = FOLDER.parent / "launch" / "sessions" / "example1.yaml"

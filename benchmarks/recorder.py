@@ -28,19 +28,19 @@ from typing import Any
 import numpy as np
 import proc
 
-from manyhands.launch.bundles import mass_names
-from manyhands.launch.outcome import Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
-from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recordings.file import read_recording
-from manyhands.launch.recordings.stream import messages
+from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.recordings.mcap import messages
+from manyhands.launch.recordings.tables import read_recording
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.recorder import RecorderProcess
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import topology
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.file import RecordingFile
-from manyhands.nodes.recorder.layout import Recorded
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Role

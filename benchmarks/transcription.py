@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
-from manyhands.design.network import Network
-from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
+from manyhands.design.models.network import Network
+from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal
 
 TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
 MOST_ITERATIONS = 100

@@ -27,16 +27,16 @@ from pathlib import Path
 import numpy as np
 import proc
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.processes import ONE_THREAD
-from manyhands.launch.reach import HUB_NAME
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import HUB_NAME
+from manyhands.launch.run.processes import ONE_THREAD
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import ENVIRONMENT
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import realtime
 from manyhands.nodes.bundle import REALTIME, EnvironmentBundle, save
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
-from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.codec import USUAL, decode, encode
 from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
@@ -54,7 +54,6 @@ from manyhands.protocol.messages import (
     Tool,
     Welcome,
 )
-from manyhands.protocol.signal_head import USUAL
 from manyhands.protocol.transport import Hub, Link
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -127,7 +126,7 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
         transport = ZmqTransport.ipc(folder)
         try:
             hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
-            bundle = cut(prepared, Run(REALTIME, folder, endpoint))[ENVIRONMENT]
+            bundle = cut(prepared, RunPlan(REALTIME, folder, endpoint))[ENVIRONMENT]
             if not isinstance(bundle, EnvironmentBundle):
                 raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
             save(bundle, folder / "environment.bundle")

@@ -32,15 +32,15 @@ from page import fill
 from watched_figures import ALONE, PAGE, RECORDER, VARIANTS, WATCHED, Variant, Window, table
 from watched_onlookers import CHROMIUM, Onlookers, looking_on
 
-from manyhands.launch.looking.sessions import find_session
+from manyhands.launch.observe.sessions import find_session
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
+from manyhands.protocol.channels import TAU
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Role
-from manyhands.protocol.topics import TAU
-from manyhands.protocol.transport.gallery import Visit
+from manyhands.protocol.transport.broadcast import Visit
 
 SETTLING = 5.0  # s, from when all are there to the first tick that is measured
 PATIENCE = 30.0  # s, beyond its own time, for a measurement to be over

@@ -1,5 +1,9 @@
 """Pure mathematics: models, passivity, LMIs, couplings, certificates. No sockets, no clocks.
 
+Read ``models/`` first, then ``passivity/`` and ``levels/`` (what each party promises); ``problem``, ``theorem3`` and
+``theorem4`` find a coupling, ``synthesis`` leads from a wish to a ``certificate``, and ``proof/`` proves it, apart from
+all.
+
 ``__all__`` is the public API beyond what the commands use: the transformation of the loop, the facial reduction of
 Lemma 1, Lemmas 2 and 3 and Theorem 1 of the paper, the searches for levels, and :func:`seal` for a certificate that a
 program makes itself. A name is imported when it is used, as a node must not load a solver.
@@ -9,30 +13,30 @@ import importlib
 from typing import Any
 
 _HOMES = {
-    "Dissipative": "continuous",
-    "Network": "network",
-    "continuous_storage_inequality": "continuous",
-    "device_share_fixed": "delay",
-    "device_level": "continuous",
-    "device_with_level": "continuous",
-    "equality_residual": "passivity",
-    "feedback_with_passive": "continuous",
-    "greatest_input_level": "best_level",
-    "greatest_output_level": "best_level",
-    "lemma2_expression": "lemma2",
-    "lemma2_matrix": "lemma2",
-    "lemma3": "continuous",
-    "loop_gain": "transformation",
-    "mass_with_damping": "continuous",
-    "passive_operator": "continuous",
-    "schur_matrix": "lemma2",
+    "Dissipative": "passivity.continuous",
+    "Network": "models.network",
+    "continuous_storage_inequality": "passivity.continuous",
+    "device_share_fixed": "levels.device",
+    "device_level": "passivity.continuous",
+    "device_with_level": "passivity.continuous",
+    "equality_residual": "passivity.storage",
+    "feedback_with_passive": "passivity.continuous",
+    "greatest_input_level": "passivity.best_level",
+    "greatest_output_level": "passivity.best_level",
+    "lemma2_expression": "passivity.lemma2",
+    "lemma2_matrix": "passivity.lemma2",
+    "lemma3": "passivity.continuous",
+    "loop_gain": "models.coupling",
+    "mass_with_damping": "passivity.continuous",
+    "passive_operator": "passivity.continuous",
+    "schur_matrix": "passivity.lemma2",
     "seal": "certificate",
-    "storage_by_lemma2": "lemma2",
-    "storage_face": "passivity",
-    "structured_level": "physical",
-    "theorem1": "continuous",
-    "transformed_device": "transformation",
-    "transformed_environment": "transformation",
+    "storage_by_lemma2": "passivity.lemma2",
+    "storage_face": "passivity.storage",
+    "structured_level": "levels.network",
+    "theorem1": "passivity.continuous",
+    "transformed_device": "models.coupling",
+    "transformed_environment": "models.coupling",
 }
 """The module of each public name."""
 

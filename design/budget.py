@@ -11,7 +11,7 @@ which no coupling can replace. So the supremum of K_s over the class, in every d
 
     K_s < 2 Lambda/T = Delta_D/(kappa T),    kappa the least gain that leaves the share which Phi_E needs
 
-(:mod:`manyhands.design.delay`): for a passive environment Delta_D/(T/2 + 3 tau/2), whatever the environment.
+(:mod:`manyhands.design.levels.device`): for a passive environment Delta_D/(T/2 + 3 tau/2), whatever the environment.
 
 Beside it stands the limit of [Colgate1997]_ for one device of damping b that renders a wall H directly, passive for
 every hand:
@@ -34,12 +34,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.delay import gain_for_share, greatest_share
-from manyhands.design.environment import Environment
-from manyhands.design.environment_level import lack_of_passivity
 from manyhands.design.errors import Infeasible
-from manyhands.design.statespace import Matrix, matrix
+from manyhands.design.levels.device import gain_for_share, greatest_share
+from manyhands.design.levels.environment import lack_of_passivity
+from manyhands.design.models.environment import DeclaredEnvironment, Environment
+from manyhands.design.models.statespace import Matrix, matrix
 
 
 @dataclass(frozen=True)

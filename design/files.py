@@ -2,7 +2,7 @@
 
 A path may come from a session file, a bundle or a stranger, and a folder may be shared. So what is read is seen to be a
 regular file of bounded size before a byte of it is used, and what is written has a name that nobody can guess until it
-is whole. (Key files have rules of their own: :mod:`manyhands.protocol.key_files`.)
+is whole. (Key files have rules of their own: :mod:`manyhands.protocol.keys`.)
 """
 
 from __future__ import annotations

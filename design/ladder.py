@@ -6,8 +6,8 @@ loop with a longer tau, proved like any other.
 
 **How a rung is found.** The environment does not know the delay: rung 0's Phi_E and its storage prove it at every rung,
 and only where (10) then leaves no coupling is another level looked for. With Phi_E <= s Delta_D, the spring-damper
-class (:mod:`manyhands.design.spring_damper`) is the same problem for every block in ports where Delta_D = I, and its
-best coupling is K = k Delta_D, B = b Delta_D with two numbers for all blocks: a rung costs one program of one port.
+class (:mod:`manyhands.design.levels.spring_damper`) is the same problem for every block in ports where Delta_D = I, and
+its best coupling is K = k Delta_D, B = b Delta_D with two numbers for all blocks: a rung costs one program of one port.
 
 | asked of rung 0 | its rungs |
 |---|---|
@@ -31,10 +31,11 @@ from typing import NamedTuple
 import numpy as np
 
 from manyhands.design.certificate import Certificate, content
-from manyhands.design.contract import DeviceShare, margin_of
-from manyhands.design.coupling import SpringDamper
 from manyhands.design.errors import DesignError, Infeasible
-from manyhands.design.necessary import check_spring_damper
+from manyhands.design.levels.contract import DeviceShare, margin_of
+from manyhands.design.levels.spring_damper import centred, greatest_level, stiffest
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.problem import (
     CouplingRequest,
     HapticLoop,
@@ -45,11 +46,8 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.proof.ladder import prove_ladder
-from manyhands.design.search import Found, environment_need, gain_of_stiffest, search, tools
-from manyhands.design.spring_damper import centred, greatest_level, stiffest
-from manyhands.design.statespace import Matrix, symmetric_part
-from manyhands.design.synthesis import certificate_of
-from manyhands.design.theorem3 import devices
+from manyhands.design.synthesis import Found, certificate_of, environment_need, gain_of_stiffest, search, tools
+from manyhands.design.theorem3 import check_spring_damper, devices
 
 Progress = Callable[[str], None]
 

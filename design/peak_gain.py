@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 _NEGLIGIBLE = 1e-12  # tail relative to the largest norm
 _STRIDE_ENTRIES = 2**18  # of the stride's A^i B in memory, 2 MiB

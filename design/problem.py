@@ -12,14 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.contract import NO_DELAY_GAIN
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.environment import Environment
-from manyhands.design.partition import Partition
-from manyhands.design.split import Split
-from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
-from manyhands.design.weighted_loop import Transparency
+from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DeclaredEnvironment, Environment
+from manyhands.design.models.integrators import Split
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.weights import Transparency
 
 _BELOW = 1e-12  # relative, thousands of times the rounding of an eigenvalue
 

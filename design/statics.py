@@ -12,9 +12,9 @@ from decimal import Decimal
 
 from flint import fmpq, fmpq_mat
 
-from manyhands.design.environment import Environment, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.errors import Infeasible
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 _MOST_STATES = 512  # of an exact solution: about a minute
 

@@ -5,39 +5,254 @@ conditions (13)-(16) are linear matrix inequalities in
 
     P, Phi_E, Delta_V, Sigma, Q, Y, A_V, B_V, C_V, D_V
 
-but for Sigma = Delta_V^{-1}, Y = Q^{-1} (17), which :mod:`manyhands.design.complementarity` takes care of. Q, Y, Sigma
+but for Sigma = Delta_V^{-1}, Y = Q^{-1} (17), which :mod:`manyhands.design.theorem4` takes care of. Q, Y, Sigma
 and Delta_V have the structure of V, one small cone for each block. Here stands what every class of V has in common,
-and the spring-damper class (20)-(22), B_V = T A_V, D_V = T C_V; :mod:`manyhands.design.theorem4_linear` has the
+and the spring-damper class (20)-(22), B_V = T A_V, D_V = T C_V; :mod:`manyhands.design.theorem4` has the
 general one.
 
 Ports are scaled by S = Delta_D^{-1/2}, where Delta_D = I and K = kappa T I; with B_V/T and D_V/T for unknowns, all of
 (12) is then of order one and T is gone from it. (14) is asked of E_hat without its integrators
-(:mod:`manyhands.design.split`), which leave it no interior.
+(:mod:`manyhands.design.models.integrators`), which leave it no interior.
+
+Theorem 4 of [Bianchini2010]_ for linear couplings of any given order per block.
+
+Every block V_i has n_i states and m_i ports, and all of
+
+    A_V,i (n_i x n_i),   B_V,i (n_i x m_i),   C_V,i (m_i x n_i),   D_V,i (m_i x m_i)
+
+is free: the transformed coupling (12) is linear in them, so (15), (16) are linear matrix inequalities as they
+stand. An order of 0 is a static compliance.
+
+What this finds is *a* coupling of the set. Without any further aim that is mostly a spring without dynamics (A_V, B_V,
+C_V near zero), the middle of a set that is large; orders pay where something is asked beyond stability.
+
+Cone complementarity linearisation [ElGhaoui1997]_, step 1 to 4 of section 4.1 in [Bianchini2010]_.
+
+A program is linear in its unknowns but for pairs of symmetric ones that must be inverses of each other,
+
+    W_i Z_i = I,    W_i, Z_i of the same size, in whatever units make them of order one.
+
+Relaxed to the cone [W_i I; I Z_i] >= 0 (18), it is solved once for a feasible point, and then
+
+    minimise sum_i trace(W_i^j Z_i + Z_i^j W_i)    around the last iterate W^j, Z^j
+
+again and again: on the cone trace(W Z) is least, the size of W, exactly where W Z = I. The objective never grows, but
+nothing promises that it gets there. So there is a cap on iterations, and what was reached is told and handed on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cvxpy as cp
 import numpy as np
 
-from manyhands.design.complementarity import MOST_ITERATIONS, Convergence, Found, Pair, Relaxed, complement
-from manyhands.design.coordinates import balancing, change_states, scale_ports
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.errors import Infeasible
+from manyhands.design.errors import DesignError, Infeasible, NotConverged, SolverFailure, TooLarge
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.environment import DeclaredEnvironment
+from manyhands.design.models.statespace import StateSpace, symmetric_part
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
     ProgramInfeasible,
+    balancing,
+    change_states,
     positive,
+    scale_ports,
+    solve,
     storage_inequality_expression,
     symmetric,
     value,
 )
-from manyhands.design.statespace import symmetric_part
+
+TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
+MOST_ITERATIONS = 200
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """How the iteration went.
+
+    Attributes:
+        residuals: ||W Z - I|| after each iteration, the first one being step 2's; empty before that.
+    """
+
+    residuals: tuple[float, ...]
+
+    @property
+    def iterations(self) -> int:
+        """Number of linearised programs solved after the first feasible point."""
+        return max(len(self.residuals) - 1, 0)
+
+
+class Interrupted(DesignError):
+    """Somebody ended the iteration with Ctrl-C.
+
+    Attributes:
+        best: what the best iterate so far gave, or None; not proved to be anything.
+        convergence: how far it got.
+    """
+
+    def __init__(self, message: str, best: Any, convergence: Convergence) -> None:
+        self.best = best
+        self.convergence = convergence
+        super().__init__(message)
+
+
+class StoppedShort(NotConverged):
+    """The iteration ended before W Z = I.
+
+    Attributes:
+        best: what the best iterate gave, or None; :func:`manyhands.design.theorem3.certify_given` may prove it yet.
+        convergence: how far it got.
+    """
+
+    def __init__(self, message: str, best: Any, convergence: Convergence) -> None:
+        self.best = best
+        self.convergence = convergence
+        super().__init__(message)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two symmetric unknowns, r x r each, that are to become inverses of each other (17).
+
+    Attributes:
+        W: one of them, e.g. Sigma or Q.
+        Z: the other one, e.g. Delta_V or Y.
+    """
+
+    W: cp.Variable
+    Z: cp.Variable
+
+    def cone(self) -> cp.Constraint:
+        """[W I; I Z] >= 0 (18): W > 0 and Z >= W^{-1}."""
+        I = np.eye(self.W.shape[0])
+        return cp.bmat([[self.W, I], [I, self.Z]]) >> 0
+
+    def residual(self) -> float:
+        """||W Z - I||, spectral norm, of the values last found."""
+        return float(np.linalg.norm(value(self.W) @ value(self.Z) - np.eye(self.W.shape[0]), 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed(Generic[Found]):
+    """A program whose pairs are relaxed to their cones, and what to take from its solution.
+
+    Attributes:
+        constraints: everything but (18).
+        pairs: the pairs of (17).
+        recover: the answer in the unknowns' present values; None where they give none (a singular C_V, say).
+        what: for messages, e.g. "Theorem 4".
+    """
+
+    constraints: Sequence[cp.Constraint]
+    pairs: Sequence[Pair]
+    recover: Callable[[], Found | None]
+    what: str
+
+
+def complement(
+    relaxed: Relaxed[Found], *, iterations: int = MOST_ITERATIONS, progress: Callable[[str], None] | None = None
+) -> tuple[Found, Convergence]:
+    """Iterate until ||W Z - I|| < :data:`TOLERANCE` for every pair.
+
+    Args:
+        relaxed: the program.
+        iterations: cap on the linearised programs solved after the first feasible point, >= 0.
+        progress: called after each program, with a line such as ``iteration 3, |WZ - I| = 1.2e-03``.
+
+    Returns:
+        What ``recover`` makes of the last iterate, and the convergence. Up to the tolerance it satisfies the program:
+        the caller has to prove it by other means.
+
+    Raises:
+        ProgramInfeasible: the relaxed program has no solution, hence the program has none (step 2).
+        StoppedShort: the cap was reached, or a solver stumbled on the way; ``best`` is what ``recover`` made
+            of the iterate with the least residual, or None.
+        Interrupted: KeyboardInterrupt arrived; ``best`` likewise.
+        SolverFailure: the solver gave no usable first point.
+        ValueError: a negative cap.
+    """
+    if iterations < 0:
+        raise ValueError(f"found a cap of {iterations} iterations, expected one >= 0")
+    path: _Path[Found] = _Path(relaxed, progress)
+    try:
+        return path.follow(iterations)
+    except KeyboardInterrupt as error:
+        message = f"{relaxed.what}: interrupted {path.reached()}"
+        raise Interrupted(message, path.best, path.convergence()) from error
+
+
+class _Path(Generic[Found]):
+    """The iterates so far: residuals, and what the best of them gave."""
+
+    def __init__(self, relaxed: Relaxed[Found], progress: Callable[[str], None] | None) -> None:
+        self.relaxed = relaxed
+        self.progress = progress
+        self.residuals: list[float] = []
+        self.least = np.inf
+        self.best: Found | None = None
+
+    def follow(self, iterations: int) -> tuple[Found, Convergence]:
+        """Step 2, then step 3 until step 4 is content."""
+        pairs, what = self.relaxed.pairs, self.relaxed.what
+        constraints = [*self.relaxed.constraints, *(pair.cone() for pair in pairs)]
+        solve(cp.Problem(cp.Minimize(0), constraints), f"{what}, first feasible point")
+        found = self.arrive()
+        around = [(_parameter(pair.W), _parameter(pair.Z)) for pair in pairs]
+        objective = sum(
+            cp.trace(W_j @ pair.Z) + cp.trace(Z_j @ pair.W) for pair, (W_j, Z_j) in zip(pairs, around, strict=True)
+        )
+        linearised = cp.Problem(cp.Minimize(objective), constraints)
+        while not self.residuals[-1] < TOLERANCE:
+            iteration = len(self.residuals)
+            if iteration > iterations:
+                raise self.short(f"stopped after {iterations} iterations at ||W Z - I|| = {self.residuals[-1]:.2e}")
+            for pair, (W_j, Z_j) in zip(pairs, around, strict=True):
+                W_j.value, Z_j.value = symmetric_part(value(pair.W)), symmetric_part(value(pair.Z))
+            try:
+                solve(linearised, f"{what}, iteration {iteration}")
+            except (ProgramInfeasible, SolverFailure) as error:  # it had a solution a moment ago
+                raise self.short(f"the solver found no solution in iteration {iteration}, {self.reached()}") from error
+            found = self.arrive()
+        if found is None:
+            raise self.short(f"the last iterate gives no coupling, {self.reached()}")
+        return found, self.convergence()
+
+    def short(self, why: str) -> StoppedShort:
+        """The error that says ``why`` the iteration ends here."""
+        message = f"{self.relaxed.what}: {why}, wanted < {TOLERANCE:.0e}"
+        return StoppedShort(message, self.best, self.convergence())
+
+    def convergence(self) -> Convergence:
+        """The residuals so far."""
+        return Convergence(tuple(self.residuals))
+
+    def arrive(self) -> Found | None:
+        """Take note of the values that a solver has just left in the unknowns."""
+        residual = max((pair.residual() for pair in self.relaxed.pairs), default=0.0)
+        found = self.relaxed.recover()
+        if found is not None and residual < self.least:
+            self.least, self.best = residual, found
+        self.residuals.append(residual)
+        if self.progress is not None:
+            self.progress(f"iteration {len(self.residuals) - 1}, |WZ - I| = {residual:.1e}")
+        return found
+
+    def reached(self) -> str:
+        """How far it got, for messages."""
+        if not self.residuals:
+            return "before the first feasible point"
+        return f"after {len(self.residuals) - 1} iterations at ||W Z - I|| = {self.residuals[-1]:.2e}"
+
+
+def _parameter(variable: Any) -> cp.Parameter:
+    return cp.Parameter(variable.shape, symmetric=True)
+
 
 _STRICT = 1e-6  # what ">" means to the solver, in scaled coordinates of order one
 _STRICT_E = 1e-9  # the same for (14): a mode of frequency omega without a damper dissipates (omega T)^2 at most
@@ -141,7 +356,7 @@ def solve_theorem_4(
         kappa: K = kappa T Delta_D^{-1}, dimensionless.
         share: G_hat is (share Delta_D)-OSP, dimensionless, > 0.
         room: see :meth:`BlockUnknowns.constraints`.
-        iterations: cap, see :func:`manyhands.design.complementarity.complement`.
+        iterations: cap, see :func:`manyhands.design.theorem4.complement`.
         progress: see there.
 
     Raises:
@@ -245,3 +460,105 @@ def _spring_damper(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> SpringD
 
 def _symmetric(m: int) -> cp.Variable:
     return cp.Variable((m, m), symmetric=True)
+
+
+MOST_STATES = 24  # n_i + m_i of one block: (15) has 2 n_i + 4 m_i rows, and its program grows with their sixth power
+ROOM = 1e-3  # of (15), in scaled ports: what W Z = I up to 1e-4 leaves of it is enough for a proof
+_ROUNDING = 1e-8  # of V/T in scaled ports, which is of order one: far below what W Z = I up to 1e-4 means
+
+
+@dataclass(frozen=True, eq=False)
+class LinearCoupling:
+    """A coupling as Theorem 4 finds it, with static compliances made symmetric.
+
+    V_hat,i can only be output strictly passive where V_i(1) is symmetric. (15) implies it in the limit, where W Z = I
+    exactly; before that, what is left of the skew part is taken off: V_i(1) is stated, and D_V,i follows from it.
+
+    Attributes:
+        blocks: V_i in the partition's order, of the wanted orders, stable, from force (N) to displacement (m).
+        skew: the largest of ||V_i(1) - V_i(1)^T|| / (2 ||V_i(1)||) that was taken off; spectral norms.
+    """
+
+    blocks: tuple[StateSpace, ...]
+    skew: float
+
+
+def design_linear(
+    loop: HapticLoop,
+    orders: Sequence[int],
+    progress: Callable[[str], None] | None = None,
+    *,
+    kappa: float = 0.5,
+    share: float = 1.0,
+    iterations: int = MOST_ITERATIONS,
+) -> tuple[LinearCoupling, Convergence]:
+    """Find a stabilising linear coupling with the loop's block structure.
+
+    ``orders`` has n_i >= 0 for each block, in the partition's order. All other arguments, the pair that is returned
+    and the errors are those of :func:`manyhands.design.theorem4.design_spring_damper`, with two errors more.
+
+    Raises:
+        TooLarge: a block of more than :data:`MOST_STATES` states and ports.
+        ValueError: not one order >= 0 for each block.
+    """
+    partition = loop.partition
+    if len(orders) != len(partition.blocks) or min(orders) < 0:
+        raise ValueError(
+            f"found orders {list(orders)}, expected one >= 0 for each of the {len(partition.blocks)} blocks of V"
+        )
+    for name, n, ports in zip(partition.names, orders, partition.blocks, strict=True):
+        if n + len(ports) > MOST_STATES:
+            raise TooLarge(
+                f"coupling {name}: found {n} states and {len(ports)} ports, expected at most {MOST_STATES} together; "
+                "lower its order, or divide it"
+            )
+    blocks = [linear_unknowns(n, len(ports)) for n, ports in zip(orders, partition.blocks, strict=True)]
+    return solve_theorem_4(
+        loop,
+        blocks,
+        lambda: recover_linear(loop, blocks),
+        kappa=kappa,
+        share=share,
+        room=ROOM,
+        iterations=iterations,
+        progress=progress,
+    )
+
+
+def recover_linear(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> LinearCoupling | None:
+    """The coupling in the unknowns' present values, in physical ports; None where a block is not stable.
+
+    With scaled forces S^{-1} f, and B_V/T, D_V/T for unknowns, V = S V_scaled S. Dynamics that are nothing but rounding
+    become zeros; the states stay, for the order is part of the wish.
+    """
+    found, skew, T = [], 0.0, loop.period
+    for block, S_i in zip(blocks, loop.partition.restrict(loop.scaling), strict=True):
+        D = value(block.D)
+        scaled = StateSpace.static(D)
+        if block.A is not None:
+            scaled = StateSpace(value(block.A), value(block.B), value(block.C), D)
+            if np.max(np.abs(np.linalg.eigvals(scaled.A))) >= 1.0:
+                return None
+            scaled = _without_rounding(scaled)
+        V = StateSpace(scaled.A, T * scaled.B @ S_i, S_i @ scaled.C, T * S_i @ scaled.D @ S_i)
+        compliance = V.response(1.0).real
+        left = (compliance - compliance.T) / 2.0
+        skew = max(skew, float(np.linalg.norm(left, 2)) / max(float(np.linalg.norm(compliance, 2)), 1e-300))
+        found.append(StateSpace.with_static_gain(V.A, V.B, V.C, symmetric_part(compliance)))
+    return LinearCoupling(tuple(found), skew)
+
+
+def _without_rounding(system: StateSpace) -> StateSpace:
+    """The system, with A, B, C zero where ||C (zI - A)^{-1} B|| <= ||C|| ||B|| / (1 - ||A||) is next to nothing."""
+    A, B, C = (float(np.linalg.norm(M, 2)) for M in (system.A, system.B, system.C))
+    if B * C >= _ROUNDING * (1.0 - A):
+        return system
+    return StateSpace(np.zeros_like(system.A), np.zeros_like(system.B), np.zeros_like(system.C), system.D)
+
+
+def linear_unknowns(n: int, m: int) -> BlockUnknowns:
+    """All matrices of a block of order n >= 0 with m ports."""
+    D = cp.Variable((m, m))
+    if n == 0:
+        return BlockUnknowns.of(None, None, None, D, 0)
+    return BlockUnknowns.of(cp.Variable((n, n)), cp.Variable((n, m)), cp.Variable((m, n)), D, n)

@@ -8,9 +8,9 @@ The loop is not stable for every passive hand, so nothing certifies it, and it h
 import sys
 from pathlib import Path
 
-from manyhands.launch.plots import plot_velocities
-from manyhands.launch.preparation import prepare
-from manyhands.launch.shipped import load_named
+from manyhands.launch.demo import plot_velocities
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.simulation import Simulation
 
 SECONDS = 10.0

@@ -8,9 +8,9 @@ Each device has a coupling block of its own, designed and proved before it runs.
 import sys
 from pathlib import Path
 
-from manyhands.launch.plots import plot_velocities
-from manyhands.launch.preparation import prepare
-from manyhands.launch.shipped import load_named
+from manyhands.launch.demo import plot_velocities
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.simulation import Simulation
 
 SECONDS = 10.0

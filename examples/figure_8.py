@@ -8,9 +8,9 @@ Springs and dampers chosen for the least ||W1 E V W2|| (24), with emphasis on 0-
 import sys
 from pathlib import Path
 
-from manyhands.launch.plots import plot_velocities
-from manyhands.launch.preparation import prepare
-from manyhands.launch.shipped import load_named
+from manyhands.launch.demo import plot_velocities
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.simulation import Simulation
 
 SECONDS = 10.0

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.nodes.environment.black_box import EnforcedCore
+from manyhands.nodes.environment.enforced import EnforcedCore
 
 FOLDER = Path(__file__).parent
 SECONDS = 4.0

@@ -15,23 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted, Wish
 from manyhands.design.synthesis import design
 
 Matrix = NDArray[np.float64]
 
 T, DAMPING = 1e-3, 1.37  # s, N·s/m
-WALL = Network(("d0",), (), (Link(("d0", GROUND), 1e9, 0.0),))
+WALL = Network(("d0",), (), (NetworkLink(("d0", GROUND), 1e9, 0.0),))
 EXAMPLE_1 = Network(
     ("d0", "d1", "d2"),
     (("hub", 3.0),),
     (
-        Link(("d0", "hub"), 3800.0, 0.1),
-        Link(("d1", "hub"), 3500.0, 0.2),
-        Link(("d2", "hub"), 3300.0, 0.3),
-        Link(("hub", GROUND), 2600.0, 0.5),
+        NetworkLink(("d0", "hub"), 3800.0, 0.1),
+        NetworkLink(("d1", "hub"), 3500.0, 0.2),
+        NetworkLink(("d2", "hub"), 3300.0, 0.3),
+        NetworkLink(("hub", GROUND), 2600.0, 0.5),
     ),
 )
 MASSES = T * DAMPING * 10.0 ** np.arange(-2.5, 3.1, 0.5)  # kg: from one that stops long before a tick is over

@@ -18,10 +18,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from manyhands.design.budget import Stiffness, environment_share, stiffest
-from manyhands.design.environment import StateSpaceEnvironment
 from manyhands.design.files import replacing
+from manyhands.design.models.environment import StateSpaceEnvironment
+from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
-from manyhands.design.statespace import Matrix
 from manyhands.launch.files import TargetError, require_target
 from manyhands.nodes.json_number import json_number
 
@@ -54,7 +54,7 @@ class DeviceBudget:
 
 
 @dataclass(frozen=True, eq=False)
-class Budget:
+class DelayBudget:
     """What a session could certify.
 
     Attributes:
@@ -71,7 +71,7 @@ class Budget:
     devices: tuple[DeviceBudget, ...]
 
 
-def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -> Budget:
+def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -> DelayBudget:
     """The budget of every device of a loop.
 
     Args:
@@ -94,7 +94,7 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
                 tuple(_limits(level, period, delay, share(period)) for period, delay in grid),
             )
         )
-    return Budget(loop, periods, share, tuple(devices))
+    return DelayBudget(loop, periods, share, tuple(devices))
 
 
 def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
@@ -109,7 +109,7 @@ def _limits(level: Matrix, T: float, tau: float, share: float) -> Stiffness:
     return stiffest(level, T, tau, min(share, 1.0))  # a share of 1 leaves nothing, nor does more
 
 
-def budget_object(found: Budget) -> dict[str, Any]:
+def budget_object(found: DelayBudget) -> dict[str, Any]:
     """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where nothing is left."""
     loop = found.loop
     return {
@@ -135,7 +135,7 @@ def _plain(row: Stiffness) -> dict[str, float | None]:
     return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
 
 
-def print_budget(console: Console, found: Budget) -> None:
+def print_budget(console: Console, found: DelayBudget) -> None:
     """Two tables: stiffness against delay, and against period; devices of one level share their rows."""
     loop = found.loop
     groups = _groups(found.devices)
@@ -175,7 +175,7 @@ def print_budget(console: Console, found: Budget) -> None:
     console.print(_environment_text(found), markup=False, soft_wrap=True)
 
 
-def _environment_text(found: Budget) -> str:
+def _environment_text(found: DelayBudget) -> str:
     share = found.share_at(found.loop.period)
     if share == 0.0:
         return "The environment is passive: the limits do not depend on it."
@@ -184,7 +184,7 @@ def _environment_text(found: Budget) -> str:
     return f"The environment takes {share:.1%} of what the devices dissipate; the certified limits leave it that."
 
 
-def plot_budget(found: Budget, path: Path) -> None:
+def plot_budget(found: DelayBudget, path: Path) -> None:
     """A picture: stiffness against the delay for several periods, certified and Colgate's, a panel for each level.
 
     Raises:

@@ -1,23 +1,53 @@
-"""Example 1 of the paper from start to picture: design, seven processes, and its Figs. 5-7."""
+"""Example 1 of the paper from start to picture: design, seven processes, and its Figs. 5-7.
+
+Pictures of the demonstration, in the manner of the paper's Figs. 5-7: velocities of the devices over time.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from rich.console import Console
 
-from manyhands.design.certificate import save
-from manyhands.launch.display import say, status
-from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
-from manyhands.launch.plots import plot_comparison, plot_velocities
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import IPC
+from manyhands.design.certificate import save as save_certificate
+from manyhands.launch.design_report import print_certificate, print_report
+from manyhands.launch.files import EXIT_FAILED, EXIT_OK
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import IPC
+from manyhands.launch.recordings.curves import Curve, Panel
+from manyhands.launch.recordings.plots import draw_panel
+from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.running import run_session
+from manyhands.launch.run.display import say, status
+from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.summary import print_certificate, print_report
+
+_WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.4  # inches
+
+
+def plot_velocities(recording: Recording, title: str, path: Path) -> None:
+    """One picture with the velocity of every port."""
+    save_picture(_figure([(title, recording)], _ONE), path)
+
+
+def plot_comparison(runs: Sequence[tuple[str, Recording]], path: Path) -> None:
+    """The velocities of several runs, one above the other, over the same time."""
+    save_picture(_figure(runs, _OF_SEVERAL), path)
+
+
+def _figure(runs: Sequence[tuple[str, Recording]], height: float) -> Figure:
+    figure = Figure(figsize=(_WIDTH, height * len(runs)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (title, recording) in zip(rows, runs, strict=True):
+        columns = zip(recording.ports, recording.velocity.T, strict=True)
+        curves = tuple(Curve(port, column) for port, column in columns)
+        draw_panel(axes, recording.time, Panel("velocity", title, "velocity [m/s]", curves))
+        axes.set_xlabel("time [s]" if axes is rows[-1] else "")
+    return figure
+
 
 SETTLED = 1e-3  # of its peak: the speed below which a device counts as come to rest
 
@@ -41,7 +71,7 @@ def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder
         decentralised = prepare(sessions["example1"])
     if decentralised.certificate is not None:
         print_certificate(out, decentralised.certificate)
-        save(decentralised.certificate, folder / "certificate.json")
+        save_certificate(decentralised.certificate, folder / "certificate.json")
     outcome = run_session(
         decentralised,
         err,

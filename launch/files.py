@@ -1,17 +1,24 @@
-"""Refusing beforehand what cannot be written, and keeping others from the same file while it is being written."""
+"""Refusing beforehand what cannot be written, and keeping others from the same file while it is being written.
+
+The exit codes of the command line, which other programs rely on.
+
+The sessions that come with the package, by name.
+"""
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import importlib.resources
 import os
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from manyhands.launch.session import Session, load_session
 from manyhands.protocol.messages import presentable
 
 _MOST_WORDS: Final = 300
@@ -121,3 +128,29 @@ def _who(descriptor: int) -> str:
         words = os.pread(descriptor, _MOST_WORDS, 0).decode(errors="replace")
         return f" ({presentable(' '.join(words.split()))})" if words else ""
     return ""
+
+
+EXIT_OK = 0
+EXIT_FAILED = 1  # a process failed, or a file could not be written
+EXIT_BAD_INPUT = 2
+EXIT_NOT_CERTIFIED = 3
+EXIT_INTERRUPTED = 130  # Ctrl-C; other signals likewise, 128 + their number
+
+
+def load_named(name: Path | str, overrides: Sequence[str] = ()) -> Session:
+    """The session at a path, or the shipped one of that name, with or without its suffix.
+
+    Args:
+        name: a path; one that does not exist and names no folder may be a shipped session.
+        overrides: ``KEY.PATH=VALUE`` each.
+
+    Raises:
+        SessionError: whatever is wrong with either.
+    """
+    path = Path(name)
+    if not path.exists() and len(path.parts) == 1:
+        shipped = importlib.resources.files("manyhands.launch") / "sessions" / f"{path.name.removesuffix('.yaml')}.yaml"
+        with importlib.resources.as_file(shipped) as file:
+            if file.exists():
+                return load_session(file, overrides)
+    return load_session(path, overrides)

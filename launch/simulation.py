@@ -16,21 +16,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.recordings.tracing import Traces
-from manyhands.launch.topology import ENVIRONMENT
+from manyhands.launch.recordings.traces import Traces
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.environment.black_box import EnforcedCore
-from manyhands.nodes.environment.cores import environment_core
+from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.environment.enforced import EnforcedCore, environment_core
 from manyhands.nodes.environment.model import ModelFailure
-from manyhands.nodes.ledger import Ledger
+from manyhands.nodes.passivity import Ledger
 
 _PROGRESS_TICKS = 1000
 
@@ -72,7 +69,7 @@ class Simulation:
         given = {} if drivers is None else drivers
         session = prepared.session
         self._prepared = prepared
-        bundles = cut(prepared, Run(SIMULATED, None, ""))
+        bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
         self._drivers: list[Driver] = []

@@ -5,16 +5,27 @@ be fetched, not the arithmetic. A call into numpy costs some 10 us cold however 
 Python a tenth of that for a device's one port. Beyond :data:`NARROW` entries numpy is the faster one.
 
 The choice depends on the matrix alone, so that a run and its simulation have the same numbers.
+
+Clipping a force to its limits, port by port: at the coupling, and again at the device, last before its actuator.
+
+A clipped force is not the one that the certificate is about. Both places count the ticks, so that it is told.
+
+By what the environment knows the D_V that its certificate is about, without being given it.
+
+The launcher puts the digest of every block's D_V into the environment's bundle; a coupling says its D_V at the
+handshake. One that runs another block than the certificate's is found out as far as the environment can see.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Callable, Sequence
 from operator import mul
 from typing import Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = list[float]
 """The components of a vector."""
@@ -79,3 +90,36 @@ def solve(A: Rows, b: Floats, least: float) -> Floats | None:
             if i != k and factor != 0.0:
                 work[i] = [entry - factor * by for entry, by in zip(work[i], scaled, strict=True)]
     return [row[n] for row in work]
+
+
+class Saturation:
+    """Limits of the force at a number of ports.
+
+    Attributes:
+        ticks: how often a force was clipped.
+    """
+
+    __slots__ = ("_limits", "ticks")
+
+    def __init__(self, limits: Sequence[float]) -> None:
+        """``limits``: greatest absolute force by port, N."""
+        self._limits = tuple(limits)
+        self.ticks = 0
+
+    def clip(self, f: Floats) -> Floats:
+        """``f`` (N) itself where it is within the limits, otherwise a new list that is; what is no number becomes 0."""
+        for force, limit in zip(f, self._limits, strict=True):
+            if not -limit <= force <= limit:
+                break
+        else:
+            return f
+        self.ticks += 1
+        return [
+            0.0 if math.isnan(force) else max(-limit, min(limit, force))
+            for force, limit in zip(f, self._limits, strict=True)
+        ]
+
+
+def feedthrough_digest(D_V: ArrayLike) -> str:
+    """SHA-256 of D_V (m/N) as little-endian float64, row by row; 64 hexadecimal digits."""
+    return hashlib.sha256(np.ascontiguousarray(D_V, dtype="<f8").tobytes()).hexdigest()

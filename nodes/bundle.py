@@ -3,61 +3,336 @@
 A bundle is one JSON file, written by the launcher from the session and its certificate, readable by its
 node alone. A device's holds no block of V, a coupling's only its own, the environment's none: D_V reaches it at the
 handshake, and its bundle has the D_V of the ladder's further rungs.
+
+What a node's bundle is made of: who it is, its peers, limits, and rungs of the ladder.
+
+The values that bundles are made of, to JSON and back: arrays with their shape, systems, floats.
+
+What moves a device, as its bundle says it: a simulated hand, a recorded motion, or a person at a browser.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
+
+import numpy as np
 
 from manyhands.design.files import open_new, read_regular
-from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.nodes.bundle_parts import (
-    MOST_RUNGS,
-    Common,
-    CouplingRung,
-    DeviceRung,
-    Limits,
-    Peer,
-    require_rungs,
-)
-from manyhands.nodes.bundle_sources import BrowserHand, RecordedMotion, SimulatedHand, Source, plain_source, source_from
-from manyhands.nodes.bundle_values import array, floats, plain, system
-from manyhands.nodes.environment.energy import Budget
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
 
-__all__ = [
-    "CLOCKS",
-    "MAX_FILE_BYTES",
-    "MAX_TELEMETRY_TICKS",
-    "REALTIME",
-    "SIMULATED",
-    "BrowserHand",
-    "Bundle",
-    "BundleError",
-    "Common",
-    "CouplingBundle",
-    "CouplingRung",
-    "DeviceBundle",
-    "DeviceRung",
-    "EnvironmentBundle",
-    "Limits",
-    "ObserverBundle",
-    "Peer",
-    "RecordedMotion",
-    "SimulatedHand",
-    "Source",
-    "encoded",
-    "load",
-    "role_of",
-    "save",
-]
+MOST_RUNGS = 8
+"""Of a ladder, besides rung 0: as many as a session file may state."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A node at the other end of one of this node's links.
+
+    Attributes:
+        name: the peer's name.
+        role: what it is.
+        ports: the ports that the link carries, in order.
+        binds: whether *this* node binds the link's endpoint.
+        address: where it binds it (tcp), host:port; empty for any port of the loopback.
+    """
+
+    name: str
+    role: Role
+    ports: tuple[str, ...]
+    binds: bool
+    address: str = ""
+
+
+@dataclass(frozen=True)
+class Common:
+    """What every node needs to find and recognise the others.
+
+    Attributes:
+        session: the session's name.
+        name: the node's name.
+        role: the node's role.
+        certificate: id of the certificate (or of the uncertified session) that all nodes must share.
+        period: T, s.
+        tau: delay that the certificate assumes, s.
+        clock: :data:`REALTIME` or :data:`SIMULATED`.
+        transport: "ipc" or "tcp".
+        public: the public keys of this node, its peers and the supervisor; empty for a session without keys.
+        private: the file of this node's private key; empty for a session without keys, or where the user names it.
+        directory: the session's directory, mode 0700; empty for a node on another machine.
+        control: endpoint of the supervisor's hub.
+        ports: the node's ports, in order.
+        peers: its links.
+        telemetry_ticks: ticks between two telemetry messages.
+        telemetry_first: ticks to the first, at most as many: nodes do not all tell in the same tick.
+
+    Raises:
+        ValueError: the first telemetry has more ticks than the others, for which alone there is room.
+    """
+
+    session: str
+    name: str
+    role: Role
+    certificate: str
+    period: float
+    tau: float
+    clock: str
+    transport: str
+    public: Mapping[str, str]
+    private: str
+    directory: str
+    control: str
+    ports: tuple[str, ...]
+    peers: tuple[Peer, ...]
+    telemetry_ticks: int
+    telemetry_first: int
+
+    def __post_init__(self) -> None:
+        if self.telemetry_first > self.telemetry_ticks:
+            raise ValueError(
+                f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
+                "as to every other"
+            )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the devices at a node's ports may exert and reach, either way; one entry for each port of the node.
+
+    Attributes:
+        force: N.
+        displacement: m.
+        speed: m/s.
+
+    Raises:
+        ValueError: a limit is not a finite number greater than 0.
+    """
+
+    force: tuple[float, ...]
+    displacement: tuple[float, ...]
+    speed: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for limit in (*self.force, *self.displacement, *self.speed):
+            if not 0.0 < limit < math.inf:
+                raise ValueError(f"found the limit {limit}; expected a finite number greater than 0")
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceRung:
+    """What a device promises at one rung of the ladder.
+
+    Attributes:
+        tau: delay that the rung covers, s.
+        level: of its G_hat, m_i x m_i, N*s/m.
+        K: m_i x m_i, m/N.
+    """
+
+    tau: float
+    level: Matrix
+    K: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingRung:
+    """One block of V at one rung of the ladder.
+
+    Attributes:
+        block: V_i.
+        K: K_i, m_i x m_i, m/N.
+        level: Delta_V,i, m_i x m_i, N*s/m; None where nothing is certified.
+    """
+
+    block: StateSpace
+    K: Matrix
+    level: Matrix | None
+
+
+def require_rungs(rungs: Sequence[DeviceRung | CouplingRung]) -> None:
+    """Check that the rungs of one node fit each other.
+
+    Args:
+        rungs: all of them, rung 0 first.
+
+    Raises:
+        ValueError: too many, a matrix of another shape than rung 0's, or a coupling's rung without a level.
+    """
+    if len(rungs) > 1 + MOST_RUNGS:
+        raise ValueError(f"found {len(rungs)} rungs; expected at most {1 + MOST_RUNGS}")
+    wanted = rungs[0].K.shape
+    for number, rung in enumerate(rungs[1:], 1):
+        if rung.level is None:
+            raise ValueError(f"rung {number}: found no level; expected that of the block")
+        shapes = [rung.K.shape, rung.level.shape]
+        if isinstance(rung, CouplingRung):
+            shapes.append(rung.block.D.shape)
+        if wrong := [shape for shape in shapes if shape != wanted]:
+            raise ValueError(f"rung {number}: found a matrix of shape {wrong[0]}; expected {wanted}, that of rung 0")
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: data classes by their fields, arrays with their shape."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray):
+        return {"shape": value.shape, "entries": value.ravel().tolist()}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    return value
+
+
+def array(data: Any) -> Matrix:
+    """A matrix; what is none raises one of the errors that :func:`manyhands.nodes.bundle.load` knows."""
+    return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
+
+
+def system(data: Any) -> StateSpace:
+    """A system by its matrices A, B, C, D; likewise."""
+    return StateSpace(*(array(data[name]) for name in "ABCD"))
+
+
+def floats(data: Any) -> tuple[float, ...]:
+    """Numbers; likewise."""
+    return tuple(float(value) for value in data)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedHand:
+    """The physics of a simulated device and its hand, one entry an axis.
+
+    Attributes:
+        mass: kg, device and hand together.
+        damping: the device's, N*s/m.
+        operator: H in continuous time.
+        hand_damping: N*s/m.
+        hand_stiffness: N/m.
+        force: intended force (N): a number, a formula in t, or {"times", "values"}.
+        motion: intended motion (m), likewise.
+
+    Raises:
+        ValueError: not as many of each.
+    """
+
+    mass: tuple[float, ...]
+    damping: tuple[float, ...]
+    operator: StateSpace
+    hand_damping: tuple[float, ...]
+    hand_stiffness: tuple[float, ...]
+    force: tuple[Any, ...]
+    motion: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        vectors = (self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion)
+        _require_one_number({len(vector) for vector in vectors} | {self.operator.inputs})
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(self.mass)
+
+
+@dataclass(frozen=True, eq=False)
+class BrowserHand:
+    """The physics of a device that a person's browser can hold; by itself the hand intends nothing.
+
+    Attributes:
+        physics: device and hand, the hand being what holds the device to the pointer.
+    """
+
+    physics: SimulatedHand
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return self.physics.axes
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """A motion that was recorded, and moves the device whatever force acts on it.
+
+    Attributes:
+        damping: Delta_D of the device that is moved, m x m, N*s/m.
+        times: of the samples, s, growing from 0.
+        values: of each axis, as many as there are times, m.
+
+    Raises:
+        ValueError: there are not as many, or the damping is not m x m.
+    """
+
+    damping: Matrix
+    times: tuple[float, ...]
+    values: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        if any(len(axis) != len(self.times) for axis in self.values):
+            raise ValueError(f"found an axis without {len(self.times)} samples; expected one at each time")
+        _require_one_number({len(self.values), *self.damping.shape})
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(self.values)
+
+
+Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion
+"""What moves a device."""
+
+
+def _require_one_number(numbers: set[int]) -> None:
+    if len(numbers) != 1:
+        raise ValueError(f"found entries of {sorted(numbers)} axes in a device's source; expected one number of axes")
+
+
+def plain_source(source: Source) -> dict[str, Any]:
+    """As a bundle's file has it."""
+    kind = next(kind for kind, (of, _) in _KINDS.items() if isinstance(source, of))
+    return {"kind": kind, **{field.name: plain(getattr(source, field.name)) for field in dataclasses.fields(source)}}
+
+
+def source_from(data: Any) -> Source:
+    """From what a bundle's file has.
+
+    Raises:
+        ValueError: no such kind, or numbers that do not fit each other.
+        KeyError, TypeError: of another form.
+    """
+    kind = data["kind"]
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ValueError(f"found a device moved by {kind!r:.40}; expected one of {', '.join(_KINDS)}")
+    return _KINDS[kind][1](data)
+
+
+def _hand(data: Any) -> SimulatedHand:
+    vectors = {name: floats(data[name]) for name in ("mass", "damping", "hand_damping", "hand_stiffness")}
+    intentions = {name: tuple(data[name]) for name in ("force", "motion")}
+    return SimulatedHand(operator=system(data["operator"]), **vectors, **intentions)
+
+
+def _motion(data: Any) -> RecordedMotion:
+    times, values = floats(data["times"]), tuple(floats(axis) for axis in data["values"])
+    if not all(map(math.isfinite, (*times, *(value for axis in values for value in axis)))):
+        raise ValueError("found a motion with a number that is not finite; expected finite numbers")
+    return RecordedMotion(array(data["damping"]), times, values)
+
+
+_KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
+    "simulated": (SimulatedHand, _hand),
+    "browser": (BrowserHand, lambda data: BrowserHand(_hand(data["physics"]))),
+    "trace": (RecordedMotion, _motion),
+}
+
 
 MAX_FILE_BYTES = 256 * 2**20
 
@@ -151,7 +426,7 @@ class EnvironmentBundle:
         tool_magnitude: the greatest |p| that honest devices and couplings can send, by port, m; None: no bound.
         tool_step: the greatest |p(k) - p(k-1)|, likewise.
         feedthrough: by coupling, the digest of the D_V that it must say
-            (:func:`manyhands.nodes.feedthrough.feedthrough_digest`).
+            (:func:`manyhands.nodes.arithmetic.feedthrough_digest`).
         feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
         independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
@@ -179,7 +454,7 @@ class EnvironmentBundle:
     model: ModelName | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
-    budgets: tuple[Budget, ...] = ()
+    budgets: tuple[EnergyBudget, ...] = ()
     storage: Matrix | None = None
 
     def __post_init__(self) -> None:
@@ -325,7 +600,7 @@ _READ: dict[str, Any] = {
     "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
-    "budgets": lambda all_: tuple(Budget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
+    "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
     "storage": _optional_array,
     "limits": _limits,
     "tool_magnitude": _bounds,

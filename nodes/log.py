@@ -45,7 +45,7 @@ _NS_PER_S: Final = 1_000_000_000
 _LAST_WORDS_BYTES: Final = 4096
 
 
-class Event(StrEnum):
+class LogEvent(StrEnum):
     """Everything that is noted. The value is the line's ``event``."""
 
     START = "start"  # the process: role, pid, certificate
@@ -72,7 +72,7 @@ class Event(StrEnum):
     END = "end"  # the process's: reason, ticks, dropped
 
 
-class Level(StrEnum):
+class LogLevel(StrEnum):
     """How grave an event is."""
 
     INFO = "info"
@@ -80,20 +80,28 @@ class Level(StrEnum):
     ERROR = "error"
 
 
-LEVELS: Final[dict[Event, Level]] = {
-    **dict.fromkeys(Event, Level.INFO),
+LEVELS: Final[dict[LogEvent, LogLevel]] = {
+    **dict.fromkeys(LogEvent, LogLevel.INFO),
     **dict.fromkeys(
         (
-            *(Event.FROZEN, Event.LOST, Event.JUMPED, Event.RUNG, Event.STALE, Event.BREACH, Event.CLIPPED),
-            *(Event.NOTICE, Event.INCIDENT, Event.TRUNCATED),
+            *(
+                LogEvent.FROZEN,
+                LogEvent.LOST,
+                LogEvent.JUMPED,
+                LogEvent.RUNG,
+                LogEvent.STALE,
+                LogEvent.BREACH,
+                LogEvent.CLIPPED,
+            ),
+            *(LogEvent.NOTICE, LogEvent.INCIDENT, LogEvent.TRUNCATED),
         ),
-        Level.WARNING,
+        LogLevel.WARNING,
     ),
-    **dict.fromkeys((Event.FAULT, Event.REFUSED), Level.ERROR),
+    **dict.fromkeys((LogEvent.FAULT, LogEvent.REFUSED), LogLevel.ERROR),
 }
 """The level of each event."""
 
-_Entry: TypeAlias = tuple[int, int, Event, dict[str, Value]]
+_Entry: TypeAlias = tuple[int, int, LogEvent, dict[str, Value]]
 
 
 class Log:
@@ -143,7 +151,7 @@ class Log:
         except OSError as error:
             self.trouble = error.strerror or str(error)
 
-    def note(self, event: Event, **data: Value) -> None:
+    def note(self, event: LogEvent, **data: Value) -> None:
         """Note an event of now, to be written at the next flush; cheap enough for a tick in which something happens."""
         if not self._kept:
             return
@@ -174,7 +182,7 @@ class Log:
         """The line of an entry if the file has room for it: the end of a process always has."""
         line = self._line(entry)
         if self._full or self._length + len(line) > self._most_bytes:
-            if entry[2] is Event.END and len(line) <= _LAST_WORDS_BYTES:
+            if entry[2] is LogEvent.END and len(line) <= _LAST_WORDS_BYTES:
                 return line if self._full else self._truncated(entry) + line
             self.dropped += 1
             return b"" if self._full else self._truncated(entry)
@@ -183,7 +191,7 @@ class Log:
 
     def _truncated(self, entry: _Entry) -> bytes:
         self._full = True
-        return self._line((entry[0], entry[1], Event.TRUNCATED, {"most_bytes": self._most_bytes}))
+        return self._line((entry[0], entry[1], LogEvent.TRUNCATED, {"most_bytes": self._most_bytes}))
 
     def _line(self, entry: _Entry) -> bytes:
         wall, now, event, data = entry
@@ -196,7 +204,7 @@ class Log:
             "event": event.value,
         }
         whole |= {name: _plain(value) for name, value in data.items() if name not in whole}
-        if event is Event.END and self.dropped:
+        if event is LogEvent.END and self.dropped:
             whole["dropped"] = self.dropped
         return json.dumps(whole, allow_nan=False).encode() + b"\n"
 

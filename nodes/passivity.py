@@ -1,4 +1,12 @@
-"""A passivity controller at the environment's ports: it keeps a promise that nothing proves.
+"""The energy ledger of one party: its promise, watched online from its own data alone.
+
+A party that is Delta-OSP and Phi-ISP (Definition 2 of [Bianchini2010]_) satisfies, at every tick k,
+
+    E_k = sum_{j <= k} T (y^T u - y^T Delta y - u^T Phi u) >= -V(psi_0),
+
+and everything here starts at rest, V(psi_0) = 0. A ledger below zero is a broken promise.
+
+A passivity controller at the environment's ports: it keeps a promise that nothing proves.
 
 A physics engine or a neural simulator has no storage function to show. What it exerts at the ports is held back
 instead, tick by tick, until the ledger of its declared level Phi is never below zero: the passivity observer and
@@ -41,6 +49,38 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class Ledger:
+    """Running total of a party's energy, J.
+
+    Attributes:
+        total: E_k, J.
+        minimum: the least total so far, J; not above 0, where it began.
+        ticks: how many were entered.
+        at: after which of them the total was least; 0 where it never fell below its beginning.
+    """
+
+    __slots__ = ("at", "minimum", "ticks", "total")
+
+    def __init__(self) -> None:
+        self.total = 0.0
+        self.minimum = 0.0
+        self.ticks = self.at = 0
+
+    @property
+    def margin(self) -> float:
+        """By how much the least total stayed above its bound, -V(psi_0) = 0, J; negative for a broken promise."""
+        return self.minimum
+
+    def enter(self, energy: float) -> None:
+        """Add one tick's T (y^T u - y^T Delta y - u^T Phi u), J."""
+        self.total += energy
+        self.ticks += 1
+        if self.total < self.minimum:
+            self.minimum = self.total
+            self.at = self.ticks
+
 
 Vector = NDArray[np.float64]
 

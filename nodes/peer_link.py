@@ -1,33 +1,39 @@
 """One link of a running node: its signals of the tick, and what else may come of a peer.
 
 A peer does its part in time, is silent, has fallen behind, is lost, or comes back on a new link. A joint hears all of
-that and says which (:class:`Heard`); what is done about it is the node's own business (:class:`Listener`).
+that and says which (:class:`Received`); what is done about it is the node's own business (:class:`Listener`).
+
+How a node and its peers come together: links bound, hands shaken, before the first tick and again later.
+
+Before the first tick a node waits for its peers, one after the other, in the session's order. Once the loop runs
+nobody waits any more: a peer that was lost and comes back is greeted on a new link, frame by frame, between the
+ticks (:meth:`manyhands.nodes.peer_link.PeerLink.greet`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.bundle import Peer
-from manyhands.nodes.linear_map import Floats
-from manyhands.protocol.clock import Clock, Duration, Instant
-from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import SIMULATED, Common, Peer
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
+from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode, type_of
 from manyhands.protocol.gate import Bounds, Gate
-from manyhands.protocol.handshake import LinkHandshake
+from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Absent, LinkHello, Refusal, Rung, SignalMessage
-from manyhands.protocol.signal_head import type_of
-from manyhands.protocol.transport import Link
+from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Refusal, Role, Rung, SignalMessage, Values
+from manyhands.protocol.transport import Link, Transport
 
 Indices = NDArray[np.int64]
 
 
-class Heard(Enum):
+class Received(Enum):
     """What came of listening to a peer."""
 
     SIGNAL = "the signal of the tick, put in its place"
@@ -39,11 +45,11 @@ class Heard(Enum):
 class Listener(Protocol):
     """What a node makes of a frame that is not the signal of the tick."""
 
-    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
         """A proper signal of tick ``told`` came while ``awaited`` was waited for; whether to stop waiting for it."""
         ...
 
-    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
         """A word besides the signals; whether to stop waiting."""
         ...
 
@@ -52,7 +58,7 @@ class Listener(Protocol):
         ...
 
 
-class Joint:
+class PeerLink:
     """One link of a node.
 
     Attributes:
@@ -162,14 +168,14 @@ class Joint:
         if link is not None:
             link.send(encode(message))
 
-    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
         """Listen for the peer's signal of ``tick``, at most ``patience``, and put it into the node's ``values``."""
         link = self.link
         if link is None:
-            return Heard.NOTHING
+            return Received.NOTHING
         frame = link.recv(patience)
         if frame is None:
-            return Heard.NOTHING
+            return Received.NOTHING
         if self.handshake is None:
             admitted = self.gate.admitted(frame, tick)
             if admitted is not None:
@@ -179,7 +185,7 @@ class Joint:
                 else:
                     values[part] = admitted
                 self.tick = tick
-                return Heard.SIGNAL
+                return Received.SIGNAL
         return self._hear_on(frame, values, tick, patience, listener)
 
     def take(self, frame: bytes, values: Floats, tick: int) -> bool:
@@ -207,7 +213,7 @@ class Joint:
         for message in handshake.start():
             link.send(encode(message))
 
-    def _hear_on(self, frame: bytes, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+    def _hear_on(self, frame: bytes, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
         """Look at a frame that was not the signal of the tick, and listen on for the rest of the time."""
         due = Instant(self._clock.now() + patience)
         strays = 0
@@ -222,53 +228,53 @@ class Joint:
             self._junk += signal is None  # who is only behind says the same again and again
             if max(strays, self._junk) > MAX_STRAY_FRAMES:
                 listener.flooded(self._flood(tick))
-                return Heard.NOTHING
+                return Received.NOTHING
             link = self.link
             left = Duration(max(0, due - self._clock.now())) if patience else patience
             if link is None or (patience and not left):
-                return Heard.NOTHING
+                return Received.NOTHING
             following = link.recv(left)
             if following is None:
-                return Heard.NOTHING
+                return Received.NOTHING
             frame = following
             if self.handshake is None:
                 admitted = self.gate.admitted(frame, tick)
                 if admitted is not None:
                     self.put(values, admitted)
                     self.tick, self._junk_tick = tick, -1
-                    return Heard.SIGNAL
+                    return Received.SIGNAL
 
-    def _take(self, frame: bytes, signal: tuple[int, bool] | None, tick: int, listener: Listener) -> Heard | None:
+    def _take(self, frame: bytes, signal: tuple[int, bool] | None, tick: int, listener: Listener) -> Received | None:
         if self.handshake is not None:
             return self._shake(frame, self.handshake)
         if signal is not None and signal[0] != tick:
             (self.told, self.zero), self.stray = signal, frame
-            return Heard.TURNED if listener.astray(self, signal[0], tick) else None
+            return Received.TURNED if listener.astray(self, signal[0], tick) else None
         if signal is None and len(frame) <= _LONGEST_WORD and type_of(frame) in _WORDS:
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, Rung | Absent):
                 self.gate.dropped["wrong_kind"] -= 1  # it was counted as a stray, and is none
-                return Heard.TURNED if listener.aside(self, message) else None
+                return Received.TURNED if listener.aside(self, message) else None
         return None
 
-    def _shake(self, frame: bytes, handshake: LinkHandshake) -> Heard | None:
+    def _shake(self, frame: bytes, handshake: LinkHandshake) -> Received | None:
         link = self.link
         if link is None:
-            return Heard.NOTHING
+            return Received.NOTHING
         for message in handshake.receive(decode(frame, MAX_CONTROL_BYTES)):
             if not link.send(encode(message)) and not isinstance(message, Refusal):
                 self.lose()  # gone again; the supervisor will tell
-                return Heard.NOTHING
+                return Received.NOTHING
         if not handshake.finished:
             return None
         if handshake.peer is None:  # refused: as good as absent, and told at the other end
             self.lose()
-            return Heard.NOTHING
+            return Received.NOTHING
         self.handshake, self.hello, self.new = None, handshake.peer, True
         before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
         self._last, self.tick = b"", -1
-        return Heard.MET
+        return Received.MET
 
     def _flood(self, tick: int) -> str:
         kinds = ", ".join(f"{reason} {count}" for reason, count in self.gate.dropped.items() if count)
@@ -280,12 +286,12 @@ class Joint:
 
 
 def await_all(
-    joints: Sequence[Joint],
-    last: Joint,
+    joints: Sequence[PeerLink],
+    last: PeerLink,
     values: Floats,
     tick: int,
     listener: Listener,
-    react: Callable[[Joint, Heard, int], int],
+    react: Callable[[PeerLink, Received, int], int],
     pause: Callable[[int], Duration | None],
 ) -> int | None:
     """Wait until every peer has sent its signal of one tick; listen in turn to those that have not.
@@ -320,6 +326,118 @@ _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
 _LONGEST_WORD = 128  # bytes
 
 
-def joint_of(joints: Sequence[Joint], peer: str) -> Joint | None:
+def joint_of(joints: Sequence[PeerLink], peer: str) -> PeerLink | None:
     """The joint with ``peer``; None if there is no such peer."""
     return next((joint for joint in joints if joint.peer.name == peer), None)
+
+
+HANDSHAKE_TIME = from_seconds(20.0)
+
+
+def bounds_by_peer(
+    common: Common, role: Role, magnitude: Sequence[float | None], step: Sequence[float | None]
+) -> dict[str, Bounds]:
+    """Bounds of the signals of every peer of ``role``, from those of the node's own ports; None for no bound.
+
+    Under the simulated clock a tick is one period, whatever the stamps say and however long it takes.
+    """
+
+    def of(bound: float | None) -> float:
+        return math.inf if bound is None else bound
+
+    period = None if common.clock == SIMULATED else from_seconds(common.period)
+    by_port = {port: (of(m), of(s)) for port, m, s in zip(common.ports, magnitude, step, strict=True)}
+    return {
+        peer.name: Bounds(
+            tuple(by_port[p][0] for p in peer.ports),
+            tuple(by_port[p][1] for p in peer.ports),
+            period,
+        )
+        for peer in common.peers
+        if peer.role is role
+    }
+
+
+def bind_links(common: Common, transport: Transport) -> tuple[dict[str, Link], dict[str, str]]:
+    """Bind the links that this node binds; returns them and their endpoints, by peer."""
+    links: dict[str, Link] = {}
+    endpoints: dict[str, str] = {}
+    for peer in common.peers:
+        if peer.binds:
+            links[peer.name], endpoints[peer.name] = transport.bind(
+                f"{common.name}-{peer.name}", peer.name, peer.address
+            )
+    return links, endpoints
+
+
+def establish(
+    common: Common,
+    links: Mapping[str, Link],
+    admits: Mapping[str, type[SignalMessage]],
+    clock: Clock,
+    feedthrough: Values | None = None,
+    bounds: Mapping[str, Bounds] | None = None,
+) -> tuple[list[PeerLink], dict[str, LinkHello]]:
+    """Shake hands on every link, in the session's order, which all nodes share: no two can wait for each other.
+
+    Args:
+        common: the node's bundle.
+        links: a link for each peer; a peer without one is absent, and met later.
+        admits: the signal to expect from each peer.
+        clock: for the time limit, and for waiting on the joints; a realtime one, for processes start and wait in real
+            time whatever the session's clock.
+        feedthrough: D_V, told to the environment alone.
+        bounds: what the signals of a peer keep within; those of peers without an entry are not bounded.
+
+    Returns:
+        The joints in the order of the peers, and the hellos of those who are there.
+
+    Raises:
+        HandshakeRefused, HandshakeTimeout: told clearly, at both ends.
+    """
+    joints: list[PeerLink] = []
+    hellos: dict[str, LinkHello] = {}
+    deadline = Instant(clock.now() + HANDSHAKE_TIME)
+    for peer in common.peers:
+        link = links.get(peer.name)
+        joint = PeerLink(
+            hello_to(common, peer, feedthrough),
+            peer,
+            link,
+            admits[peer.name],
+            positions(common.ports, peer.ports),
+            clock,
+            (bounds or {}).get(peer.name),
+        )
+        joints.append(joint)
+        if link is not None:
+            hellos[peer.name] = shake_hands(link, handshake_of(joint), clock, deadline)
+    return joints, hellos
+
+
+def handshake_of(joint: PeerLink) -> LinkHandshake:
+    """A handshake with the joint's peer, at its beginning."""
+    peer = joint.peer
+    return LinkHandshake(joint.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
+
+
+def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHello:
+    """What a node says first to one of its peers; D_V to the environment alone."""
+    tells = feedthrough is not None and peer.role is Role.ENVIRONMENT
+    return LinkHello(
+        PROTOCOL_VERSION,
+        common.certificate,
+        common.session,
+        common.name,
+        common.role,
+        peer.ports,
+        tuple(map(tuple, feedthrough.tolist())) if tells and feedthrough is not None else None,
+    )
+
+
+def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
+    """Where ``carried`` ports are among ``own``: as a slice, which costs a tick less, where one will do."""
+    at = [own.index(port) for port in carried]
+    if at == list(range(at[0], at[0] + len(at))):
+        return slice(at[0], at[0] + len(at))
+    return np.array(at)

@@ -16,25 +16,15 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import (
-    SIMULATED,
-    BundleError,
-    Common,
-    CouplingBundle,
-    DeviceBundle,
-    EnvironmentBundle,
-    load,
-)
-from manyhands.nodes.control import ControlLine, Refused
-from manyhands.nodes.greeting import bind_links
-from manyhands.nodes.life import Life, Stopped
-from manyhands.nodes.log import Event as LogEvent
-from manyhands.nodes.log import Log, log_path
+from manyhands.nodes.bundle import SIMULATED, BundleError, Common, CouplingBundle, DeviceBundle, EnvironmentBundle, load
+from manyhands.nodes.lifetime import Life, Stopped
+from manyhands.nodes.log import Log, LogEvent, log_path
+from manyhands.nodes.peer_link import bind_links
 from manyhands.nodes.realtime import FIFO_PRIORITY, Granted, RealtimeWishes, prepare, restore
+from manyhands.nodes.supervisor_line import ControlLine, Refused
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
-from manyhands.protocol.key_files import KeyFileError
-from manyhands.protocol.keys import KeyRing, load_private
+from manyhands.protocol.keys import KeyFileError, KeyRing, load_private
 from manyhands.protocol.messages import Report, Start
 from manyhands.protocol.transport import Link, Transport, TransportError
 from manyhands.protocol.transport.descriptors import node_needs, require_descriptors

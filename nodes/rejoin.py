@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from manyhands.nodes.control import ControlLine, Word
-from manyhands.nodes.exchange import Joint, joint_of
-from manyhands.nodes.greeting import handshake_of
+from manyhands.nodes.peer_link import PeerLink, handshake_of, joint_of
+from manyhands.nodes.supervisor_line import ControlLine, Word
 from manyhands.protocol.messages import Absent, Return
 from manyhands.protocol.transport import TransportError
 
 
-def follow(word: Word, joints: Sequence[Joint], control: ControlLine) -> Joint | None:
+def follow(word: Word, joints: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
     """Do as the supervisor says about a peer; whatever else it may say is not for here.
 
     Returns:
@@ -25,7 +24,7 @@ def follow(word: Word, joints: Sequence[Joint], control: ControlLine) -> Joint |
     return None
 
 
-def part(absent: Absent, joints: Sequence[Joint], control: ControlLine) -> Joint | None:
+def part(absent: Absent, joints: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
     """Close the link to a peer that is lost; where it is ours to bind, bind a new one and offer it.
 
     Returns:
@@ -45,7 +44,7 @@ def part(absent: Absent, joints: Sequence[Joint], control: ControlLine) -> Joint
     return joint
 
 
-def meet(back: Return, joints: Sequence[Joint], control: ControlLine) -> None:
+def meet(back: Return, joints: Sequence[PeerLink], control: ControlLine) -> None:
     """Connect to a peer that is back and binds the link to us."""
     joint = joint_of(joints, back.peer)
     if joint is None or joint.peer.binds:

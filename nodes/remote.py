@@ -26,10 +26,10 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.observer.node import observe
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, Node, key_ring, run
-from manyhands.protocol.key_files import KeyFileError
+from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.messages import Role
 from manyhands.protocol.transport.zeromq import SCHEMES, is_address
 

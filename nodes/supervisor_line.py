@@ -9,10 +9,9 @@ from typing import TypeVar
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, Common, Peer
-from manyhands.nodes.life import Life, Sight, Stopped
+from manyhands.nodes.lifetime import Life, Sight, Stopped
 from manyhands.nodes.log import Log
-from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
-from manyhands.protocol.clock_offset import Exchange, offset_of
+from manyhands.protocol.clock import Clock, Duration, Exchange, Instant, RealtimeClock, from_seconds, offset_of
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (

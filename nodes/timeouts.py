@@ -28,7 +28,7 @@ _LOST_IN_SIMULATION = from_seconds(20.0)  # real time, far beyond any turn that 
 
 
 @dataclass(frozen=True)
-class Patience:
+class Timeouts:
     """How long is waited, ns of real time.
 
     Attributes:
@@ -46,11 +46,11 @@ class Patience:
     turn: Duration
 
 
-def patience(common: Common) -> Patience:
+def timeouts(common: Common) -> Timeouts:
     """The patience of a session's nodes."""
     if common.clock == SIMULATED:
-        return Patience(None, None, _LOST_IN_SIMULATION, LOOK, LOOK)
+        return Timeouts(None, None, _LOST_IN_SIMULATION, LOOK, LOOK)
     period = from_seconds(common.period)
     freeze = Duration(FREEZE_TICKS * period)
     stale, turn = Duration(STALE_TICKS * period), Duration(2 * period)
-    return Patience(freeze, stale, freeze, min(LOOK, freeze), min(LOOK, turn))
+    return Timeouts(freeze, stale, freeze, min(LOOK, freeze), min(LOOK, turn))

@@ -3,10 +3,20 @@
 A point in time is another type than a length of time, so that a type checker finds a deadline passed where a
 timeout was meant. Both are whole nanoseconds: a float of seconds loses them after a few months of uptime.
 Loops are handed a clock and never ask the system themselves, so a test or a lockstep run can own the time.
+
+How far another machine's monotonic clock is ahead of ours, from an exchange of time stamps.
+
+    ours:    sent ─────────▶                 ◀───────── received
+    theirs:             heard ── answered
+
+Half the way there and half the way back are equal but for what queues and schedulers add, so the exchange with
+the shortest way tells most: its error is at most half its own round trip (RFC 5905, section 8, has the same formula).
 """
 
 import ctypes
 import time
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final, NewType, Protocol
 
 Instant = NewType("Instant", int)
@@ -94,3 +104,32 @@ def _set_timer_slack(nanoseconds: int) -> bool:
     prctl.argtypes = [ctypes.c_int, *[ctypes.c_ulong] * 4]
     prctl.restype = ctypes.c_int
     return bool(prctl(_PR_SET_TIMERSLACK, nanoseconds, 0, 0, 0) == 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One question and its answer, monotonic ns: ``sent`` and ``received`` by our clock, the others by theirs."""
+
+    sent: int
+    heard: int
+    answered: int
+    received: int
+
+    @property
+    def round_trip(self) -> Duration:
+        """Time on the way, both ways, ns."""
+        return Duration((self.received - self.sent) - (self.answered - self.heard))
+
+    @property
+    def offset(self) -> Duration:
+        """Their clock minus ours, ns."""
+        return Duration(((self.heard - self.sent) + (self.answered - self.received)) // 2)
+
+
+def offset_of(exchanges: Iterable[Exchange]) -> Duration:
+    """Their clock minus ours, ns, by the exchange with the shortest way.
+
+    Raises:
+        ValueError: there are none.
+    """
+    return min(exchanges, key=lambda exchange: exchange.round_trip).offset

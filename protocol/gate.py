@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from manyhands.protocol.clock import Clock, Duration, Instant
-from manyhands.protocol.codec import LAYOUTS
+from manyhands.protocol.codec import ARRAY_OF_4, BIN16, LAYOUTS, LONGEST, UINT64, USUAL, read_head, type_of
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import SignalMessage
-from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, LONGEST, UINT64, USUAL, read_head, type_of
 
 DROP_REASONS: Final = (
     "malformed",  # no message's type at the start, a signal that breaks off, or longer than this link's can be

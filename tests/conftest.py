@@ -13,7 +13,7 @@ import hypothesis
 import pytest
 from hypothesis.internal.conjecture import providers
 
-from .cases import EXAMPLES, WIDE_EXAMPLES, cases
+from .support.cases import EXAMPLES, WIDE_EXAMPLES, cases
 
 hypothesis.settings.register_profile(
     "repeatable",

@@ -360,15 +360,15 @@ def called_by_a_base(unit: Unit) -> bool:
 
 
 LATER = {
-    "manyhands.launch.recordings.prepared.session_of",  # launch/recordings is being changed by others
+    "manyhands.launch.recordings.audit.session_of",  # launch/recordings is being changed by others
 }
 """Findings that are known and not mended yet; the set is to become empty."""
 
 CALLED_FROM_OUTSIDE = {
     # PyYAML's Composer calls what its Resolver has otherwise
-    "manyhands.launch.session.source._Loader.ascend_resolver",
-    "manyhands.launch.session.source._Loader.descend_resolver",
-    "manyhands.launch.session.source._Loader.resolve",
+    "manyhands.launch.session.yaml._Loader.ascend_resolver",
+    "manyhands.launch.session.yaml._Loader.descend_resolver",
+    "manyhands.launch.session.yaml._Loader.resolve",
 }
 
 

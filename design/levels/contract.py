@@ -11,8 +11,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import Matrix, symmetric_part
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.statespace import Matrix, symmetric_part
 
 NO_DELAY_GAIN: Final = 0.5
 """kappa of (8), K = kappa T Delta_D^{-1}, when force and sample meet in one instant."""
@@ -55,7 +55,8 @@ class Levels:
         Delta_D: by block of V, m_i x m_i, N*s/m: the devices' level brought to the structure of V.
         Delta_V: by block of V, m_i x m_i, N*s/m: V_hat,i is Delta_V,i-OSP.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
-        P_E: storage matrix of Rest (:mod:`manyhands.design.split`), n x n, N*s/m in its units; or "energy";
+        P_E: storage matrix of Rest (:mod:`manyhands.design.models.integrators`), n x n, N*s/m in its units; or
+        "energy";
             or "enforced", where nothing is proved.
         P_V: storage matrix of each linear block, n_i x n_i, in the state zeta = (xi - xi_)/T; None for springs and
             dampers, whose level is in closed form.

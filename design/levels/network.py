@@ -3,7 +3,7 @@
 The mechanical energy over T is a storage function of E_hat, and in a tick with port velocities w and mass velocities v
 a network discretised by backward Euler dissipates at least
 
-    [w; v]^T Z [w; v],       Z = B + T/2 K  >= 0       (K, B as in :mod:`manyhands.design.network`, ports first).
+    [w; v]^T Z [w; v],       Z = B + T/2 K  >= 0       (K, B as in :mod:`manyhands.design.models.network`, ports first).
 
 Hence Phi_E is admissible wherever Z + blockdiag(Phi_E, 0) >= 0. The least such Phi_E is -S, with S the Schur complement
 of Z onto the ports. Z grows with every stiffness and damping and does not contain the masses, so a level that holds at
@@ -24,10 +24,10 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from manyhands.design.environment_level import LoopMargins
-from manyhands.design.network import GROUND, Network
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import Matrix, symmetric_part
+from manyhands.design.levels.environment import LoopMargins
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.network import GROUND, Network
+from manyhands.design.models.statespace import Matrix, symmetric_part
 
 MOST_EXACT = 64  # ports and masses that hang together up to which their inequality is quickly proved in exact numbers
 
@@ -92,7 +92,7 @@ def physical_level(
 ) -> Matrix:
     """The Phi_E, proved by the network's energy, that leaves condition (10) the greatest margin.
 
-    With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.environment_level`, and no frequency
+    With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.levels.environment`, and no frequency
     has to be searched. This is done for each group of ports that hang together, by links or by blocks of V. Groups
     of more than :data:`MOST_EXACT` ports and masses get Phi_E = 0, for which nothing is left to prove.
 

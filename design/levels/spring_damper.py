@@ -32,10 +32,10 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from manyhands.design.coupling import SpringDamper
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.solver import ProgramInfeasible, solve, symmetric, value
-from manyhands.design.statespace import Matrix, symmetric_part
 
 ROOM = 1e-4  # of Lambda: how far inside the strict conditions an aim may push; in stiffness, as much of its limit
 

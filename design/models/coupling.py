@@ -11,16 +11,97 @@ is realised with xi+ = A_V xi + B_V f, y = C_V xi + D_V f, one state a port, by
 
 A_V = B C_V in this order: the other one makes V(1) unsymmetric for noncommuting K and B, and no such V
 can be output strictly passive after the transformation (7).
+
+The block structure BD(m; m_1, ..., m_N) of the virtual coupling: which ports belong to which block.
+
+Blocks need not be contiguous, nor follow the devices ([Bianchini2010]_, Remark 4). A matrix *has the
+structure* when every entry between ports of different blocks is exactly zero.
+
+The loop transformation (7)-(9) of [Bianchini2010]_.
+
+With a constant K (m x m, m/N) the haptic loop of G (device with hand, sampled), V and E becomes one of
+
+    G_hat = (z-1)/(Tz) [G + K],   V_hat = (z-1)/(Tz) [V - K],   E_hat = Tz/(z-1) E,
+
+from force to velocity, force to velocity, velocity to force. The signals f_v are those of the original
+loop. The choice K = T/2 Delta_D^{-1} (8) makes G_hat Delta_D-OSP (9).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+
+
+@dataclass(frozen=True)
+class Partition:
+    """A partition of the ports 0 ... m-1 into named blocks.
+
+    Attributes:
+        names: one name for each block.
+        blocks: the ports of each block, in the block's own order.
+
+    Raises:
+        ValueError: a port in no block or in two, an empty block, or two blocks of one name.
+    """
+
+    names: tuple[str, ...]
+    blocks: tuple[tuple[int, ...], ...]
+
+    def __post_init__(self) -> None:
+        ports = sorted(port for block in self.blocks for port in block)
+        if ports != list(range(len(ports))) or not all(self.blocks):
+            raise ValueError(f"expected every port in exactly one block, found {self.blocks}")
+        if len(set(self.names)) != len(self.names) or len(self.names) != len(self.blocks):
+            raise ValueError(f"expected one distinct name for each block, found {self.names}")
+
+    @property
+    def size(self) -> int:
+        """Number m of ports."""
+        return sum(len(block) for block in self.blocks)
+
+    def mask(self) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+        """M x m, true where an entry joins two ports of the same block."""
+        out = np.zeros((self.size, self.size), dtype=np.bool_)
+        for block in self.blocks:
+            out[np.ix_(block, block)] = True
+        return out
+
+    def admits(self, M: Matrix) -> bool:
+        """Whether the m x m matrix M has the structure, exactly."""
+        return not np.any(M[~self.mask()])
+
+    def selections(self) -> tuple[Matrix, ...]:
+        """S_i (m x m_i) for each block: S_i^T y are the block's entries of y."""
+        return tuple(np.eye(self.size)[:, list(block)] for block in self.blocks)
+
+    def restrict(self, M: Matrix) -> tuple[Matrix, ...]:
+        """The diagonal blocks S_i^T M S_i of an m x m matrix."""
+        return tuple(M[np.ix_(block, block)] for block in self.blocks)
+
+    def embed(self, parts: Sequence[Matrix]) -> Matrix:
+        """The m x m matrix with the structure whose blocks are ``parts``."""
+        out = np.zeros((self.size, self.size))
+        for block, part in zip(self.blocks, parts, strict=True):
+            out[np.ix_(block, block)] = part
+        return out
+
+    def join(self, systems: Sequence[StateSpace]) -> StateSpace:
+        """The system with the structure whose blocks are ``systems``, states stacked by block."""
+        order = sum(s.order for s in systems)
+        A, B = np.zeros((order, order)), np.zeros((order, self.size))
+        C, D = np.zeros((self.size, order)), np.zeros((self.size, self.size))
+        at = 0
+        for block, s in zip(self.blocks, systems, strict=True):
+            states, ports = range(at, at + s.order), list(block)
+            A[np.ix_(states, states)], B[np.ix_(states, ports)] = s.A, s.B
+            C[np.ix_(ports, states)], D[np.ix_(ports, ports)] = s.C, s.D
+            at += s.order
+        return StateSpace(A, B, C, D)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,3 +175,52 @@ def realisations(coupling: tuple[CouplingBlock, ...], T: float) -> tuple[StateSp
         ValueError: a block of springs and dampers has T K + B singular.
     """
     return tuple(part.realisation(T) if isinstance(part, SpringDamper) else part for part in coupling)
+
+
+def loop_gain(Delta_D: Matrix, T: float) -> Matrix:
+    """K = T/2 Delta_D^{-1} of (8), m x m, m/N; Delta_D in N*s/m, T in s."""
+    return symmetric_part(T / 2.0 * np.linalg.inv(Delta_D))
+
+
+def transformed_device(G: StateSpace, K: Matrix, T: float) -> StateSpace:
+    """G_hat = (z-1)/(Tz) [G + K], from force (N) to velocity (m/s)."""
+    return _difference(StateSpace(G.A, G.B, G.C, G.D + K), T)
+
+
+def transformed_coupling(V: StateSpace, K: Matrix, T: float) -> StateSpace:
+    """V_hat = (z-1)/(Tz) [V - K], from force (N) to velocity (m/s), in the realisation (12).
+
+    The state is (xi, u_{k-1}): that of V, then the force of the tick before.
+    """
+    return _difference(StateSpace(V.A, V.B, V.C, V.D - K), T)
+
+
+def transformed_environment(E: StateSpace, T: float) -> StateSpace:
+    """E_hat = Tz/(z-1) E, from velocity (m/s) to force (N), with the state (eta, x_e of the tick before).
+
+    General, but not minimal where E itself remembers x_e; a network has a minimal one of its own,
+    :meth:`manyhands.design.models.network.Network.transformed_environment`.
+    """
+    n, m = E.order, E.inputs
+    return StateSpace(
+        np.block([[E.A, E.B], [np.zeros((m, n)), np.eye(m)]]),
+        T * np.vstack([E.B, np.eye(m)]),
+        np.hstack([E.C, E.D]),
+        T * E.D,
+    )
+
+
+def _difference(S: StateSpace, T: float) -> StateSpace:
+    """(z-1)/(Tz) S, with the input of the tick before as additional states, as in (12).
+
+    With zeta_k = (xi_k - xi_{k-1})/T for the state xi of S, from rest,
+
+        zeta_{k+1} = A zeta_k + B (u_k - u_{k-1})/T,    y_k = C zeta_k + D (u_k - u_{k-1})/T.
+    """
+    n, p = S.order, S.inputs
+    return StateSpace(
+        np.block([[S.A, -S.B / T], [np.zeros((p, n + p))]]),
+        np.vstack([S.B / T, np.eye(p)]),
+        np.hstack([S.C, -S.D / T]),
+        S.D / T,
+    )

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from manyhands.design.statespace import Matrix, StateSpace, matrix
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from manyhands.design.errors import Infeasible
-from manyhands.design.passivity import storage_inequality
-from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.passivity.storage import storage_inequality
 
 _ASYMMETRY = 1e-9  # of E1, relative: more than that is no rounding of somebody's matrices
 

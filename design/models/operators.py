@@ -5,8 +5,8 @@ operator. For a stable proper H(s) that is
 
     H(jw) + H(jw)^* >= 0    for all real w,
 
-which is checked exactly (:mod:`manyhands.design.level_sets`), and besides on a frequency grid, dense around every
-pole, so that operators too large or too badly scaled for the exact test are still judged by their own response:
+which is checked exactly (:mod:`manyhands.design.passivity.frequency`), and besides on a frequency grid, dense around
+every pole, so that operators too large or too badly scaled for the exact test are still judged by their own response:
 whatever frequency either finds, the figure reported is that of the rational functions there.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manyhands.design.statespace import Matrix, StateSpace, block_diagonal
+from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal
 
 Rational = tuple[tuple[float, ...], tuple[float, ...]]
 """Numerator and denominator, descending powers of s."""
@@ -151,9 +151,7 @@ class RationalMatrix:
 
     def exactly_least(self) -> float | None:
         """Where the least eigenvalue of the Hermitian part is, rad/s; None for what floating point cannot take."""
-        from manyhands.design.level_sets import (
-            least_hermitian_eigenvalue,  # scipy is slow to import, and not all need it
-        )
+        from manyhands.design.passivity.frequency import least_hermitian_eigenvalue
 
         try:
             with np.errstate(all="ignore"):  # what overflows is refused as not finite

@@ -1,22 +1,40 @@
-"""The program behind the best levels: Lemma 1 with a level to be found, and the proof of what it finds.
+"""The best passivity levels of a system: the greatest Delta with which it is OSP, the greatest Phi for ISP.
+
+Both are searched with Lemma 1 of [Bianchini2010]_, in which the level enters linearly,
+
+    maximise  d (level d I)   or   trace of the level    subject to   P > 0,  M(P) <= 0,
+
+and may come out negative: what a system lacks. The optimum of the program is an edge, so the level is lowered by as
+little as lets :func:`~manyhands.design.passivity.lemma1.analyse` find and check a storage matrix. What is returned is
+proved, and for the shape "scalar" held against a figure that no storage matrix can beat,
+
+    d <= least (w^* y - w^* Phi w) / y^* y    (output),      d <= least (w^* y - y^* Delta y) / w^* w    (input)
+
+over all pairs of the unit circle, exactly (:mod:`manyhands.design.passivity.frequency`).
+
+Some directions can have no positive level whatever the rest does: the output of an undamped mode (an integrator of
+E_hat), the input at a zero on the circle (the differentiator of V_hat). Where the level 0 is possible there, it is set
+exactly, and the search goes on in the other directions.
+
+The program behind the best levels: Lemma 1 with a level to be found, and the proof of what it finds.
 
 The level is L = sum_a p_a L_a with given symmetric L_a; the aim is d = p for L = d I, and the trace of L otherwise. The
-program is solved in scaled coordinates (:mod:`manyhands.design.scaling`), again in those that its own storage
-matrix suggests, and every optimum is lowered until :func:`~manyhands.design.lemma1.analyse` confirms it.
+program is solved in scaled coordinates (:mod:`manyhands.design.passivity.lemma1`), again in those that its own storage
+matrix suggests, and every optimum is lowered until :func:`~manyhands.design.passivity.lemma1.analyse` confirms it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cvxpy as cp
 import numpy as np
 
-from manyhands.design.cayley import Time
-from manyhands.design.errors import SolverFailure
-from manyhands.design.lemma1 import Pairs, analyse, dissipation_on
-from manyhands.design.level_sets import (
+from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.statespace import Matrix, StateSpace, Time, in_discrete_time, symmetric_part
+from manyhands.design.passivity.frequency import (
     generic_points,
     input_rows,
     least_ratio,
@@ -25,15 +43,17 @@ from manyhands.design.level_sets import (
     special_points,
     supply_form,
 )
-from manyhands.design.passivity import storage_face_of
-from manyhands.design.scaling import Scaled, scaled, with_storage
-from manyhands.design.solver import (
-    ProgramInfeasible,
-    affine,
-    solve,
-    value,
+from manyhands.design.passivity.lemma1 import (
+    Pairs,
+    Scaled,
+    analyse,
+    checked_levels,
+    dissipation_on,
+    scaled,
+    with_storage,
 )
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.passivity.storage import kernel, storage_face_of
+from manyhands.design.solver import ProgramInfeasible, affine, solve, value
 
 Role = Literal["output", "input"]
 
@@ -47,7 +67,7 @@ _VERY_LOW = (1e4, 1e3, 1e2)  # times the natural size of a level: what has none 
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class ProvedLevel:
     """A level, proved.
 
     Attributes:
@@ -138,14 +158,14 @@ def _points(system: StateSpace) -> list[complex]:
     return [*special_points(system), *generic_points((system.order + system.inputs) // system.inputs + 3)]
 
 
-def best_level(search: Search, bound: float | None) -> Level | None:
+def best_level(search: Search, bound: float | None) -> ProvedLevel | None:
     """The best level in the span of a search; None when there is none."""
     units = scaled(search.discrete)
     if len(search.basis) == 0:
         m = search.system.inputs
         analysis = analyse(search.system, *search.levels(np.zeros((m, m))), search.time)
-        return None if analysis.P is None else Level(np.zeros((m, m)), 0.0, analysis.P, bound)
-    best: Level | None = None
+        return None if analysis.P is None else ProvedLevel(np.zeros((m, m)), 0.0, analysis.P, bound)
+    best: ProvedLevel | None = None
     for _ in range(_PASSES):
         try:
             optimum = _optimum(search, units)
@@ -225,7 +245,7 @@ def _always_neutral(system: StateSpace, Q: Matrix, seen: Matrix) -> Pairs:
     return pairs
 
 
-def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -> Level | None:
+def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -> ProvedLevel | None:
     """A level just below ``level`` with a storage matrix that was checked; None when there is none near."""
     _, down = _downwards(search, units)
     size = max(1.0, float(np.linalg.norm(search.in_units(units, level, search.role), 2)))
@@ -237,5 +257,91 @@ def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -
             continue  # nearer to the edge than floating point can decide: a little further down
         if analysis.P is not None:
             figure = float(lowered[0, 0]) if search.scalar else float(np.trace(lowered))
-            return Level(lowered, figure, analysis.P, bound)
+            return ProvedLevel(lowered, figure, analysis.P, bound)
     return None
+
+
+Shape = Literal["scalar", "diagonal", "matrix"] | Partition
+"""d I; a diagonal; any symmetric matrix; one with the block structure of a partition."""
+
+
+def greatest_output_level(
+    system: StateSpace, shape: Shape = "scalar", Phi: Matrix | None = None, time: Time = "discrete"
+) -> ProvedLevel:
+    """The greatest Delta with which ``system`` is Delta-OSP (and Phi-ISP): greatest d, or greatest trace.
+
+    Args:
+        system: (A, B, C, D), m x m.
+        shape: which Delta are allowed; d is maximised for "scalar", the trace for the others.
+        Phi: m x m input level that is to hold besides; zero by default.
+        time: how ``system`` is read.
+
+    Raises:
+        Infeasible: no level of this shape.
+        ValueError: an argument of the wrong shape, or an output that is zero in some direction, where any level holds.
+        SolverFailure: the solver gave no usable answer.
+    """
+    return _greatest(system, shape, "output", Phi, time)
+
+
+def greatest_input_level(
+    system: StateSpace, shape: Shape = "scalar", Delta: Matrix | None = None, time: Time = "discrete"
+) -> ProvedLevel:
+    """The greatest Phi with which ``system`` is Phi-ISP (and Delta-OSP): greatest d, or greatest trace.
+
+    Args:
+        system: (A, B, C, D), m x m.
+        shape: which Phi are allowed; d is maximised for "scalar", the trace for the others.
+        Delta: m x m output level that is to hold besides; zero by default.
+        time: how ``system`` is read.
+
+    Raises:
+        Infeasible: no level of this shape, as for an unstable system.
+        ValueError: an argument of the wrong shape.
+        SolverFailure: the solver gave no usable answer.
+    """
+    return _greatest(system, shape, "input", Delta, time)
+
+
+def _greatest(system: StateSpace, shape: Shape, role: Role, other: Matrix | None, time: Time) -> ProvedLevel:
+    m = system.inputs
+    Delta, Phi = checked_levels(system, *((None, other) if role == "output" else (other, None)))
+    if isinstance(shape, Partition) and shape.size != m:
+        raise ValueError(f"expected a partition of {m} ports, found one of {shape.size}")
+    discrete, _ = in_discrete_time(system, time)
+    seen = np.linalg.svd(np.hstack([discrete.C, discrete.D]), compute_uv=False)
+    if role == "output" and (seen[0] == 0.0 or (shape != "scalar" and seen[-1] <= _SILENT * seen[0])):
+        raise ValueError("the output is zero in some direction: every level holds there")
+    basis, fixed = _span(shape, m), Phi if role == "output" else Delta
+    search = Search(system, time, discrete, role, fixed, basis, shape == "scalar")
+    bound = frequency_bound(search) if search.scalar else None
+    idle = idle_directions(search)
+    found = best_level(replace(search, basis=_silent_on(basis, idle)), bound) if idle.shape[1] else None
+    found = best_level(search, bound) if found is None else found
+    if found is None:
+        raise Infeasible(f"the system has no {role} level of this shape: no positive storage function at any", ())
+    return found
+
+
+def _span(shape: Shape, m: int) -> Matrix:
+    """Symmetric matrices that span the levels of ``shape``, k x m x m."""
+    if shape == "scalar":
+        return np.eye(m)[None]
+    if shape == "diagonal":
+        blocks: tuple[tuple[int, ...], ...] = tuple((i,) for i in range(m))
+    else:
+        blocks = shape.blocks if isinstance(shape, Partition) else (tuple(range(m)),)
+    out = []
+    for block in blocks:
+        for a, i in enumerate(block):
+            for j in block[a:]:
+                unit = np.zeros((m, m))
+                unit[i, j] = unit[j, i] = 1.0
+                out.append(unit)
+    return np.stack(out)
+
+
+def _silent_on(basis: Matrix, directions: Matrix) -> Matrix:
+    """The levels of a span that are zero on ``directions`` (m x k)."""
+    equations = np.stack([(L @ directions).ravel() for L in basis], axis=1)
+    return np.asarray(np.tensordot(kernel(equations).T, basis, axes=1))

@@ -27,11 +27,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manyhands.design.best_level import Shape, greatest_output_level
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.lemma1 import analyse, checked_levels
-from manyhands.design.level_search import Level
-from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, matrix, parallel_blocks, symmetric_part
+from manyhands.design.models.statespace import (
+    Matrix,
+    StateSpace,
+    block_diagonal,
+    matrix,
+    parallel_blocks,
+    symmetric_part,
+)
+from manyhands.design.passivity.best_level import ProvedLevel, Shape, greatest_output_level
+from manyhands.design.passivity.lemma1 import analyse, checked_levels
 
 _ROUNDING = 1e-8  # what an inequality with equalities in it may be off, in states where P = I, of its largest term
 
@@ -97,7 +103,7 @@ def continuous_storage_inequality(
     )
 
 
-def device_level(system: StateSpace, shape: Shape = "matrix") -> Level:
+def device_level(system: StateSpace, shape: Shape = "matrix") -> ProvedLevel:
     """The greatest Delta_D with which a linear device is OSP (Definition 1), greatest trace unless "scalar".
 
     Args:

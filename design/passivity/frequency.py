@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 
-from manyhands.design.cayley import Time, frequency_of, gaps, in_discrete_time
 from manyhands.design.errors import SolverFailure
-from manyhands.design.passivity import storage_inequality
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.models.statespace import Matrix, StateSpace, Time, frequency_of, gaps, in_discrete_time
+from manyhands.design.passivity.storage import storage_inequality
 
 Complex = NDArray[np.complex128]
 

@@ -4,7 +4,7 @@
 
 A fine grid finds the peaks, narrowed down one by one; that no peak escaped between two points is then checked
 without a grid ([Bruinsma1990]_): gamma is a singular value of S(e^{j theta}) for some theta iff a Hamiltonian matrix
-has an imaginary eigenvalue, and that eigenvalue shows where (:mod:`manyhands.design.cayley`).
+has an imaginary eigenvalue, and that eigenvalue shows where (:mod:`manyhands.design.models.statespace`).
 """
 
 from __future__ import annotations
@@ -15,10 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-from manyhands.design.cayley import axis_image, crossing_angles, gaps
-from manyhands.design.coordinates import reachability
 from manyhands.design.errors import SolverFailure
-from manyhands.design.statespace import Matrix, StateSpace, frequency_response, symmetric_part
+from manyhands.design.models.statespace import (
+    Matrix,
+    StateSpace,
+    axis_image,
+    crossing_angles,
+    frequency_response,
+    gaps,
+    symmetric_part,
+)
+from manyhands.design.solver import reachability
 
 ComplexArray = NDArray[np.complex128]
 

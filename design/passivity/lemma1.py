@@ -4,7 +4,7 @@ Sigma = (A, B, C, D) has the levels Delta and Phi (Definitions 1, 2) iff some P 
 inequality (2). The answer is one of three, and none of them is the solver's word:
 
 - *yes*, with P, which is put back into the inequality: P > 0, the neutral equalities of
-  :mod:`manyhands.design.passivity` at rounding level, and M(P) < 0 on a complement of the neutral pairs;
+  :mod:`manyhands.design.passivity.storage` at rounding level, and M(P) < 0 on a complement of the neutral pairs;
 - *no*, because of a pair on the unit circle that draws energy out (a frequency), because the neutral equalities
   contradict each other, or because of a moment matrix Z >= 0 of (psi, w) whose state does not shrink while it
   draws energy,
@@ -14,7 +14,35 @@ inequality (2). The answer is one of three, and none of them is the solver's wor
   which no P > 0 allows, since 0 >= tr(Z M(P)) = tr(P Y) - tr(Q Z);
 - *undecided*, a :class:`~manyhands.design.errors.SolverFailure`: too near the edge for floating point.
 
-Continuous systems (Definition 1) are analysed as the discrete ones with the same P, :mod:`manyhands.design.cayley`.
+Continuous systems (Definition 1) are analysed as the discrete ones with the same P,
+:mod:`manyhands.design.models.statespace`.
+
+What a system does by itself: motions that its inputs do not cause and its outputs do not show, taken apart.
+
+Two equal masses on equal springs at one port swing against each other unseen. Such a motion, psi_u+ = A_u psi_u,
+stands beside the rest,
+
+    psi = T (psi_f, psi_u),    T^{-1} A T = diag(A_f, A_u),    T^{-1} B = (B_f, 0),    C T = (C_f, 0),
+
+so that Lemma 1 of [Bianchini2010]_ parts, too: a storage matrix of the whole exists iff one of the felt part
+(A_f, B_f, C_f, D) does, at the same levels, and some P_u > 0 has A_u^T P_u A_u <= P_u. Nothing that is measured at the
+ports can tell how large P_u ought to be, and a program that is asked for both at once is lost in that freedom.
+
+The unfelt states are found as a subspace N that is invariant and unobservable, beside an invariant one that holds
+every state which inputs can reach, the kernel of L^T; both by a staircase, one singular value
+decomposition for each step, each decided for itself. N is used where L^T N is square and far from singular,
+which it is in all that is reciprocal, as networks are. Elsewhere nothing is taken apart.
+
+Coordinates in which a solver can be trusted further: storage near I, gains near 1.
+
+States psi' = X psi and ports u' = S^{-1} u, y' = S y, with S diagonal, leave the exchanged power y^T u as it is:
+
+    A' = X A X^{-1},  B' = X B S,  C' = S C X^{-1},  D' = S D S,
+    P' = X^{-T} P X^{-1},  Delta' = S^{-1} Delta S^{-1},  Phi' = S Phi S.
+
+X comes from P_g = W_c^{-1} # W_o, the geometric mean of the Gramians. It has the unit of an energy over the square of
+a state, whatever the units of states and ports, and P_g = X^T X is I in the new states. Once some storage
+matrix P is known, its own factor is better still (:func:`with_storage`).
 """
 
 from __future__ import annotations
@@ -24,28 +52,252 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 
-from manyhands.design.cayley import Time, frequency_of, in_discrete_time
 from manyhands.design.errors import SolverFailure
-from manyhands.design.level_sets import (
-    generic_points,
-    least_ratio,
-    pairs_at,
-    special_points,
-    supply_form,
+from manyhands.design.models.statespace import (
+    Matrix,
+    StateSpace,
+    Time,
+    frequency_of,
+    in_discrete_time,
+    matrix,
+    symmetric_part,
 )
-from manyhands.design.passivity import StorageFace, storage_face_of, storage_inequality
-from manyhands.design.scaling import Scaled, scaled, with_storage
+from manyhands.design.passivity.frequency import generic_points, least_ratio, pairs_at, special_points, supply_form
+from manyhands.design.passivity.storage import StorageFace, storage_face_of, storage_inequality
 from manyhands.design.solver import ProgramInfeasible, affine, solve, value
-from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
-from manyhands.design.unfelt import Parted, parted
+
+_INSIDE = 0.9995  # the spectral radius to which A is shrunk, where greater, for the Gramians to exist
+_UNSEEN = 1e-9  # part of the largest eigenvalue of a Gramian below which a direction counts as unseen
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """A discrete system in scaled coordinates.
+
+    Attributes:
+        system: the scaled one.
+        X: n x n, scaled states = X states.
+        S: the diagonal of S, m entries.
+    """
+
+    system: StateSpace
+    X: Matrix
+    S: Matrix
+
+    def output_level(self, Delta: Matrix) -> Matrix:
+        """Delta' of a level Delta, m x m."""
+        return np.asarray(Delta / np.outer(self.S, self.S))
+
+    def input_level(self, Phi: Matrix) -> Matrix:
+        """Phi' of a level Phi, m x m."""
+        return np.asarray(Phi * np.outer(self.S, self.S))
+
+    def storage(self, P: Matrix) -> Matrix:
+        """P of a storage matrix P' found in scaled states."""
+        return symmetric_part(self.X.T @ P @ self.X)
+
+
+def scaled(system: StateSpace) -> Scaled:
+    """A discrete ``system`` in ports and states of its own size."""
+    d = state_units(system)
+    system = StateSpace(system.A * d / d[:, None], system.B / d[:, None], system.C * d, system.D)
+    controllable, observable = _gramians(system)
+    through = np.abs(np.diag(system.D))
+    energy_in = np.sqrt(np.maximum(np.diag(system.B.T @ observable @ system.B), 0.0))
+    energy_out = np.sqrt(np.maximum(np.diag(system.C @ controllable @ system.C.T), 0.0))
+    gain = np.maximum(through, np.sqrt(energy_in * energy_out))
+    gain = np.where(gain > 0.0, gain, max(float(np.max(np.abs(system.D), initial=0.0)), float(np.max(gain)), 1e-300))
+    S = np.exp2(-np.round(np.log2(np.where(gain > 1e-290, gain, 1.0)) / 2.0))
+    own = _changed(system, _factor(_mean(controllable, observable)), np.asarray(S))
+    return Scaled(own.system, own.X / d, own.S)
+
+
+def with_storage(system: StateSpace, P: Matrix, S: Matrix) -> Scaled:
+    """A discrete ``system`` in states where its positive definite ``P`` is I, and in ports scaled by diag(``S``).
+
+    Raises:
+        numpy.linalg.LinAlgError: P is not positive definite.
+    """
+    return _changed(system, np.asarray(np.linalg.cholesky(symmetric_part(P)).T), S)
+
+
+def _changed(system: StateSpace, X: Matrix, S: Matrix) -> Scaled:
+    inverse = np.linalg.inv(X)
+    return Scaled(
+        StateSpace(
+            X @ system.A @ inverse,
+            X @ system.B * S,
+            S[:, None] * system.C @ inverse,
+            S[:, None] * system.D * S,
+        ),
+        X,
+        S,
+    )
+
+
+def state_units(system: StateSpace) -> Matrix:
+    """Powers of two d, n of them: in states psi / d the rows and columns of [A B; C 0] are of a size.
+
+    Without them the equations of the Gramians of a system in extreme units are too ill-conditioned to be solved.
+    """
+    n, m = system.order, system.inputs
+    joined = np.block([[system.A, system.B], [system.C, np.zeros((system.outputs, m))]])
+    _, (d, _) = matrix_balance(joined, permute=False, separate=True)
+    return np.asarray(d[:n], dtype=np.float64)
+
+
+def _gramians(system: StateSpace) -> tuple[Matrix, Matrix]:
+    """Controllability and observability Gramians, of the system with A shrunk into the circle where need be."""
+    n = system.order
+    if n == 0:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    radius = float(np.max(np.abs(np.linalg.eigvals(system.A))))
+    A = system.A * (_INSIDE / max(radius, _INSIDE))
+    return (
+        symmetric_part(solve_discrete_lyapunov(A, system.B @ system.B.T)),
+        symmetric_part(solve_discrete_lyapunov(A.T, system.C.T @ system.C)),
+    )
+
+
+def _mean(controllable: Matrix, observable: Matrix) -> Matrix:
+    """W_c^{-1} # W_o = W_c^{-1/2} (W_c^{1/2} W_o W_c^{1/2})^{1/2} W_c^{-1/2}, unseen directions lifted."""
+    if controllable.size == 0:
+        return controllable
+    # one unit for each state first, so that "unseen" does not depend on units
+    d = np.where(np.diag(controllable) > 0.0, np.diag(controllable), 1.0) ** -0.5
+    root = _root(controllable * np.outer(d, d))
+    middle = _root(root @ (observable / np.outer(d, d)) @ root)
+    inverse = np.linalg.inv(root)
+    return symmetric_part(inverse @ middle @ inverse) * np.outer(d, d)
+
+
+def _root(M: Matrix) -> Matrix:
+    """The square root of a positive semidefinite matrix, with eigenvalues not below the floor of unseen directions."""
+    values, vectors = np.linalg.eigh(symmetric_part(M))
+    floor = _UNSEEN * max(float(values[-1]), 0.0) if values[-1] > 0.0 else 1.0
+    return np.asarray(vectors * np.sqrt(np.maximum(values, floor)) @ vectors.T)
+
+
+def _factor(P: Matrix) -> Matrix:
+    """X with X^T X = P."""
+    return np.asarray(np.linalg.cholesky(P).T) if P.size else P
+
+
+_RADIUS_ROUNDING = 1e-11  # of a spectral radius: no farther from 1 is on the circle; of a port's row: there is none
+UNFELT = 1e-11
+"""Of A's norm: what is felt by less is rounding."""
+
+_APART = 1e-4  # least cosine between N and L: T's condition stays below its inverse
+_INDEPENDENT = 1e-6  # the same for the eigenvectors of a motion that is to be stored mode by mode
+
+
+@dataclass(frozen=True, eq=False)
+class Parted:
+    """A discrete system and its unfelt motions.
+
+    Attributes:
+        felt: (A_f, B_f, C_f, D).
+        T_inverse: n x n, (psi_f, psi_u) = T_inverse psi.
+        P_u: storage matrix of the unfelt motions, A_u^T P_u A_u <= P_u, P_u > 0.
+    """
+
+    felt: StateSpace
+    T_inverse: Matrix
+    P_u: Matrix
+
+    def storage(self, P_f: Matrix) -> Matrix:
+        """The whole system's storage matrix, from one of its felt part."""
+        felt, unfelt = self.T_inverse[: len(P_f)], self.T_inverse[len(P_f) :]
+        return symmetric_part(felt.T @ P_f @ felt + unfelt.T @ self.P_u @ unfelt)
+
+
+def parted(system: StateSpace, tolerance: float = UNFELT) -> Parted:
+    """Take the unfelt motions of a discrete ``system`` apart, as far as they have a storage of their own.
+
+    Where there is none, or none with a storage matrix, ``felt`` is the system itself.
+
+    Args:
+        system: (A, B, C, D).
+        tolerance: of A's norm in balanced units; a step of the staircase below that leads nowhere. Above
+            :data:`UNFELT` what is felt a little is taken for unfelt: a storage matrix that is found so may still be
+            the whole's, if it is put into the inequality, but what is refused for the felt part is not for the whole.
+    """
+    whole = Parted(system, np.eye(system.order), np.zeros((0, 0)))
+    if system.order == 0:
+        return whole
+    d = state_units(system)
+    A, B, C = system.A * d / d[:, None], system.B / d[:, None], system.C * d
+    N, L = _unobservable(A, C, tolerance), _unobservable(A.T, B.T, tolerance)
+    if N.shape != L.shape or N.shape[1] == 0:
+        return whole
+    if float(np.linalg.svd(L.T @ N, compute_uv=False)[-1]) < _APART:
+        return whole
+    M = _orthogonal_to(L)
+    back = np.linalg.inv(np.hstack([M, N]))
+    P_u = storage_of_motion(back[M.shape[1] :] @ A @ N)
+    if P_u is None:
+        return whole
+    reached = back[: M.shape[1]]
+    return Parted(StateSpace(reached @ A @ M, reached @ B, C @ M, system.D), back / d, P_u)
+
+
+def storage_of_motion(A: Matrix) -> Matrix | None:
+    """Some P > 0 with A^T P A <= P, n x n, with as much room as there is; None where there is none to be had.
+
+    Where A has independent eigenvectors V, P = (V V^*)^{-1}: every mode loses its own 1 - |z|^2. Otherwise, within
+    the circle, the P of A^T P A - r^2 P = -I, with r half-way between A's spectral radius and 1 (in their squares).
+    """
+    values, vectors = np.linalg.eig(A)
+    radius = float(np.max(np.abs(values), initial=0.0))
+    if radius > 1.0 + _RADIUS_ROUNDING:
+        return None
+    if float(np.linalg.svd(vectors, compute_uv=False)[-1]) > _INDEPENDENT:
+        inverse = np.linalg.inv(vectors)
+        return symmetric_part((inverse.conj().T @ inverse).real)
+    if radius >= 1.0 - _RADIUS_ROUNDING:
+        return None
+    r = np.sqrt((1.0 + radius**2) / 2.0)
+    return symmetric_part(solve_discrete_lyapunov((A / r).T, np.eye(len(A))))
+
+
+def _unobservable(A: Matrix, C: Matrix, tolerance: float) -> Matrix:
+    """An orthonormal basis, n x d, of the greatest A-invariant subspace that C does not see."""
+    sizes = np.linalg.norm(C, axis=1)
+    # each port in a unit of its own
+    rows = C[sizes > _RADIUS_ROUNDING * max(float(np.max(sizes, initial=0.0)), 1e-300)]
+    N = _kernel(rows / np.linalg.norm(rows, axis=1)[:, None], tolerance)
+    least = tolerance * max(float(np.linalg.norm(A, 2)), 1e-300)
+    while N.shape[1]:
+        moved = A @ N
+        leaving = moved - N @ (N.T @ moved)
+        stay = _kernel(leaving, least)
+        if stay.shape[1] == N.shape[1]:
+            break
+        N = np.linalg.qr(N @ stay)[0] if stay.shape[1] else N[:, :0]
+    return N
+
+
+def _orthogonal_to(L: Matrix) -> Matrix:
+    """An orthonormal basis of the kernel of L^T, n x (n - d), for L of d orthonormal columns."""
+    return np.asarray(np.linalg.svd(L, full_matrices=True)[0][:, L.shape[1] :])
+
+
+def _kernel(M: Matrix, tolerance: float) -> Matrix:
+    """An orthonormal basis of what M takes to less than ``tolerance`` of its length."""
+    if M.shape[0] == 0:
+        return np.eye(M.shape[1])
+    _, values, right = np.linalg.svd(M, full_matrices=True)
+    return np.asarray(right[int(np.sum(values > tolerance)) :].T)
+
 
 Pairs = list[tuple[complex, NDArray[np.complex128]]]
 
 _NEUTRAL = 1e-12  # of the supply form's norm: an exchange below that is none
 _REFUTED = 1e-11  # of the same: a supply below minus this is energy drawn
 _FACE = 1e-8  # relative residual of the neutral equalities
-_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)  # of a sum of a few dozen products, relative to its largest term
+_SUM_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)  # of a sum of a few dozen products, relative to its largest term
 _HARDLY_FELT = (1e-8, 1e-5)  # as far as motions are left to themselves where nothing else leads to an answer
 _PASSES = 4  # solutions of the program, each in the coordinates that the one before suggests
 _STORAGE_PART = 1e-2  # P >= this times the room in the dissipation: both strict where one can be
@@ -221,7 +473,7 @@ def verified_margin(system: StateSpace, P: Matrix, Delta: Matrix, Phi: Matrix) -
     if W.shape[1] == 0:
         return 0.0
     margin = float(np.linalg.eigvalsh(symmetric_part(-W.T @ M @ W))[0])
-    return margin if margin > _ROUNDING * len(M) * size else None
+    return margin if margin > _SUM_ROUNDING * len(M) * size else None
 
 
 def _near(angle: float, supply: float, size: float) -> list[complex]:

@@ -15,7 +15,7 @@ congruence takes (3) to
     [ .    .                   .       Delta^-1 ]
 
 and the Schur complement of its last two blocks is -M(P) of (2). (3) is strict, so it has solutions only for systems
-without neutral pairs (:mod:`manyhands.design.passivity`).
+without neutral pairs (:mod:`manyhands.design.passivity.storage`).
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ import cvxpy as cp
 import numpy as np
 
 from manyhands.design.errors import SolverFailure
-from manyhands.design.lemma1 import checked_levels, verified_margin
-from manyhands.design.scaling import scaled
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.passivity.lemma1 import checked_levels, scaled, verified_margin
 from manyhands.design.solver import ProgramInfeasible, solve, symmetric, value
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 
 
 def lemma2_matrix(system: StateSpace, Q: Matrix, Delta: Matrix, Phi: Matrix | None = None) -> Matrix:

@@ -15,7 +15,7 @@ M(P) (psi, w) = 0: linear equalities on P. They are imposed exactly, by writing 
 strictness is asked on a complement of the neutral pairs only. Handed the unreduced (2), a solver has no interior point.
 
 More generally every pair with A psi + B w = z psi, |z| = 1, that exchanges nothing at the levels Delta, Phi is neutral
-(:mod:`manyhands.design.level_sets`), complex ones included: :func:`storage_face_of`.
+(:mod:`manyhands.design.passivity.frequency`), complex ones included: :func:`storage_face_of`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 _RANK_TOLERANCE = 1e-9  # static directions differ from slow ones (omega T of 1e-6 and more) by far more
 _EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution

@@ -22,28 +22,28 @@ from __future__ import annotations
 
 from flint import fmpq
 
-from manyhands.design.proof import rational, sparse
+from manyhands.design.proof import exact, rational
 from manyhands.design.proof.claim import Claim, SpringDamper
+from manyhands.design.proof.coupling import loop_stiffness_limit
+from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
-from manyhands.design.proof.sparse import Sparse
-from manyhands.design.proof.spring_damper import loop_stiffness_limit
 
 _ALLOWED = fmpq(1, 10**6)  # relative: by how much a stated margin may exceed what is proved
 
 
 def device_levels(claim: Claim) -> Sparse:
     """The devices' promised levels, m x m."""
-    return sparse.block_diagonal([device.ports for device in claim.devices], claim.osp)
+    return exact.block_diagonal([device.ports for device in claim.devices], claim.osp)
 
 
 def Delta_D(claim: Claim) -> Sparse:
     """The level that the design counts on, m x m, with the structure of V."""
-    return sparse.block_diagonal([block.ports for block in claim.blocks], claim.Delta_D)
+    return exact.block_diagonal([block.ports for block in claim.blocks], claim.Delta_D)
 
 
 def Delta_V(claim: Claim) -> Sparse:
     """The level of V_hat, m x m."""
-    return sparse.block_diagonal([block.ports for block in claim.blocks], claim.Delta_V)
+    return exact.block_diagonal([block.ports for block in claim.blocks], claim.Delta_V)
 
 
 def condition_10(claim: Claim) -> Sparse:
@@ -51,11 +51,11 @@ def condition_10(claim: Claim) -> Sparse:
     m = len(claim.ports)
     out: Sparse = {(i, j): claim.share * value for (i, j), value in Delta_D(claim).items() if claim.share != 0}
     for (i, j), value in Delta_V(claim).items():
-        sparse.add_entry(out, m + i, m + j, value)
+        exact.add_entry(out, m + i, m + j, value)
     for (i, j), value in claim.Phi_E.items():
         for row in (i, m + i):
             for column in (j, m + j):
-                sparse.add_entry(out, row, column, -value)
+                exact.add_entry(out, row, column, -value)
     return out
 
 
@@ -84,7 +84,7 @@ def device_findings(claim: Claim) -> list[Finding]:
     """Delta_D is promised by the devices, each for itself where they are late, and positive."""
     m = len(claim.ports)
     level, promised = Delta_D(claim), device_levels(claim)
-    verdict = sparse.definite_by_groups(sparse.difference(promised, level), m, strict=False)
+    verdict = exact.definite_by_groups(exact.difference(promised, level), m, strict=False)
     if claim.tau != 0:
         owner = {port: i for i, device in enumerate(claim.devices) for port in device.ports}
         if any(owner[i] != owner[j] for i, j in level):
@@ -120,8 +120,8 @@ def well_posed(promises: list[Finding], enforced: bool = False) -> Finding:
 
 def _positive(condition: str, matrix: Sparse, size: int, key: str) -> Finding:
     """``matrix`` > 0, with its least eigenvalue in N*s/m for the reader."""
-    verdict = sparse.definite_by_groups(matrix, size, name="rows")
-    least = sparse.least_eigenvalue(matrix, size)
+    verdict = exact.definite_by_groups(matrix, size, name="rows")
+    least = exact.least_eigenvalue(matrix, size)
     return Finding(condition, verdict.holds, least, 0.0, key, verdict.argument)
 
 
@@ -141,11 +141,11 @@ def margin_findings(claim: Claim) -> list[Finding]:
             continue
         size = 2 * m if name == "(10)" else m
         bound = stated - abs(stated) * _ALLOWED
-        least = sparse.least_eigenvalue(found, size)
+        least = exact.least_eigenvalue(found, size)
         shifted = dict(found)
         for i in range(size):
-            sparse.add_entry(shifted, i, i, -bound)
-        verdict = sparse.definite_by_groups(shifted, size, strict=False)
+            exact.add_entry(shifted, i, i, -bound)
+        verdict = exact.definite_by_groups(shifted, size, strict=False)
         out.append(Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument))
     return out
 
@@ -167,7 +167,7 @@ def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
                 for i, row in zip(block.ports, J, strict=True):
                     for j, value in zip(block.ports, row, strict=True):
                         if value != 0:
-                            sparse.add_entry(out, i, j, value)
+                            exact.add_entry(out, i, j, value)
             return out
         case _:
             return None

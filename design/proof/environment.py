@@ -1,20 +1,339 @@
 """The environment's promise: E_hat is (-Phi_E)-ISP, by the network's energy or by a storage matrix.
 
 Or by neither: what is declared and enforced at run time is no more than found to be what the certificate counts on.
+
+Networks of masses, springs and dampers: their energy as a proof, and Rest from their physics.
+
+With the incidence of the links, ports u and masses q, K and B in R^((m+n) x (m+n)) symmetric and M diagonal, backward
+Euler makes the mechanical energy U (divided by T) a storage function of E_hat, for w = (u - u-)/T, v = (q - q-)/T:
+
+    f'w = (U - U-)/T + [w; v]' (B + T K/2) [w; v] + (v - v-)' M (v - v-)/(2T),
+
+so that E_hat is (-Phi_E)-ISP when (B + TK/2) + blockdiag(Phi_E, 0) >= 0. The left side grows with every stiffness and
+damping and does not depend on the masses: proved at the lower ends it holds for every network between.
+
+The transformed environment E_hat = Tz/(z-1) E with its integrators split off, in balls.
+
+With E1 = E(1), the static stiffness, and E = (A, B, C, D) stable,
+
+    E_hat = T/(z-1) E1 + Rest,        Rest = (A, -T A (I - A)^-1 B, C, T D),
+
+T/(z-1) E1 with E1 = E1' >= 0 is lossless but for -T/2 E1, so that E_hat is (-Phi_E)-ISP when, for Rest = (A, B, C, D),
+
+    M_E = [ A'PA - P   A'PB - C'/2                                ]
+          [ .          B'PB - (D + D')/2 - Phi_E + (T/2) E1       ]  < 0,     P > 0,     E1 >= 0.
+
+A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)].
+
+Whether E1 is symmetric and >= 0 is decided apart, exactly (:mod:`manyhands.design.proof.statics`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
+import numpy as np
 from flint import arb_mat, fmpq
 
-from manyhands.design.proof import balls, network, sparse, statics
-from manyhands.design.proof.finding import Finding, Verdict
-from manyhands.design.proof.physical import DeclaredData, DynamicsData, EnvironmentData, NetworkData, SystemData
-from manyhands.design.proof.reading import MAX_DENSE, Table
-from manyhands.design.proof.sparse import Sparse
-from manyhands.design.proof.split import Split, delayed, dissipation, split_system
+from manyhands.design.proof import exact, rational, statics
+from manyhands.design.proof import exact as sparse
+from manyhands.design.proof.claim import (
+    DeclaredData,
+    DynamicsData,
+    EnvironmentData,
+    LinkData,
+    NetworkData,
+    Span,
+    SystemData,
+)
+from manyhands.design.proof.exact import MAX_DENSE, Sparse, Table, exact_decimal
+from manyhands.design.proof.finding import Finding, Verdict, weakest
+from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided
 from manyhands.design.proof.system import NotDiscretised, discrete, realised, transfer_order
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """E_hat = T/(z-1) E1 + Rest, with balls that enclose every entry.
+
+    Attributes:
+        stiffness: E1, m x m symmetric, N/m.
+        A, B, C, D: Rest, from velocity (m/s) to force (N).
+    """
+
+    stiffness: arb_mat
+    A: arb_mat
+    B: arb_mat
+    C: arb_mat
+    D: arb_mat
+
+
+def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, E1: arb_mat, T: fmpq) -> Split:
+    """The split of a discrete E = (A, B, C, D) with the static stiffness E1 = E1'.
+
+    Raises:
+        ZeroDivisionError: A is not proved to have no eigenvalue 1.
+    """
+    n = A.nrows()
+    steady = (identity(arb_mat, n) - A).solve(B) if n else B
+    return Split(E1, A, -(A * steady) * T, C, D * T)
+
+
+def delayed(rest: Split, ticks: int, T: fmpq) -> Split:
+    """The split of E_hat z^-d; the states are those of Rest, then w_{k-1}, ..., w_{k-d}."""
+    if ticks == 0:
+        return rest
+    n, m, d = rest.A.nrows(), rest.D.nrows(), ticks
+    chain = n + m * (d - 1)  # where w_{k-d} stands
+    A, B = arb_mat(n + m * d, n + m * d), arb_mat(n + m * d, m)
+    rational.place(A, rest.A, 0, 0)
+    rational.place(A, rest.B, 0, chain)
+    rational.place(B, identity(arb_mat, m), n, 0)
+    rational.place(A, identity(arb_mat, m * (d - 1)), n + m, n)
+    late = -rest.stiffness * T
+    C = assembled(arb_mat, [[rest.C, *([late] * (d - 1)), late + rest.D]])
+    return replace(rest, A=A, B=B, C=C, D=arb_mat(m, m))
+
+
+def dissipation(rest: Split, P: arb_mat, Phi_E: arb_mat, T: fmpq) -> arb_mat:
+    """-M_E, (n+m) x (n+m), symmetric."""
+    n = rest.A.nrows()
+    G = assembled(arb_mat, [[rest.A, rest.B]])
+    supply = assembled(arb_mat, [[arb_mat(n, n), rest.C.transpose() / 2], [rest.C / 2, rational.symmetrised(rest.D)]])
+    level = Phi_E - rest.stiffness * (T / 2)
+    kept = diagonal_blocks(arb_mat, [P, level])
+    return rational.symmetrised(supply + kept - G.transpose() * P * G)
+
+
+def environment(rest: Split, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat, arb_mat]:
+    """E itself from its split, with the state (eta, u-): eta of Rest, u- the displacement of the tick before.
+
+    eta+ = A eta + B (u - u-)/T,    u-+ = u,    f = E1 u- + C eta + D (u - u-)/T.
+    """
+    n, m = rest.A.nrows(), rest.D.nrows()
+    B, D = rest.B / T, rest.D / T
+    return (
+        assembled(arb_mat, [[rest.A, -B], [arb_mat(m, n), arb_mat(m, m)]]),
+        assembled(arb_mat, [[B], [identity(arb_mat, m)]]),
+        assembled(arb_mat, [[rest.C, rest.stiffness - D]]),
+        D,
+    )
+
+
+_STEPS = 4_000  # of conjugate gradients, each a few products with the matrix's entries
+_MOST_DENSE = 700  # rows of B + TK/2 for which balls are tried where no structure helps
+
+
+def laplacian(links: tuple[LinkData, ...], weights: list[fmpq]) -> Sparse:
+    """The matrix of the quadratic form sum over the links of weight (difference of its ends)^2."""
+    out: Sparse = {}
+    for link, weight in zip(links, weights, strict=True):
+        ends = [end for end in link.ends if end is not None]
+        if weight == 0:
+            continue
+        for end in ends:
+            sparse.add_entry(out, end, end, weight)
+        if len(ends) == 2:
+            sparse.add_entry(out, ends[0], ends[1], -weight)
+            sparse.add_entry(out, ends[1], ends[0], -weight)
+    return out
+
+
+def physical(network: NetworkData) -> Verdict:
+    """Whether every mass is positive and no stiffness or damping negative, at the lower ends."""
+    values = [low > 0 for low, _ in network.masses]
+    values += [low >= 0 for link in network.links for low, _ in (link.stiffness, link.damping)]
+    spans = [*network.masses, *(span for link in network.links for span in (link.stiffness, link.damping))]
+    least = min((float(low) for low, _ in spans), default=0.0)
+    return Verdict(all(values), least, "exactly: the file's numbers")
+
+
+def energy(network: NetworkData, Phi_E: Sparse, T: fmpq) -> Verdict:
+    """Whether (B + TK/2) + blockdiag(Phi_E, 0) >= 0 at the lower ends.
+
+    Group by group of what the links and Phi_E join: where Phi_E >= 0 every link's own term is enough; small groups are
+    tested exactly; large ones by weighted diagonal dominance, or in balls.
+    """
+    size = network.ports + len(network.masses)
+    weights = [exact_decimal(link.damping[0]) + exact_decimal(link.stiffness[0]) * T / 2 for link in network.links]
+    own = laplacian(network.links, weights)
+    total = dict(own)
+    for (i, j), value in Phi_E.items():
+        sparse.add_entry(total, i, j, value)
+    negative = _negative(Phi_E, network.ports)
+    parts: dict[str, Verdict] = {}
+    for group in sparse.groups(size, [own, Phi_E]):
+        if negative.isdisjoint(group):
+            parts["links"] = Verdict(True, 0.0, "link by link, where Phi_E >= 0")
+        else:
+            parts[f"the part of port {group[0] + 1}"] = _group(total, group)
+    return weakest(parts)
+
+
+def _negative(Phi_E: Sparse, ports: int) -> set[int]:
+    """The ports where Phi_E is not proved >= 0."""
+    out: set[int] = set()
+    for group in sparse.groups(ports, [Phi_E]):
+        entry = Phi_E.get((group[0], group[0]), fmpq(0))
+        if entry < 0 or (len(group) > 1 and not sparse.definite(sparse.dense(Phi_E, group), strict=False).holds):
+            out.update(group)
+    return out
+
+
+def _group(total: Sparse, group: list[int]) -> Verdict:
+    if len(group) <= sparse.MOST_EXACT:
+        return sparse.definite(sparse.dense(total, group), strict=False)
+    verdict = dominant(total, group)
+    if not verdict.holds and len(group) <= _MOST_DENSE:
+        return rational.decided(len(group), lambda: rational.definite_in_balls(arb_mat(sparse.dense(total, group))))
+    return verdict
+
+
+def dominant(matrix: Sparse, group: list[int]) -> Verdict:
+    """Whether the matrix on ``group`` is >= 0 because, with some weights x > 0, N_ii x_i >= sum over j of |N_ij| x_j.
+
+    The weights come from conjugate gradients in floats on N with its other entries made negative, and nothing rests on
+    them: the inequalities are checked exactly, one for each row.
+    """
+    position = {i: k for k, i in enumerate(group)}
+    entries = [(position[i], position[j], value) for (i, j), value in matrix.items() if i in position]
+    n = len(group)
+    diagonal = np.zeros(n)
+    for i, j, value in entries:
+        if i == j:
+            diagonal[i] = rational.rounded(value)
+    if not np.all(diagonal > 0.0):
+        return Verdict(False, float(np.min(diagonal)), "a diagonal entry is not positive")
+    root = np.sqrt(diagonal)
+    rows = np.array([i for i, _, _ in entries])
+    columns = np.array([j for _, j, _ in entries])
+    values = np.array([abs(rational.rounded(value)) * (1.0 if i == j else -1.0) for i, j, value in entries])
+    values /= root[rows] * root[columns]
+    x = np.zeros(n)
+    residual = np.ones(n)  # of the right-hand side 1: what is below it in every entry is enough
+    direction, square = residual.copy(), float(n)
+    for _ in range(_STEPS):
+        product = np.bincount(rows, values * direction[columns], minlength=n)
+        curvature = float(direction @ product)
+        if not curvature > 0.0:
+            break
+        step = square / curvature
+        x, residual = x + step * direction, residual - step * product
+        if float(np.max(np.abs(residual))) < 0.5:
+            break
+        following = float(residual @ residual)
+        direction, square = residual + following / square * direction, following
+    weights = x / root
+    if not (np.all(np.isfinite(weights)) and np.all(weights > 0.0)):
+        return Verdict(False, float("nan"), "no weights were found that make it diagonally dominant")
+    exactly = [exact_decimal(float(w)) for w in weights]
+    sums = [fmpq(0)] * n
+    for i, j, value in entries:
+        sums[i] += (value if i == j else -abs(value)) * exactly[j]
+    holds = all(total >= 0 for total in sums)
+    return Verdict(holds, 0.0 if holds else -1.0, "exactly, by diagonal dominance with weights")
+
+
+def moved(network: NetworkData) -> list[int]:
+    """The masses that a chain of links joins to a port: the others influence no port, and Rest does not have them.
+
+    A link whose stiffness and damping are zero at both ends of their intervals joins nothing. Neither does the ground:
+    it stands still. K and B then have no entry between the masses that are left out and anything else, and E is the
+    same without them, exactly.
+    """
+    m = network.ports
+    joined: Sparse = {}
+    for link in network.links:
+        a, b = link.ends
+        if a is not None and b is not None and any((*link.stiffness, *link.damping)):
+            joined[a, b] = fmpq(1)
+    groups = sparse.groups(m + len(network.masses), [joined])
+    return sorted(i - m for group in groups if group[0] < m for i in group if i >= m)
+
+
+def carriers(network: NetworkData) -> list[int]:
+    """The masses whose deflections Rest has as states: of :func:`moved`, all but one of each group no spring holds.
+
+    K_II of these is regular and of the rank of K_qq: a group of masses joined by springs, none of which
+    leads to a port or the ground, moves freely, and has one deflection less than masses.
+    """
+    m, n = network.ports, len(network.masses)
+    springs = {
+        (link.ends[0], link.ends[1]): fmpq(1)
+        for link in network.links
+        if link.stiffness[0] > 0 or link.stiffness[1] > 0
+    }
+    inner = {
+        (a - m, b - m): one for (a, b), one in springs.items() if a is not None and b is not None and min(a, b) >= m
+    }
+    held = {end for ends in springs for end in ends if any(other is None or other < m for other in ends)}
+    out: set[int] = set()
+    for group in sparse.groups(n, [inner]):
+        out.update(group if any(m + i in held for i in group) else group[:-1])
+    return sorted(out.intersection(moved(network)))
+
+
+def network_order(network: NetworkData) -> int:
+    """Number of states of Rest without the delay's."""
+    return len(carriers(network)) + len(moved(network))
+
+
+def network_split(network: NetworkData, T: fmpq) -> Split:
+    """E_hat = T/(z-1) E1 + Rest, in balls, for the network in the middle of its intervals.
+
+    Of the n masses q that :func:`moved` names, with I = :func:`carriers` and R = K_II^-1 K_I:, the states are e in R^r,
+    deflections of the masses in I from static equilibrium (m), and v in R^n, the velocities (m/s):
+
+        (M/T + B_qq + T K_qq) v+ = M v/T - K_qI e - (B_qu + T K_qu) w
+        e+ = e + T (R v+ + K_II^-1 K_Iu w)
+        f  = [E1 x-] + K_uI e + (B_uq + T K_uq) v+ + (B_uu + T K_uu) w,     E1 = K_uu - K_uI K_II^-1 K_Iu.
+
+    Raises:
+        ZeroDivisionError: a matrix is singular, which a physical network's are not.
+    """
+    m, of_masses = network.ports, moved(network)
+    ports, masses, I = list(range(m)), [m + i for i in of_masses], [m + i for i in carriers(network)]
+    n, r = len(masses), len(I)
+    K = laplacian(network.links, [_middle(link.stiffness) for link in network.links])
+    B = laplacian(network.links, [_middle(link.damping) for link in network.links])
+
+    def part(matrix: Sparse, rows: list[int], columns: list[int]) -> arb_mat:
+        out = arb_mat(len(rows), len(columns))
+        at, beside = {i: k for k, i in enumerate(rows)}, {j: k for k, j in enumerate(columns)}
+        for (i, j), value in matrix.items():
+            if i in at and j in beside:
+                out[at[i], beside[j]] = value
+        return out
+
+    M = arb_mat(n, n)
+    for k, i in enumerate(of_masses):
+        M[k, k] = _middle(network.masses[i])
+    K_uI, K_qI = part(K, ports, I), part(K, masses, I)
+    coupled = part(B, masses, ports) + part(K, masses, ports) * T
+    # columns over (e, v, w)
+    load = rational.assembled(arb_mat, [[-K_qI, M / T, -coupled]])
+    following = (M / T + part(B, masses, masses) + part(K, masses, masses) * T).solve(load) if n else load
+    e = rational.assembled(arb_mat, [[rational.identity(arb_mat, r), arb_mat(r, n + m)]])
+    w = rational.assembled(arb_mat, [[arb_mat(m, r + n), rational.identity(arb_mat, m)]])
+    static = arb_mat(m, m)
+    deflection = e
+    if r:
+        K_II = part(K, I, I)
+        to_ports = K_II.solve(part(K, I, ports))
+        deflection = e + (K_II.solve(part(K, I, masses)) * following + to_ports * w) * T
+        static = K_uI * to_ports
+    K_uu = part(K, ports, ports)
+    force = K_uI * e + coupled.transpose() * following + (part(B, ports, ports) + K_uu * T) * w
+    state = rational.assembled(arb_mat, [[deflection], [following]])
+    return Split(
+        rational.symmetrised(K_uu - static), *rational.columns_cut(state, r + n), *rational.columns_cut(force, r + n)
+    )
+
+
+def _middle(span: Span) -> fmpq:
+    return (exact_decimal(span[0]) + exact_decimal(span[1])) / 2
+
 
 _ISP = "E_hat is (-Phi_E)-ISP, (14)"
 
@@ -23,7 +342,7 @@ def order(data: DynamicsData, m: int) -> int:
     """Number of states of Rest, with those of the delay."""
     match data:
         case NetworkData():
-            own = network.order(data)
+            own = network_order(data)
         case SystemData():
             own = data.A.rows
         case _:
@@ -41,7 +360,7 @@ def split(data: DynamicsData, T: fmpq) -> Split:
     """
     match data:
         case NetworkData():
-            own = network.split(data, T)
+            own = network_split(data, T)
         case SystemData():
             own = split_system(*discrete(data, T), arb_mat(statics.of_environment(data)), T)
         case _:
@@ -55,13 +374,13 @@ def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: f
         return [_declared(data, Phi_E, m)]
     out = []
     if isinstance(data, NetworkData):
-        physics = network.physical(data)
+        physics = physical(data)
         condition = "masses are positive, no stiffness and no damping is negative"
         out.append(Finding(condition, physics.holds, physics.least, 0.0, argument=physics.argument))
         if not physics.holds:
             return [*out, _refused("the network is not a physical one")]
         if P is None and data.delay == 0:
-            verdict = network.energy(data, Phi_E, T)
+            verdict = energy(data, Phi_E, T)
             because = "mechanical energy: monotone in every stiffness and damping, whatever the masses are"
             return [*out, verdict.finding(_ISP, because)]
         if P is not None and data.uncertain:
@@ -79,8 +398,8 @@ def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: f
 def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
     """What is enforced at run time is at least as strict as the level that (10) is proved with."""
     declared: Sparse = {}
-    sparse.add(declared, range(m), data.level)
-    verdict = sparse.definite_by_groups(sparse.difference(Phi_E, declared), m, strict=False)
+    exact.add(declared, range(m), data.level)
+    verdict = exact.definite_by_groups(exact.difference(Phi_E, declared), m, strict=False)
     if not verdict.holds:
         return _refused(f"the declared level is not proved to be at most Phi_E: {verdict.argument}")
     return Finding(_ISP, True, 0.0, 0.0, argument="not proved: enforced at run time by a controller", enforced=True)
@@ -108,14 +427,14 @@ def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T
             rest = split(data, T)
         except (NotDiscretised, Undecided) as error:
             return {"": Verdict(False, float("nan"), str(error))}
-        P = balls.symmetrised(stated.witness())
-        level = arb_mat(sparse.dense(Phi_E, range(m)))
+        P = rational.symmetrised(stated.witness())
+        level = arb_mat(exact.dense(Phi_E, range(m)))
         return {
-            "P": balls.definite(P),
-            "M_E": balls.definite(dissipation(rest, P, level, T)),
+            "P": rational.definite_in_balls(P),
+            "M_E": rational.definite_in_balls(dissipation(rest, P, level, T)),
         }
 
-    found = balls.all_decided(stated.rows + m, test)
+    found = rational.all_decided(stated.rows + m, test)
     if "" in found:
         return [_refused(found[""].argument)]
     because = {"M_E": "M_E < 0: a storage matrix for E_hat less its integrators; E is stable with it"}

@@ -29,11 +29,11 @@ from typing import Any
 
 from flint import fmpq
 
-from manyhands.design.proof import contract, sparse
+from manyhands.design.proof import contract, exact
 from manyhands.design.proof.claim import Claim, read
+from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import rounded
-from manyhands.design.proof.sparse import Sparse
 
 _SHARED = ("period", "ports", "devices", "structure", "environment")
 _STRUCTURED = "Phi_E joins no two blocks, so that every mixture is made of conditions that (10) of a rung contains"
@@ -104,7 +104,7 @@ def _at_every_rung(claims: Sequence[Claim], Phi_E: Sparse) -> Verdict:
     size = 2 * len(claims[0].ports)
     return weakest(
         {
-            f"rung {number}": sparse.definite_by_groups(contract.condition_10(replace(claim, Phi_E=Phi_E)), size)
+            f"rung {number}": exact.definite_by_groups(contract.condition_10(replace(claim, Phi_E=Phi_E)), size)
             for number, claim in enumerate(claims)
         }
     )
@@ -122,8 +122,8 @@ def _in_every_mixture(claims: Sequence[Claim], claim: Claim, Phi_E: Sparse, toge
     block_of = {port: number for number, block in enumerate(claim.blocks) for port in block.ports}
     if all(block_of[i] == block_of[j] for i, j in Phi_E):
         return Verdict(True, together.least, f"{_STRUCTURED}; {together.argument}")
-    negated = sparse.difference({}, Phi_E)
-    passive = sparse.definite_by_groups(negated, len(claim.ports), strict=False)
+    negated = exact.difference({}, Phi_E)
+    passive = exact.definite_by_groups(negated, len(claim.ports), strict=False)
     if passive.holds:
         return Verdict(True, together.least, f"{_PASSIVE}; {passive.argument}")
     return Verdict(False, passive.least, "Phi_E joins blocks and is not proved to be <= 0")

@@ -9,10 +9,9 @@ from typing import Any
 
 from manyhands.design.proof import contract, environment, transparency
 from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, SpringDamper, read
+from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
 from manyhands.design.proof.finding import Finding
-from manyhands.design.proof.linear import linear
-from manyhands.design.proof.spring_damper import spring_damper
 
 Progress = Callable[[str], None]
 

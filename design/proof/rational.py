@@ -7,12 +7,22 @@ coefficients of
 
 alternate strictly, all e_k > 0, and semidefinite exactly when all e_k >= 0. The coefficients are whole numbers once
 the denominators are cleared, and no pivot is ever chosen: singular matrices are as good as any.
+
+Definiteness of symmetric matrices in ball arithmetic, by an approximate factor on which nothing rests.
+
+For any X, if ||X^T M X - I|| < 1 in the greatest row sum, then X^T M X > 0, so that X is regular and M > 0. X comes
+from numpy's Cholesky factor of M's midpoint; where M is too close to singular for floats, the factor of a slightly
+shifted matrix is taken as a first step, and X^T M X, which is better conditioned, is factored again.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
-from flint import fmpq, fmpq_mat
+from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
+from numpy.typing import NDArray
 
 from manyhands.design.proof.finding import Verdict
 
@@ -78,3 +88,177 @@ def rounded(value: fmpq) -> float:
         return int(value.p) / int(value.q)
     except OverflowError:
         return float("inf") if value > 0 else float("-inf")
+
+
+PRECISIONS = (128, 384)  # bits: the second for what the first cannot decide, where it is still quick
+_QUICK = 200  # rows
+_STEPS = 5  # factors of factors; each gains about 13 digits of condition
+_EPSILON = float(np.finfo(np.float64).eps)
+
+Kind = TypeVar("Kind", fmpq_mat, arb_mat)
+"""Matrices of rationals or of balls: the proofs' formulas are written once for both."""
+
+
+def decided(order: int, test: Callable[[], Verdict]) -> Verdict:
+    """What ``test`` finds at the first precision that proves it; a zero divisor fails it.
+
+    Args:
+        order: rows of the largest matrix.
+        test: builds the matrices and judges them.
+    """
+    return all_decided(order, lambda: {"": test()}).popitem()[1]
+
+
+def all_decided(order: int, test: Callable[[], dict[str, Verdict]]) -> dict[str, Verdict]:
+    """The same for several verdicts by name; a zero divisor leaves one alone, under an empty name."""
+    found: dict[str, Verdict] = {}
+    for precision in PRECISIONS[: 2 if order <= _QUICK else 1]:
+        with ctx.workprec(precision):
+            try:
+                found = test()
+            except ZeroDivisionError:
+                found = {"": Verdict(False, float("nan"), "a matrix that must be inverted is singular, or nearly so")}
+        if all(verdict.holds for verdict in found.values()):
+            break
+    return found
+
+
+def definite_in_balls(M: arb_mat) -> Verdict:
+    """Whether the symmetric matrix that M encloses is proved positive definite."""
+    n = M.nrows()
+    argument = f"in balls of {ctx.prec} bits"
+    if n == 0:
+        return Verdict(True, 1.0, argument)
+    diagonal = [M[i, i] for i in range(n)]
+    for i, value in enumerate(diagonal):
+        if not value > 0:  # nan and infinities as well
+            return Verdict(False, _sign(value), f"{argument}: diagonal entry {i + 1} of {n} is not proved positive")
+    scales = [_power_of_two(value) for value in diagonal]
+    entries = M.entries()
+    N = arb_mat(n, n, [entries[i * n + j] * scales[i] * scales[j] for i in range(n) for j in range(n)])
+    middle = _midpoint(N)
+    if middle is None:
+        return Verdict(False, float("nan"), f"{argument}: the matrix is not finite")
+    least = float_least(middle.tolist())
+    S, X = N, None
+    for _ in range(_STEPS):
+        factor = _inverse_factor(middle)
+        if factor is None:
+            break
+        Y = arb_mat(n, n, factor.ravel().tolist())
+        X = Y if X is None else (X * Y).mid()
+        N = X.transpose() * S * X
+        if _distance_from_identity(N) < 1:
+            return Verdict.of(True, least, argument)
+        remaining = _midpoint(N)
+        if remaining is None:
+            break
+        middle = remaining
+    return Verdict(False, least, f"{argument}: not proved positive definite")
+
+
+def identity(kind: type[Kind], n: int) -> Kind:
+    """The n x n identity."""
+    return kind(n, n, [int(i == j) for i in range(n) for j in range(n)])
+
+
+def zeros(kind: type[Kind], rows: int, columns: int) -> Kind:
+    """A matrix of zeros."""
+    return kind(rows, columns)
+
+
+def assembled(kind: type[Kind], blocks: list[list[Kind]]) -> Kind:
+    """The matrix with these blocks; blocks of a row have equal heights, blocks of a column equal widths."""
+    rows = sum(row[0].nrows() for row in blocks)
+    columns = sum(block.ncols() for block in blocks[0])
+    lines = []
+    for row in blocks:
+        parts = [block.tolist() for block in row]
+        lines += [[entry for part in parts for entry in part[i]] for i in range(row[0].nrows())]
+    return kind(rows, columns, [entry for line in lines for entry in line])
+
+
+def diagonal_blocks(kind: type[Kind], parts: list[Kind]) -> Kind:
+    """The block-diagonal matrix of ``parts``, which may be empty or not square."""
+    rows, columns = sum(p.nrows() for p in parts), sum(p.ncols() for p in parts)
+    out = zeros(kind, rows, columns)
+    row = column = 0
+    for part in parts:
+        place(out, part, row, column)
+        row, column = row + part.nrows(), column + part.ncols()
+    return out
+
+
+def place(into: Kind, part: Kind, row: int, column: int) -> None:
+    """Write ``part`` into a matrix with its first entry at (row, column)."""
+    for i, line in enumerate(part.tolist()):
+        for j, entry in enumerate(line):
+            into[row + i, column + j] = entry
+
+
+def columns_cut(M: arb_mat, at: int) -> tuple[arb_mat, arb_mat]:
+    """The columns before ``at`` and those from there on."""
+    rows = M.tolist()
+    n, width = M.nrows(), M.ncols()
+    left = arb_mat(n, at, [entry for row in rows for entry in row[:at]])
+    return left, arb_mat(n, width - at, [entry for row in rows for entry in row[at:]])
+
+
+def symmetrised(M: arb_mat) -> arb_mat:
+    """(M + M^T)/2."""
+    return (M + M.transpose()) / 2
+
+
+def greatest(M: arb_mat) -> arb:
+    """The greatest absolute value of an entry, as an upper bound; 0 without entries."""
+    most = arb(0)
+    for entry in M.entries():
+        most = most.max(entry.abs_upper())
+    return most
+
+
+def _power_of_two(value: arb) -> arb:
+    """About value^(-1/2), a power of two: exact, so that scaling by it rounds nothing."""
+    mantissa, exponent = value.mid().man_exp()
+    return arb(2) ** (-((abs(int(mantissa)).bit_length() + int(exponent)) // 2))
+
+
+def _sign(value: arb) -> float:
+    return -1.0 if value < 0 else 0.0
+
+
+def _midpoint(M: arb_mat) -> NDArray[np.float64] | None:
+    """The midpoint as floats, symmetric; None where it is not finite."""
+    n = M.nrows()
+    out = np.array([float(entry) for entry in M.entries()], dtype=np.float64).reshape(n, n)
+    if not np.all(np.isfinite(out)):
+        return None
+    return np.asarray((out + out.T) / 2.0)
+
+
+def _inverse_factor(M: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """About L^-T, for M + shift I = L L^T with the least shift, of rounding's size, that lets M be factored."""
+    n = M.shape[0]
+    unit = n * _EPSILON * float(np.max(np.abs(M)))
+    with np.errstate(all="ignore"):
+        for shift in (0.0, 4.0 * unit, 256.0 * unit):
+            try:
+                L = np.linalg.cholesky(M + shift * np.eye(n))
+                Y = np.linalg.solve(L, np.eye(n)).T
+            except np.linalg.LinAlgError:
+                continue
+            if np.all(np.isfinite(Y)):
+                return np.asarray(Y)
+    return None
+
+
+def _distance_from_identity(N: arb_mat) -> arb:
+    """An upper bound of ||N - I|| in the greatest row sum."""
+    most = arb(0)
+    for i, row in enumerate(N.tolist()):
+        row[i] = row[i] - 1
+        total = sum((abs(entry) for entry in row), arb(0)).upper()
+        if not total.is_finite():
+            return arb.pos_inf()
+        most = most.max(total)
+    return most

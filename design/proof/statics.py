@@ -18,11 +18,11 @@ from __future__ import annotations
 
 from flint import arb_mat, fmpq_mat
 
-from manyhands.design.proof import balls, rational, sparse
+from manyhands.design.proof import exact as sparse
+from manyhands.design.proof import rational
+from manyhands.design.proof.claim import SystemData, TransferData
+from manyhands.design.proof.exact import MAX_STATIC, Sparse, Table, exact_decimal
 from manyhands.design.proof.finding import Verdict
-from manyhands.design.proof.physical import SystemData, TransferData
-from manyhands.design.proof.reading import MAX_STATIC, Table, exact
-from manyhands.design.proof.sparse import Sparse
 
 _MOST_BITS = 2_000  # of an entry: longer ones are first tried in balls, which carry a fixed number of bits
 
@@ -63,7 +63,7 @@ def _carried(A: Table, B: Table, C: Table, discrete: bool) -> fmpq_mat:
         raise Undecided(f"found {n} states, expected at most {MAX_STATIC}: statics are decided exactly")
     M = -A.rational()
     if discrete:
-        M += balls.identity(fmpq_mat, n)
+        M += rational.identity(fmpq_mat, n)
     try:
         return C.rational() * M.solve(B.rational())
     except ZeroDivisionError:
@@ -84,7 +84,7 @@ def of_environment(data: SystemData | TransferData) -> fmpq_mat:
         for j, (num, den) in enumerate(row):
             if den[-1] == 0:
                 raise Undecided(f"entry ({i + 1}, {j + 1}) has a pole at s = 0, and so no static gain")
-            out[i, j] = exact(num[-1]) / exact(den[-1])
+            out[i, j] = exact_decimal(num[-1]) / exact_decimal(den[-1])
     return out
 
 
@@ -122,7 +122,7 @@ def semidefinite(M: fmpq_mat) -> Verdict:
 def _definite(M: fmpq_mat) -> Verdict:
     long = M.nrows() > 2 and max(int(entry.height_bits()) for entry in M.entries()) > _MOST_BITS
     if long or M.nrows() > sparse.MOST_EXACT:
-        verdict = balls.decided(M.nrows(), lambda: balls.definite(arb_mat(M)))
+        verdict = rational.decided(M.nrows(), lambda: rational.definite_in_balls(arb_mat(M)))
         if verdict.holds or M.nrows() > sparse.MOST_EXACT:
             return verdict
     return rational.definite(M, strict=False)

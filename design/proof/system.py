@@ -17,9 +17,9 @@ from __future__ import annotations
 import numpy as np
 from flint import arb, arb_mat, fmpq, fmpq_poly
 
-from manyhands.design.proof.balls import assembled, columns_cut, greatest, identity
-from manyhands.design.proof.physical import SystemData, TransferData
-from manyhands.design.proof.reading import Number, exact
+from manyhands.design.proof.claim import SystemData, TransferData
+from manyhands.design.proof.exact import Number, exact_decimal
+from manyhands.design.proof.rational import assembled, columns_cut, greatest, identity
 from manyhands.design.proof.statics import feedthrough
 
 _SWEEPS = 4
@@ -143,7 +143,7 @@ def _substituted(coefficients: tuple[Number, ...], degree: int, method: str, T: 
     below = fmpq_poly([0, T]) if euler else fmpq_poly([T, T])
     total = fmpq_poly([0])
     for power, c in enumerate(reversed(coefficients)):
-        total += fmpq_poly([exact(c)]) * above**power * below ** (degree - power)
+        total += fmpq_poly([exact_decimal(c)]) * above**power * below ** (degree - power)
     return [total[degree - k] for k in range(degree + 1)]
 
 
@@ -154,8 +154,8 @@ def companion(num: tuple[Number, ...], den: tuple[Number, ...], ports: int) -> R
     -a_n), ones below the diagonal, B the first unit vector, C_j = b_j - a_j b_0, D = b_0.
     """
     n = len(den) - 1
-    a = [exact(c) / exact(den[0]) for c in den]
-    b = [fmpq(0)] * (n + 1 - len(num)) + [exact(c) / exact(den[0]) for c in num]
+    a = [exact_decimal(c) / exact_decimal(den[0]) for c in den]
+    b = [fmpq(0)] * (n + 1 - len(num)) + [exact_decimal(c) / exact_decimal(den[0]) for c in num]
     A, B, C = arb_mat(n * ports, n * ports), arb_mat(n * ports, ports), arb_mat(ports, n * ports)
     for k in range(n):
         for p in range(ports):

@@ -40,13 +40,20 @@ from __future__ import annotations
 
 from flint import arb_mat, fmpq
 
-from manyhands.design.proof import balls, environment
-from manyhands.design.proof.balls import assembled, diagonal_blocks, identity
-from manyhands.design.proof.claim import Claim, Linear, SpringDamper, TransparencyClaim
+from manyhands.design.proof import environment, rational
+from manyhands.design.proof.claim import (
+    Claim,
+    DeclaredData,
+    DynamicsData,
+    Linear,
+    NetworkData,
+    SpringDamper,
+    TransparencyClaim,
+)
+from manyhands.design.proof.environment import environment as environment_of
+from manyhands.design.proof.exact import MAX_DENSE, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
-from manyhands.design.proof.physical import DeclaredData, DynamicsData, NetworkData
-from manyhands.design.proof.reading import MAX_DENSE, exact
-from manyhands.design.proof.split import environment as environment_of
+from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided, feedthrough
 from manyhands.design.proof.system import NotDiscretised, Realisation, companion
 
@@ -75,15 +82,18 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
             system = weighted(claim, E, stated)
         except (NotDiscretised, Undecided) as error:
             return Verdict(False, float("nan"), str(error))
-        P = balls.symmetrised(stated.P.witness())
+        P = rational.symmetrised(stated.P.witness())
         return weakest(
-            {"P > 0": balls.definite(P), "the bounded real lemma": balls.definite(_dissipation(system, P, stated))}
+            {
+                "P > 0": rational.definite_in_balls(P),
+                "the bounded real lemma": rational.definite_in_balls(_dissipation(system, P, stated)),
+            }
         )
 
     because = "the bounded real lemma"
     if isinstance(E, NetworkData) and E.uncertain:
         because += ", for the network in the middle of its intervals"
-    return balls.decided(size + m, test).finding(condition, because)
+    return rational.decided(size + m, test).finding(condition, because)
 
 
 def order(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> int:
@@ -167,6 +177,6 @@ def _dissipation(system: Realisation, P: arb_mat, stated: TransparencyClaim) -> 
     """Minus the left-hand side of the lemma, (n+m) x (n+m)."""
     A, B, C, D = system
     G, y = assembled(arb_mat, [[A, B]]), assembled(arb_mat, [[C, D]])
-    level = identity(arb_mat, D.ncols()) * (exact(stated.gamma) ** 2)
+    level = identity(arb_mat, D.ncols()) * (exact_decimal(stated.gamma) ** 2)
     kept = diagonal_blocks(arb_mat, [P, level])
-    return balls.symmetrised(kept - G.transpose() * P * G - y.transpose() * y)
+    return rational.symmetrised(kept - G.transpose() * P * G - y.transpose() * y)

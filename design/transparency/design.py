@@ -6,7 +6,7 @@ H-infinity norm of the weighted loop, computed from the coupling itself, not the
 Spring-damper couplings: sequential convex programs over the exact conditions of the class. Linear couplings: over fixed
 poles loop shaping is one convex program, whose optimum is global; the closed loop is not convex, and is taken down by
 sequential convex programs from the loop-shaping optimum. The search for the poles is
-:mod:`manyhands.design.pole_search`.
+:mod:`manyhands.design.transparency.pole_search`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,20 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.basis import FixedPoleBlock, PoleBasis
-from manyhands.design.coupling import SpringDamper
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import NormalisedLoop
-from manyhands.design.hinfinity import hinf_norm
-from manyhands.design.minimax import Minimum, minimise_peak
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.models.weights import Transparency, weighted
+from manyhands.design.passivity.hinfinity import hinf_norm
 from manyhands.design.solver import ProgramInfeasible
-from manyhands.design.spring_damper_family import SpringDamperFamily
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.design.weighted_loop import Transparency, weighted
+from manyhands.design.transparency.families import (
+    FixedPoleBlock,
+    FixedPoleFamily,
+    NormalisedLoop,
+    PoleBasis,
+    SpringDamperFamily,
+)
+from manyhands.design.transparency.minimax import Minimum, minimise_peak
 
 __all__ = [
     "LinearDesign",
@@ -72,10 +75,10 @@ class LinearDesign:
     """A linear coupling, what proves its levels, and its level of transparency.
 
     Attributes:
-        blocks: realisation of each block, order n_i m_i, with symmetric C_j and D (:mod:`manyhands.design.basis`).
-        storages: P of each block, for (zeta, phi) with zeta = (xi - xi_)/T: V_hat,i is (least level)-OSP.
-        gamma: H-infinity norm of the weighted loop; None where nothing was to be minimised.
-        frequency: where it is reached, rad/s; None with gamma.
+        blocks: realisation of each block, order n_i m_i, with symmetric C_j and D
+        (:mod:`manyhands.design.transparency.families`). storages: P of each block, for (zeta, phi) with zeta = (xi -
+        xi_)/T: V_hat,i is (least level)-OSP. gamma: H-infinity norm of the weighted loop; None where nothing was to be
+        minimised. frequency: where it is reached, rad/s; None with gamma.
         bound: no coupling over the same poles, with the same room, is below this (loop shaping); else 0.
         poles: of each block, in the z plane, each for every port of the block.
         history: gamma after each step that lowered it.

@@ -1,4 +1,18 @@
-"""Linear couplings over fixed poles: every choice of the remaining numbers enters the conditions linearly.
+"""The normalised loop, in which the families of couplings are searched: scaled ports, scaled time.
+
+Ports are scaled by S = Delta_D^{-1/2} and time by the period T. A coupling is V = T S v S with v of order one, and the
+loop gain K = kappa T Delta_D^{-1} becomes kappa I.
+
+Spring-damper couplings (20) as a family for the minimax programs (:mod:`manyhands.design.transparency.minimax`).
+
+Units are those of :mod:`manyhands.design.transparency.families`: ports scaled by S = Delta_D^{-1/2}, time by T.
+
+Linear couplings over fixed poles as a family for the minimax programs (:mod:`manyhands.design.transparency.minimax`).
+
+The convex set of :mod:`manyhands.design.transparency.families`, block by block; loop shaping is affine over it, so that
+its optimum over the basis is global. Units are those of :mod:`manyhands.design.transparency.families`.
+
+Linear couplings over fixed poles: every choice of the remaining numbers enters the conditions linearly.
 
 One block of V, m_i ports, in units in which Delta_D = I and T = 1 (v below; V = T S v S with S = Delta_D^{-1/2}):
 
@@ -19,17 +33,115 @@ linear in (P, C, D) once y^T Delta y is taken out by a Schur complement (Lemma 2
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_discrete_lyapunov
 
-from manyhands.design.conic import LinearMatrixProgram, coefficients
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.models.weights import Filter, Transparency, WeightedLoop
+from manyhands.design.passivity.hinfinity import frequency_grid
+from manyhands.design.solver import LinearMatrixProgram, coefficients
+from manyhands.design.transparency.minimax import Family
 
 ComplexArray = NDArray[np.complex128]
+
+UNWEIGHTED = Transparency("loop-shaping", Filter.one(), Filter.one())
+
+
+@dataclass(frozen=True, eq=False)
+class NormalisedLoop:
+    """The data of a transparency problem, and the way from normalised blocks v to the weighted loop.
+
+    Attributes:
+        E: the environment, discrete and stable, displacement (m) to force (N), m x m.
+        Delta_D: the level of the devices, m x m, N*s/m, symmetric positive definite, with the partition's structure.
+        kappa: positive; the loop gain is K = kappa T Delta_D^{-1} (m/N), and kappa is 1/2 without delay.
+        T: period, s.
+        partition: which of the m ports each block of the coupling V has.
+        aim: objective and weights of the transparency problem; left out where only levels are asked for.
+        scaling: S_i = Delta_D,i^{-1/2} of each block, m_i x m_i, symmetric, (N*s/m)^{-1/2}; computed from Delta_D.
+
+    Raises:
+        ValueError: sizes that differ, an unstable E, Delta_D without the structure or not positive definite, kappa or
+            T not positive.
+    """
+
+    E: StateSpace
+    Delta_D: Matrix
+    kappa: float
+    T: float
+    partition: Partition
+    aim: Transparency = UNWEIGHTED
+    scaling: tuple[Matrix, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        m, E, Delta_D = self.partition.size, self.E, self.Delta_D
+        if E.inputs != m or E.outputs != m or Delta_D.shape != (m, m):
+            raise ValueError(
+                f"expected E and Delta_D of {m} ports, found {E.outputs} x {E.inputs} and "
+                f"{Delta_D.shape[0]} x {Delta_D.shape[1]}"
+            )
+        radius = float(np.max(np.abs(np.linalg.eigvals(E.A)), initial=0.0))
+        if not radius < 1.0:
+            raise ValueError(
+                f"environment: found a pole of modulus {radius:.9g}, expected a stable E; a mass that no link holds "
+                "cannot be felt and may be left out"
+            )
+        if not (self.T > 0.0 and self.kappa > 0.0):
+            raise ValueError(f"expected a positive period and kappa, found {self.T} and {self.kappa}")
+        if not self.partition.admits(Delta_D) or np.any(Delta_D != Delta_D.T):
+            raise ValueError("expected a symmetric Delta_D that joins no ports of different blocks")
+        scaling = []
+        for name, part in zip(self.partition.names, self.partition.restrict(Delta_D), strict=True):
+            values, vectors = np.linalg.eigh(part)
+            if not values[0] > 0.0:
+                raise ValueError(f"coupling {name}: found a least eigenvalue {values[0]:.3g} of Delta_D, expected > 0")
+            scaling.append(symmetric_part(vectors @ np.diag(values**-0.5) @ vectors.T))
+        object.__setattr__(self, "scaling", tuple(scaling))
+
+    @cached_property
+    def weighted(self) -> WeightedLoop:
+        """E with the weights."""
+        return WeightedLoop(self.E, self.aim)
+
+    def grid(self, V: StateSpace) -> Matrix:
+        """Angles that separate the peaks of the weighted loop with the coupling V (physical units)."""
+        return frequency_grid(np.concatenate([self.weighted.poles(), self.weighted.poles_with(V)]))
+
+    def coupling(self, v: Sequence[ComplexArray], count: int) -> ComplexArray:
+        """V from the responses v of the blocks, angles x m x m."""
+        out = np.zeros((count, self.partition.size, self.partition.size), dtype=np.complex128)
+        for ports, S, block in zip(self.partition.blocks, self.scaling, v, strict=True):
+            out[:, np.array(ports)[:, None], np.array(ports)] = self.T * S @ block @ S
+        return out
+
+    def derivatives(self, v: Sequence[ComplexArray], slopes: Sequence[ComplexArray], angles: Matrix) -> ComplexArray:
+        """DG for derivatives dv of the blocks (angles x unknowns of the block x m_i x m_i), unknowns block by block."""
+        _, L, R = self.weighted.factors(self.coupling(v, len(angles)), angles)
+        parts = []
+        for ports, S, slope in zip(self.partition.blocks, self.scaling, slopes, strict=True):
+            left = self.T * L[:, :, list(ports)] @ S
+            right = S @ R[:, list(ports), :]
+            parts.append(left[:, None] @ slope @ right[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def physical(self, v: StateSpace, block: int) -> StateSpace:
+        """T S v S for a block with B = b kron I: C_j and D stay symmetric, exactly."""
+        S, m = self.scaling[block], v.inputs
+        parts = [symmetric_part(self.T * S @ v.C[:, j : j + m] @ S) for j in range(0, v.order, m)]
+        C = np.concatenate([*parts, np.zeros((m, 0))], axis=1)
+        return StateSpace(v.A, v.B, C, symmetric_part(self.T * S @ v.D @ S))
+
+    def storage(self, P: Matrix, block: int) -> Matrix:
+        """T^2 (I kron S) P (I kron S): the block's P in physical units, for zeta = (xi - xi_)/T."""
+        S = self.scaling[block]
+        wide = np.kron(np.eye(len(P) // len(S)), S)
+        return symmetric_part(self.T**2 * wide @ P @ wide)
 
 
 @dataclass(frozen=True)
@@ -236,3 +348,290 @@ def symmetric_units(m: int) -> Matrix:
     out[np.arange(len(rows)), rows, columns] = 1.0
     out[np.arange(len(rows)), columns, rows] = 1.0
     return out
+
+
+ROOM = 1e-4  # of Lambda: J stays this far from zero, which keeps as much of the greatest stiffness back
+_ROOM_LEVEL = 1e-5  # of Lambda, in the other conditions of the class
+
+
+@dataclass(frozen=True, eq=False)
+class SpringDamperFamily(Family):
+    """Spring-damper couplings; x holds the lower triangles of k and b, block by block.
+
+    In physical units K = S^{-1} k S^{-1}/T and B = S^{-1} b S^{-1}.
+
+    The class is exactly J > 0, J - B >= 0 and, for (10) at the greatest level, with a = 2 kappa share,
+
+        [ a Lambda - Phi_E    -a J       0            ]
+        [      .              J + B      sqrt(1-a) J  ]  > 0,      Lambda = Delta_D/(2 kappa),  J = Lambda - (T/2) K.
+        [      .                .        Lambda       ]
+
+    Attributes:
+        loop: the normalised loop.
+        Phi: Phi_E in scaled ports, m x m.
+        share: G_hat is (share Delta_D)-OSP.
+    """
+
+    loop: NormalisedLoop
+    Phi: Matrix
+    share: float
+
+    @cached_property
+    def _units(self) -> tuple[Matrix, ...]:
+        return tuple(symmetric_units(len(ports)) for ports in self.loop.partition.blocks)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return 2 * sum(len(units) for units in self._units)
+
+    @property
+    def affine(self) -> bool:
+        """The response is not."""
+        return False
+
+    def grid(self, x: Matrix) -> Matrix:
+        """Angles that see the poles of the loop and of the coupling."""
+        return self.loop.grid(self.coupling(x).realisation(self.loop.T))
+
+    def matrices(self, x: Matrix) -> list[tuple[Matrix, Matrix]]:
+        """(k, b) of each block."""
+        out, at = [], 0
+        for units in self._units:
+            count = len(units)
+            k, b = x[at : at + count], x[at + count : at + 2 * count]
+            out.append((np.tensordot(k, units, axes=1), np.tensordot(b, units, axes=1)))
+            at += 2 * count
+        return out
+
+    def coupling(self, x: Matrix) -> SpringDamper:
+        """The coupling in physical units."""
+        K, B = [], []
+        for (k, b), S in zip(self.matrices(x), self.loop.scaling, strict=True):
+            inverse = np.linalg.inv(S)
+            K.append(symmetric_part(inverse @ k @ inverse / self.loop.T))
+            B.append(symmetric_part(inverse @ b @ inverse))
+        partition = self.loop.partition
+        return SpringDamper(partition.embed(K), partition.embed(B))
+
+    def _blocks(self, x: Matrix, angles: Matrix) -> tuple[list[ComplexArray], ComplexArray]:
+        s = (1.0 - np.exp(-1j * angles))[:, None, None]
+        return [np.linalg.inv(k + b * s) for k, b in self.matrices(x)], s
+
+    def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
+        """G at ``angles``."""
+        v, _ = self._blocks(x, angles)
+        return self.loop.weighted.factors(self.loop.coupling(v, len(angles)), angles)[0]
+
+    def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
+        """The slopes of G at ``angles``."""
+        v, s = self._blocks(x, angles)
+        slopes = []
+        for v_i, units in zip(v, self._units, strict=True):
+            stiff = -v_i[:, None] @ units @ v_i[:, None]
+            slopes.append(np.concatenate([stiff, s[:, None] * stiff], axis=1))
+        return self.loop.derivatives(v, slopes, angles)
+
+    def conditions(self, x: Matrix) -> tuple[Matrix, ...]:
+        """The left-hand sides, to be positive: k, J, J - B of each block, then (10)'s for all ports."""
+        half = 0.5 / self.loop.kappa  # Lambda in scaled ports
+        m, a = self.loop.partition.size, 2.0 * self.loop.kappa * self.share
+        J, B, out = [], [], []
+        for k, b in self.matrices(x):
+            I = np.eye(len(k))
+            J.append(half * I - k / 2.0)
+            B.append(b)
+            out += [k - ROOM * half * I, J[-1] - ROOM * half * I, J[-1] - b - _ROOM_LEVEL * half * I]
+        J_all, B_all, I = self.loop.partition.embed(J), self.loop.partition.embed(B), np.eye(m)
+        rows = [[a * half * I - self.Phi, -a * J_all], [-a * J_all, J_all + B_all]]
+        if a < 1.0:
+            side = np.sqrt(1.0 - a) * J_all
+            rows = [[*rows[0], np.zeros((m, m))], [*rows[1], side], [np.zeros((m, m)), side, half * I]]
+        whole = np.block(rows)
+        return (*out, whole - _ROOM_LEVEL * half * np.eye(len(whole)))
+
+    @cached_property
+    def _coefficients(self) -> tuple[tuple[Matrix, Matrix], ...]:
+        count = len(self.conditions(np.zeros(self.size)))
+
+        def condition(i: int) -> tuple[Matrix, Matrix]:
+            return coefficients(lambda x: self.conditions(x)[i], self.size)
+
+        return tuple(condition(i) for i in range(count))
+
+    def constrain(self, program: LinearMatrixProgram, x: Matrix) -> None:
+        """Require the conditions of the class, exactly."""
+        for constant, linear in self._coefficients:
+            wide = np.zeros((program.size, *constant.shape))
+            wide[: self.size] = linear
+            program.positive(constant, wide)
+
+    def stiffest(self) -> Matrix:
+        """The member with the greatest trace of k; see :meth:`cheapest`."""
+        unit = np.eye(self.size)
+        cost = np.array([-sum(float(np.trace(k)) for k, _ in self.matrices(row)) for row in unit])
+        return self.cheapest(cost, "the stiffest spring-damper coupling")
+
+    def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
+        """Every entry of k and b moves by a part of Lambda."""
+        span = radius / (2.0 * self.loop.kappa)
+        return x - span, x + span
+
+    def restored(self, x: Matrix) -> Matrix | None:
+        """X itself: the program keeps the conditions, with room."""
+        return x
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoleFamily(Family):
+    """Linear couplings over given poles; x holds the gains of all blocks, then their storage matrices.
+
+    Attributes:
+        loop: the normalised loop.
+        blocks: the unknowns of each block.
+        room: least eigenvalue asked of the blocks' conditions.
+    """
+
+    loop: NormalisedLoop
+    blocks: tuple[FixedPoleBlock, ...]
+    room: float
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return sum(block.size for block in self.blocks)
+
+    @property
+    def affine(self) -> bool:
+        """Loop shaping is."""
+        return self.loop.aim.objective == "loop-shaping"
+
+    def grid(self, x: Matrix) -> Matrix:
+        """Angles that see the poles of the loop and of the coupling."""
+        return self.loop.grid(self.coupling(x))
+
+    def coupling(self, x: Matrix) -> StateSpace:
+        """V in physical units."""
+        blocks = zip(self.blocks, self.parts(x), strict=True)
+        return self.loop.partition.join(
+            [self.loop.physical(block.realisation(part), i) for i, (block, part) in enumerate(blocks)]
+        )
+
+    @cached_property
+    def _sizes(self) -> tuple[Matrix, ...]:
+        """Of each block's gains: the greatest modulus of their functions."""
+        return tuple(
+            block.sizes(frequency_grid(np.array(block.basis.poles, dtype=np.complex128))) for block in self.blocks
+        )
+
+    @cached_property
+    def positions(self) -> tuple[NDArray[np.intp], ...]:
+        """Where each block's unknowns are in x."""
+        out, gains, rest = [], 0, sum(block.gains for block in self.blocks)
+        for block in self.blocks:
+            storage = block.size - block.gains
+            out.append(np.concatenate([np.arange(gains, gains + block.gains), np.arange(rest, rest + storage)]))
+            gains, rest = gains + block.gains, rest + storage
+        return tuple(out)
+
+    def parts(self, x: Matrix) -> list[Matrix]:
+        """Each block's unknowns."""
+        return [x[position] for position in self.positions]
+
+    def joined(self, parts: Sequence[Matrix]) -> Matrix:
+        """The vector of unknowns from each block's unknowns."""
+        x = np.zeros(self.size)
+        for position, part in zip(self.positions, parts, strict=True):
+            x[position] = part
+        return x
+
+    def _slopes(self, angles: Matrix) -> list[ComplexArray]:
+        return [block.derivatives(angles) for block in self.blocks]
+
+    def _blocks(self, x: Matrix, slopes: Sequence[ComplexArray]) -> list[ComplexArray]:
+        return [
+            np.tensordot(slope, part[: block.gains], axes=((1,), (0,)))
+            for block, part, slope in zip(self.blocks, self.parts(x), slopes, strict=True)
+        ]
+
+    def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
+        """G at ``angles``."""
+        V = self.loop.coupling(self._blocks(x, self._slopes(angles)), len(angles))
+        return self.loop.weighted.factors(V, angles)[0]
+
+    def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
+        """The slopes of G at ``angles``."""
+        slopes = self._slopes(angles)
+        return self.loop.derivatives(self._blocks(x, slopes), slopes, angles)
+
+    def constrain(self, program: LinearMatrixProgram, x: Matrix) -> None:
+        """Require the conditions of every block, exactly."""
+        for block, position in zip(self.blocks, self.positions, strict=True):
+            block.constrain(program, position, self.room)
+
+    def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
+        """Gains move by a part of the block's static compliance, measured by the size of their functions."""
+        spans = []
+        for block, part, sizes in zip(self.blocks, self.parts(x), self._sizes, strict=True):
+            static = np.tensordot(part[: block.gains], block.derivatives(np.zeros(1))[0].real, axes=1)
+            spans.append(radius * max(float(np.max(np.abs(static))), block.kappa) / sizes)
+        gains, span = self.gains(x), np.concatenate(spans)
+        return gains - span, gains + span
+
+    def restored(self, x: Matrix) -> Matrix | None:
+        """X itself: the program keeps the conditions, with room."""
+        return x
+
+    def gains(self, x: Matrix) -> Matrix:
+        """C and D of all blocks."""
+        return x[: sum(block.gains for block in self.blocks)]
+
+    def nearest(self, gains: Matrix) -> Matrix:
+        """The member whose gains are nearest to ``gains``, each measured by the size of its function.
+
+        Raises:
+            ProgramInfeasible: there is no member.
+            SolverFailure: the solver gave no usable answer.
+        """
+        count = len(gains)
+        program = LinearMatrixProgram(self.size + 1)
+        self.constrain(program, np.zeros(self.size))
+        rows = np.zeros((count, self.size + 1))
+        rows[:, :count] = np.diag(np.concatenate(self._sizes))
+        offset = rows[:, :count] @ gains
+        rows[:, -1] = 1.0
+        program.nonnegative(-offset, rows)
+        rows = -rows
+        rows[:, -1] = 1.0
+        program.nonnegative(offset, rows)
+        cost = np.zeros(self.size + 1)
+        cost[-1] = 1.0
+        return program.solve(cost, "the nearest passive coupling")[:-1]
+
+    def stiffest(self) -> Matrix:
+        """The member with the least static compliance, trace v(1) summed over the blocks; see :meth:`cheapest`."""
+        traces = [np.trace(b.derivatives(np.zeros(1))[0].real, axis1=1, axis2=2) for b in self.blocks]
+        cost = np.zeros(self.size)
+        cost[: sum(len(t) for t in traces)] = np.concatenate(traces)
+        return self.cheapest(cost, "the stiffest linear coupling")
+
+    def roomiest(self, most: float) -> Matrix:
+        """The member with the most room in every condition among those with v(1) <= ``most`` kappa I.
+
+        Raises:
+            ProgramInfeasible: there is no member.
+            SolverFailure: the solver gave no usable answer.
+        """
+        program = LinearMatrixProgram(self.size + 1)
+        for block, position in zip(self.blocks, self.positions, strict=True):
+            block.constrain(program, position, self.room, spare=self.size)
+            static = block.derivatives(np.zeros(1))[0].real
+            linear = np.zeros((self.size + 1, block.ports, block.ports))
+            linear[position[: block.gains]] = -static
+            program.positive(most * block.kappa * np.eye(block.ports), linear)
+        row = np.zeros((1, self.size + 1))
+        row[0, -1] = 1.0
+        program.nonnegative(np.zeros(1), row)
+        cost = np.zeros(self.size + 1)
+        cost[-1] = -1.0
+        return program.solve(cost, "a linear coupling with room")[:-1]

@@ -10,7 +10,8 @@ from one to the other. V_hat is Delta-OSP iff, with X = v - kappa I,
     He[(1/2 + j/Omega) X] - X^* Delta X >= 0    on the unit circle, and X(1) >= 0,
 
 which is Re V_hat >= V_hat^* Delta V_hat divided by Omega^2/(1 + Omega^2/4). D alone repairs a small violation. What the
-search returns is a start for the convex program over its poles (:mod:`manyhands.design.basis`), exact in passivity.
+search returns is a start for the convex program over its poles (:mod:`manyhands.design.transparency.families`), exact
+in passivity.
 """
 
 from __future__ import annotations
@@ -20,12 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.basis import PoleBasis, symmetric_units
-from manyhands.design.conic import LinearMatrixProgram
-from manyhands.design.frame import NormalisedLoop
-from manyhands.design.hinfinity import frequency_grid, refined_peaks
-from manyhands.design.minimax import Family
-from manyhands.design.statespace import Matrix
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.passivity.hinfinity import frequency_grid, refined_peaks
+from manyhands.design.solver import LinearMatrixProgram
+from manyhands.design.transparency.families import NormalisedLoop, PoleBasis, symmetric_units
+from manyhands.design.transparency.minimax import Family
 
 ComplexArray = NDArray[np.complex128]
 

@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.conic import LinearMatrixProgram
 from manyhands.design.errors import SolverFailure
-from manyhands.design.hinfinity import refined_peaks
-from manyhands.design.solver import ProgramInfeasible
-from manyhands.design.statespace import Matrix
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.passivity.hinfinity import refined_peaks
+from manyhands.design.solver import LinearMatrixProgram, ProgramInfeasible
 
 ComplexArray = NDArray[np.complex128]
 

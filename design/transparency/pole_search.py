@@ -3,8 +3,9 @@
 The order grows by two at a time. Each stage
 
 1. tries resonances from a list as the new pair of every block, with the convex program of
-   :mod:`manyhands.design.fixed_poles` (for loop shaping its value is the best that these poles allow),
-2. lets all poles of all blocks move from the best few of them (:mod:`manyhands.design.pole_family`), each time
+   :mod:`manyhands.design.transparency.families` (for loop shaping its value is the best that these poles allow),
+2. lets all poles of all blocks move from the best few of them (:mod:`manyhands.design.transparency.free_poles`), each
+time
    perturbed a little and differently at each port, by sequential convex programs,
 3. solves the convex program again over the poles found, and keeps the best.
 
@@ -20,23 +21,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.basis import PoleBasis
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import NormalisedLoop
-from manyhands.design.hinfinity import frequency_grid
-from manyhands.design.minimax import Minimum, minimise_peak
-from manyhands.design.pole_family import FreePoleFamily, PoleShape, fitted, section
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.passivity.hinfinity import frequency_grid
 from manyhands.design.solver import ProgramInfeasible
-from manyhands.design.statespace import Matrix
-from manyhands.design.transparency import (
-    ROOM,
-    LinearDesign,
-    Progress,
-    fixed_pole_family,
-    minimised,
-    recovered,
-)
+from manyhands.design.transparency.design import ROOM, LinearDesign, Progress, fixed_pole_family, minimised, recovered
+from manyhands.design.transparency.families import FixedPoleFamily, NormalisedLoop, PoleBasis
+from manyhands.design.transparency.free_poles import FreePoleFamily, PoleShape, fitted, section
+from manyhands.design.transparency.minimax import Minimum, minimise_peak
 
 MOST_ORDER = 16  # poles a port
 _FREQUENCIES = 9

@@ -1,7 +1,8 @@
 """The command line: what the arguments mean, what is printed, and the exit codes.
 
 0 done; 1 a process failed; 2 usage error or bad input; 3 not certified; 130 Ctrl-C. Results go to standard
-output, everything else to standard error, so that ``--json`` can be piped.
+output, everything else to standard error, so that ``--json`` can be piped. Each module holds a group of commands;
+what they need is imported when they run.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from typing import Annotated
 import typer
 
 import manyhands
-from manyhands.launch.cli import designing, examining, looking, machine, network, recording, replaying, running, viewing
+from manyhands.launch.cli import design, doctor, network, observe, recordings, run
 from manyhands.launch.cli.common import err, errors, out, unwind
-from manyhands.launch.display import say
+from manyhands.launch.run.display import say
 
 __all__ = ["app", "err", "out"]
 
@@ -26,7 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for group in (designing, running, network, machine, looking, viewing, recording, replaying, examining):
+for group in (design, run, network, doctor, observe, recordings):
     app.add_typer(group.commands)
 
 

@@ -1,8 +1,14 @@
-"""What the commands share: consoles, options, and how every error becomes one message and an exit code."""
+"""What the commands share: consoles, options, and how every error becomes one message and an exit code.
+
+What a shell is told when somebody presses Tab: running sessions, their topics, session files, nodes.
+
+Asked at every Tab, so each answer is found in files, without asking a session; whatever is wrong is no answer.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import importlib.resources
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -11,24 +17,88 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from manyhands.design.differences import unrecorded
+from manyhands.design.certificate import unrecorded
 from manyhands.design.errors import CertificateError, DesignError
-from manyhands.launch.cli.completing import running_names, session_files
-from manyhands.launch.display import say
-from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED
-from manyhands.launch.files import TargetError
-from manyhands.launch.looking.sessions import NoSession
-from manyhands.launch.looking.topics_named import NoTopic
-from manyhands.launch.preparation import NotCertified, Prepared, prepare
-from manyhands.launch.reach import ReachError
+from manyhands.launch.files import (
+    EXIT_BAD_INPUT,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_NOT_CERTIFIED,
+    TargetError,
+    load_named,
+)
+from manyhands.launch.observe.sessions import NoSession, find_session, running_sessions
+from manyhands.launch.observe.topics import NoTopic, named_topics, session_of
+from manyhands.launch.plan.prepare import NotCertified, Prepared, prepare
+from manyhands.launch.plan.reach import ReachError
+from manyhands.launch.plan.topology import LinkTooWide
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.run.display import say
 from manyhands.launch.session import PythonEnvironment, Session, SessionError
-from manyhands.launch.topology import LinkTooWide
 from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.environment.model import ModelError, ModelFailure
-from manyhands.protocol.key_files import KeyFileError
+from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
+
+_MOST = 500  # answers
+
+
+def running_names(incomplete: str) -> list[str]:
+    """Names of running sessions; the process ids of those that share one."""
+    running = [one.about for one in running_sessions()]
+    names = [about.session for about in running]
+    return _beginning(incomplete, (str(one.pid) if names.count(one.session) > 1 else one.session for one in running))
+
+
+def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Topics of the session that is meant, in full where what is there begins like that."""
+    try:
+        about = find_session(ctx.params.get("session") or session_of(incomplete)).about
+    except NoSession:
+        return []
+    topics = named_topics(about)
+    if incomplete.startswith("/"):
+        return _beginning(incomplete, (named.full for named in topics.values()))
+    return _beginning(incomplete, topics)
+
+
+def session_files(incomplete: str) -> list[str]:
+    """Session files and folders, as far as the path goes, and the shipped sessions."""
+    shipped = importlib.resources.files("manyhands.launch") / "sessions"
+    names = sorted(file.name for file in shipped.iterdir() if file.name.endswith(".yaml"))
+    folder, _, start = incomplete.rpartition("/")
+    prefix = f"{folder}/" if "/" in incomplete else ""
+    try:
+        entries = sorted(Path(prefix or ".").expanduser().iterdir())
+    except OSError:
+        entries = []
+    here = []
+    for path in entries:
+        if path.name.startswith(".") and not start.startswith("."):
+            continue
+        if path.suffix in (".yaml", ".yml"):
+            here.append(f"{prefix}{path.name}")
+        elif path.is_dir():
+            here.append(f"{prefix}{path.name}/")
+    return _beginning(incomplete, dict.fromkeys([*here, *names]))
+
+
+def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Nodes and observers of the session file that was named before."""
+    session = ctx.params.get("session")
+    if session is None:
+        return []
+    try:
+        loaded = load_named(session, ctx.params.get("overrides") or [])
+    except (SessionError, OSError):
+        return []
+    return _beginning(incomplete, [*loaded.roles, *loaded.observers])
+
+
+def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)][:_MOST]
+
 
 MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
 
@@ -93,7 +163,7 @@ def unwind(signum: int, _frame: FrameType | None) -> None:
 
 def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
     """Settle the coupling of a run, telling what the design is doing and what a certificate's file does not record."""
-    from manyhands.launch.designing import telling
+    from manyhands.launch.design_report import telling
 
     with telling(err, "designing the coupling") as progress:
         prepared = prepare(session, certificate, uncertified, progress)

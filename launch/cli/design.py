@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from manyhands.launch.cli.common import Json, Overrides, SessionPath, end, err, errors, out, require_folder
-from manyhands.launch.files import require_target
-from manyhands.launch.shipped import load_named
+from manyhands.launch.files import load_named, require_target
 
 commands = typer.Typer()
 
@@ -27,7 +26,7 @@ def design(
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
     with errors():
-        from manyhands.launch.designing import run_design
+        from manyhands.launch.design_report import run_design
 
         loaded = load_named(session, overrides)
         if output is not None:
@@ -46,7 +45,7 @@ def verify_command(
 ) -> None:
     """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved."""
     with errors():
-        from manyhands.launch.designing import run_verify
+        from manyhands.launch.design_report import run_verify
 
         end(run_verify(certificate, None if session is None else load_named(session, []), out, err, as_json))
 
@@ -63,7 +62,7 @@ def budget(
     """Show which stiffness each device could certify against the delay inside the tick and the period."""
     with errors():
         from manyhands.launch.budget import require_picture
-        from manyhands.launch.designing import run_budget
+        from manyhands.launch.design_report import run_budget
 
         loaded = load_named(session, overrides)
         if picture is not None:

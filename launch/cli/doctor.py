@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from manyhands.launch.cli.common import Json, Overrides, end, err, errors, out
-from manyhands.launch.shipped import load_named
+from manyhands.launch.files import load_named
 
 commands = typer.Typer()
 

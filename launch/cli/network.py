@@ -20,15 +20,16 @@ from manyhands.launch.cli.common import (
     end,
     err,
     errors,
+    node_names,
     out,
     prepare_session,
     refuse,
     require_one_of,
+    session_files,
 )
-from manyhands.launch.cli.completing import node_names, session_files
-from manyhands.launch.display import say
+from manyhands.launch.files import load_named
 from manyhands.launch.output import pipe_may_close
-from manyhands.launch.shipped import load_named
+from manyhands.launch.run.display import say
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 
 commands = typer.Typer()
@@ -72,9 +73,9 @@ def graph(
     with errors():
         from manyhands.launch.files import require_target
         from manyhands.launch.graph import FORMATS, format_of, show_scene, show_session
-        from manyhands.launch.looking.listing import look_at
-        from manyhands.launch.looking.sessions import find_session
-        from manyhands.launch.plan import Plan
+        from manyhands.launch.observe.sessions import find_session
+        from manyhands.launch.observe.tables import look_at
+        from manyhands.launch.plan.plan import Plan
         from manyhands.protocol.clock import RealtimeClock
 
         if (session is None) is (running is None):
@@ -116,7 +117,7 @@ def keys(
 ) -> None:
     """Make a key pair for every process, the supervisor and the observers. Keys that are there are kept."""
     with errors():
-        from manyhands.launch.keying import run_keys
+        from manyhands.launch.plan.keys import run_keys
 
         end(run_keys(load_named(session, overrides), output, renew, out, err, as_json))
 
@@ -135,8 +136,8 @@ def invite(
 ) -> None:
     """Cut what one node on another machine needs to join: its own part of the session, and nobody else's."""
     with errors():
-        from manyhands.launch.invitation import invite as cut_bundle
-        from manyhands.launch.keys import load_folder
+        from manyhands.launch.plan.bundles import invite as cut_bundle
+        from manyhands.launch.plan.keys import load_folder
 
         require_one_of("--clock", clock, CLOCKS)
         if (keys is None) is not insecure:
@@ -167,7 +168,7 @@ def node(
     ] = None,
 ) -> None:
     """Join a session of another machine as one of its nodes, or look on as an observer (a line of JSON each time)."""
-    from manyhands.nodes.guest import join
+    from manyhands.nodes.remote import join
 
     with pipe_may_close():  # which an observer sees to itself
         end(join(name, bundle, key, connect, host))

@@ -1,16 +1,20 @@
-"""The commands that look on at running sessions: list, echo, hz, top."""
+"""The commands that look on at running sessions: list, echo, hz, top.
+
+The command that serves the page of a running session: view.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse
-from manyhands.launch.cli.completing import topic_names
-from manyhands.launch.display import say
-from manyhands.launch.looking.pacing import DEFAULT_WINDOW
+from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, topic_names
+from manyhands.launch.observe.topics import DEFAULT_WINDOW
 from manyhands.launch.output import pipe_may_close
+from manyhands.launch.run.display import say
 
 commands = typer.Typer()
 
@@ -30,9 +34,9 @@ def list_sessions(as_json: Json = False) -> None:
     with errors():
         import time
 
-        from manyhands.launch.designing import print_json
-        from manyhands.launch.looking.listing import look_at, print_sessions, session_object
-        from manyhands.launch.looking.sessions import running_sessions
+        from manyhands.launch.design_report import print_json
+        from manyhands.launch.observe.sessions import running_sessions
+        from manyhands.launch.observe.tables import look_at, print_sessions, session_object
         from manyhands.protocol.clock import RealtimeClock
 
         scenes = look_at(running_sessions(), RealtimeClock())
@@ -56,14 +60,12 @@ def echo(
 ) -> None:
     """Print each value of a topic of a running session as a line of JSON, as recordings have them."""
     with errors(), pipe_may_close():
-        from manyhands.launch.looking.echoing import Echo
-        from manyhands.launch.looking.sessions import find_session
-        from manyhands.launch.looking.topics_named import find_topic, session_of
-        from manyhands.launch.looking.watching import visiting
+        from manyhands.launch.observe.sessions import find_session, visiting
+        from manyhands.launch.observe.topics import EchoLines, find_topic, session_of
         from manyhands.protocol.clock import RealtimeClock
 
         running = find_session(session or session_of(topic))
-        lines = Echo(find_topic(running.about, topic), running.about.period, count, every)
+        lines = EchoLines(find_topic(running.about, topic), running.about.period, count, every)
         with visiting(running, RealtimeClock()) as (scene, seeing):
             for seen in seeing:
                 text = "\n".join(lines.lines(seen.message, scene.tick))
@@ -87,11 +89,9 @@ def hz(
 ) -> None:
     """Say how often a topic of a running session is told of, and how evenly: a line a second, the last at the end."""
     with errors(), pipe_may_close():
-        from manyhands.launch.designing import print_json
-        from manyhands.launch.looking.pacing import Pacing, sentence
-        from manyhands.launch.looking.sessions import find_session
-        from manyhands.launch.looking.topics_named import find_topic, session_of
-        from manyhands.launch.looking.watching import visiting
+        from manyhands.launch.design_report import print_json
+        from manyhands.launch.observe.sessions import find_session, visiting
+        from manyhands.launch.observe.topics import Pacing, find_topic, sentence, session_of
         from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 
         if duration is not None and not 0.0 < duration <= 1e9:
@@ -127,11 +127,9 @@ def top(
     with errors(), pipe_may_close():
         import json
 
-        from manyhands.launch.designing import print_json
-        from manyhands.launch.looking.listing import look_at
-        from manyhands.launch.looking.live import picture, quit_key, show_live, tell, top_object
-        from manyhands.launch.looking.sessions import find_session
-        from manyhands.launch.looking.watching import visiting
+        from manyhands.launch.design_report import print_json
+        from manyhands.launch.observe.sessions import find_session, visiting
+        from manyhands.launch.observe.tables import look_at, picture, quit_key, show_live, tell, top_object
         from manyhands.nodes.observer.scene import Scene
         from manyhands.protocol.clock import RealtimeClock
 
@@ -159,3 +157,57 @@ def top(
                 with quit_key() as stop:
                     show_live(scene, seeing, out, stop)
         say(err, f"{running.about.session}: looked on to tick {scene.tick}")
+
+
+@commands.command(epilog="Example: manyhands view --session example-1 --open")
+def view(
+    session: RunningName = None,
+    host: Annotated[
+        str, typer.Option("--host", metavar="HOST", help="Where to listen; a token is asked for but on loopback.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", metavar="PORT", min=0, max=65535, help="Likewise; 0 for any that is free.")
+    ] = 0,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--token-file",
+            metavar="FILE",
+            help="Ask for the token in this file of yours (mode 0600); without it, where one is needed, it is drawn.",
+        ),
+    ] = None,
+    open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in this machine's browser.")] = False,
+) -> None:
+    """Serve a page of a running session until Ctrl-C: what moves, what is certified, alarms; devices can be dragged."""
+    with errors():
+        from manyhands.launch.observe.sessions import find_session
+        from manyhands.launch.view.security import is_loopback, new_token, read_token
+        from manyhands.launch.view.server import serve
+
+        token = None if token_file is None else read_token(token_file)
+        running = find_session(session)
+        if not is_loopback(host):
+            token = token or new_token()
+            say(
+                err,
+                "warning: the page is served without encryption: who is on the way can read the token and hold "
+                "devices; over networks that are not yours, listen on loopback and use ssh -L",
+            )
+
+        def ready(address: str) -> None:
+            if token_file is None:
+                say(err, f"page: {address}")
+            else:  # whose token it is has it already
+                say(err, f"page: {address.partition('#')[0]}")
+                say(err, f"open it with #token= and the token in {token_file} at its end")
+            if open_:
+                import webbrowser
+
+                webbrowser.open(address)
+
+        refused: Counter[str] = Counter()
+        try:
+            serve(running, host, port, token, ready, refused)
+        finally:  # on Ctrl-C, which is how it ends
+            if refused:
+                say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))

@@ -1,4 +1,9 @@
-"""The commands about recordings: record, info, export."""
+"""The commands about recordings: record, info, export.
+
+The commands that recompute a recorded run: replay, audit.
+
+The command that draws a recorded run: plot.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +15,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of
-from manyhands.launch.display import printable, say, status
-from manyhands.launch.exits import EXIT_FAILED
-from manyhands.launch.files import claimed, require_target
+from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of, warn_of_model
+from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
 from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
+from manyhands.launch.run.display import printable, say, status
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from manyhands.launch.recordings.attached import AttachedCore, AttachedRecording
     from manyhands.launch.recordings.info import Info
     from manyhands.launch.recordings.integrity import Damage
+    from manyhands.launch.recordings.run import RecordedRun
+
 
 commands = typer.Typer()
 
@@ -56,9 +62,9 @@ def record(
 ) -> None:
     """Record a session that runs already, from now to its end, --duration or Ctrl-C."""
     with errors():
-        from manyhands.launch.interrupt import Interrupt
-        from manyhands.launch.looking.sessions import find_session, session_in
+        from manyhands.launch.observe.sessions import find_session, session_in
         from manyhands.launch.recordings.attached import record_attached
+        from manyhands.launch.run.processes import Interrupt
         from manyhands.protocol.clock import RealtimeClock
 
         require_suffix(output, (STREAMED,))
@@ -172,9 +178,9 @@ def export(
 ) -> None:
     """Write a recording as a table, one row a tick, every number exact."""
     with errors():
-        from manyhands.launch.recordings.export import FORMATS
-        from manyhands.launch.recordings.export import export as write
         from manyhands.launch.recordings.run import read_run
+        from manyhands.launch.recordings.tables import FORMATS
+        from manyhands.launch.recordings.tables import export as write
 
         format_ = to or (output.suffix[1:] if output is not None else "")
         require_one_of("--to", format_, tuple(FORMATS))
@@ -188,3 +194,144 @@ def export(
         if run.cut is not None:
             say(err, f"warning: {file}: {run.cut}")
         say(err, f"{run.ticks} ticks written to {target}")
+
+
+McapPath = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.mcap) of launch --record.")]
+
+
+@commands.command(epilog="Example: manyhands replay run.mcap")
+def replay(file: McapPath, as_json: Json = False) -> None:
+    """Run a recorded session under the simulated clock again, and compare every number bit for bit.
+
+    Exit code 0: identical. 1: some number differs, or is not there, or the file is damaged.
+    """
+    with errors():
+        from rich.progress import Progress
+
+        from manyhands.launch.design_report import print_json, telling
+        from manyhands.launch.recordings.audit import prepared_of
+        from manyhands.launch.recordings.printing import print_damage, print_replayed
+        from manyhands.launch.recordings.replay import replay as replayed
+        from manyhands.launch.recordings.replay import require_simulated
+
+        run, damage = _read(file)
+        require_simulated(file, run)
+        if not as_json:
+            print_damage(out, str(file), damage)
+        with telling(err, "preparing the session") as telling_of:
+            prepared = prepared_of(file, run, telling_of)
+        warn_of_model(err, prepared.session)
+        _warn_of_version(run)
+        with Progress(console=err, transient=True) as bar:
+            task = bar.add_task("running it again", total=run.ticks)
+            found = replayed(prepared, run, lambda done: bar.update(task, completed=done))
+        if as_json:
+            print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
+        else:
+            print_replayed(out, str(file), found)
+        end(EXIT_OK if found.identical and not damage else EXIT_FAILED)
+
+
+@commands.command(epilog="Example: manyhands audit run.mcap")
+def audit(file: McapPath, as_json: Json = False) -> None:
+    """Recompute every ledger of a recording from its signals, and check it against the certificate inside the file.
+
+    Exit code 0: all holds that could be checked. 1: something does not, or the file is damaged.
+    """
+    with errors():
+        from rich.progress import Progress
+
+        from manyhands.launch.design_report import print_json
+        from manyhands.launch.recordings.audit import audit as audited
+        from manyhands.launch.recordings.audit import require_certificate, work_of
+        from manyhands.launch.recordings.printing import print_audit, print_damage
+
+        run, damage = _read(file)
+        require_certificate(file, run)
+        if not as_json:
+            print_damage(out, str(file), damage)
+        _warn_of_version(run)
+        with Progress(console=err, transient=True) as bar:
+            task = bar.add_task("recomputing", total=work_of(run))
+            found = audited(
+                file,
+                run,
+                lambda text: bar.update(task, description=text),
+                lambda done: bar.update(task, description="recomputing", completed=done),
+            )
+        if as_json:
+            print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
+        else:
+            print_audit(out, str(file), found)
+        end(EXIT_OK if found.holds and not damage else EXIT_FAILED)
+
+
+def _read(file: Path) -> tuple[RecordedRun, Sequence[Damage]]:
+    """A recording, and what is wrong with its bytes."""
+    from rich.progress import Progress
+
+    from manyhands.launch.recordings.integrity import Damage, findings
+    from manyhands.launch.recordings.run import read_run
+
+    with Progress(console=err, transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        run = read_run(file, lambda part: bar.update(task, completed=part)).require_beginning(file)
+        task = bar.add_task("checking its bytes", total=1.0)
+        damage = findings(file, lambda part: bar.update(task, completed=part))
+    if run.cut is not None and not damage:
+        size = file.stat().st_size
+        damage = [Damage(size, size + 1, run.cut)]
+    return run, damage
+
+
+def _plain(damage: Sequence[Damage]) -> list[dict[str, object]]:
+    return [{"begin": found.begin, "end": found.end, "what": found.what} for found in damage]
+
+
+def _warn_of_version(run: RecordedRun) -> None:
+    """Another version of this program may compute in another order."""
+    import manyhands
+
+    if run.recorded.version != manyhands.__version__:
+        say(
+            err,
+            f"warning: recorded by manyhands {run.recorded.version}, and this is {manyhands.__version__}: where the "
+            "two compute in another order, numbers differ in their last places",
+        )
+
+
+_QUANTITIES = "sample, velocity, force, tool, reaction, tools, masses, ledger, tau"
+
+
+@commands.command(epilog="Example: manyhands plot run.mcap --topics velocity,force --from 2 --until 3 -o steps.svg")
+def plot(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", metavar="OUT", help="Write the picture here (.png or .svg); by default beside FILE."),
+    ] = None,
+    to: Annotated[
+        str | None, typer.Option("--to", metavar="png|svg", help="Its format, where OUT is not given.")
+    ] = None,
+    topics: Annotated[
+        str | None, typer.Option("--topics", metavar="LIST", help=f"What to show, with commas: some of {_QUANTITIES}.")
+    ] = None,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time, s.")] = None,
+    end: Annotated[float | None, typer.Option("--until", metavar="S", help="End at this time, s.")] = None,
+) -> None:
+    """Draw a recording: positions, velocities, forces, energy ledgers, delays, and what happened when.
+
+    Gaps are grey, no extreme is left out however long the run, and a file that was cut says so in its picture. The
+    delays inside the tick are shown of runs in real time.
+    """
+    with errors():
+        from manyhands.launch.recordings.plots import draw
+
+        if to is not None:
+            require_one_of("--to", to, ("png", "svg"))
+            if output is not None:
+                refuse(f"--to: found it beside -o {output}, whose suffix says the format; expected one of them")
+        target = output if output is not None else file.with_suffix(f".{to or 'png'}")
+        wanted = None if topics is None else tuple(name.strip() for name in topics.split(","))
+        draw(file, target, err, wanted, start, end)
+        say(out, str(target))

@@ -29,16 +29,15 @@ from manyhands.launch.cli.common import (
     warn_insecure,
     warn_of_model,
 )
-from manyhands.launch.display import say
-from manyhands.launch.files import claimed, require_target
-from manyhands.launch.keys import load_folder
-from manyhands.launch.plan import Plan
-from manyhands.launch.reach import Listen, reach
+from manyhands.launch.design_report import print_report
+from manyhands.launch.files import claimed, load_named, require_target
+from manyhands.launch.plan.keys import load_folder
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.reach import Listen, reach
+from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
-from manyhands.launch.run_directory import SessionDirectory, is_bare, require_new
-from manyhands.launch.shipped import load_named
-from manyhands.launch.summary import print_report
-from manyhands.launch.topology import require_runnable
+from manyhands.launch.run.directory import SessionDirectory, is_bare, require_new
+from manyhands.launch.run.display import say
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
 
@@ -63,7 +62,7 @@ def simulate(
     with errors(), ExitStack() as claims:
         from rich.progress import Progress
 
-        from manyhands.launch.columns import energy_line
+        from manyhands.launch.run.display import energy_line
         from manyhands.launch.simulation import Simulation
         from manyhands.nodes.telemetry import energy_figures
 
@@ -140,7 +139,7 @@ def launch(
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
     with errors(), ExitStack() as claims:
-        from manyhands.launch.running import run_session
+        from manyhands.launch.run.session_run import run_session
 
         require_one_of("--clock", clock, CLOCKS)
         require_one_of("--transport", transport, SCHEMES)

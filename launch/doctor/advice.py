@@ -18,7 +18,7 @@ from manyhands.design.budget import environment_share, stiffest
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
-from manyhands.launch.doctor.waking import Spread
+from manyhands.launch.doctor.wakeup import Spread
 from manyhands.nodes.realtime import FIFO_PRIORITY
 
 QUANTILES = ("p50", "p999")

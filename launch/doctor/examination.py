@@ -1,24 +1,140 @@
-"""The whole of `manyhands doctor`: look, measure, say what it means."""
+"""The whole of `manyhands doctor`: look, measure, say what it means.
+
+What a person sees of the doctor: what is being measured, tables, and advice.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
-from manyhands.launch.designing import print_json
-from manyhands.launch.display import say
-from manyhands.launch.doctor.display import measuring, print_machine, print_measured, print_worth
+from manyhands.launch.design_report import print_json
+from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
-from manyhands.launch.doctor.meaning import Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.probe import MOST_PROCESSES, Interrupted, Measured, ProbeFailed, measure
-from manyhands.launch.exits import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
-from manyhands.launch.loop import haptic_loop
-from manyhands.launch.placement import chains_of
-from manyhands.launch.plan import Plan
+from manyhands.launch.doctor.wakeup import Spread
+from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import haptic_loop
+from manyhands.launch.plan.topology import chains_of, require_runnable
+from manyhands.launch.run.display import say
 from manyhands.launch.session import Session
-from manyhands.launch.topology import require_runnable
+from manyhands.nodes.realtime import Grant
+
+_WAYS = {
+    "default_slack": "timer slack 50 us (the default)",
+    "least_slack": "timer slack 1 ns (what nodes ask for)",
+    "fifo": "SCHED_FIFO",
+}
+
+
+@contextmanager
+def measuring(console: Console) -> Iterator[Callable[[str], None]]:
+    """Show what is being measured; yields a function that says it.
+
+    Drawn when something is said and at no other time: a spinner's thread would be measured, too.
+    """
+    if not console.is_terminal:
+        yield lambda text: say(console, f"measuring {text}")
+        return
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        yield lambda text: live.update(Text(f"measuring {text} ..."), refresh=True)
+
+
+def print_machine(console: Console, machine: Machine, granted: Mapping[str, Grant]) -> None:
+    """The machine and what it permits."""
+    table = Table(title="this machine", title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for name, text in machine_rows(machine).items():
+        table.add_row(name, escape(text))
+    table.add_section()
+    for name, grant in granted.items():
+        mark = "[green]yes[/green]" if grant.granted else "[yellow]no[/yellow]"
+        table.add_row(name.replace("_", " "), f"{mark}: {escape(grant.said)}")
+    console.print(table)
+
+
+def machine_rows(machine: Machine) -> dict[str, str]:
+    """What the machine is, row by row."""
+    unknown = "not told"
+    memory = "unlimited" if machine.memory_limit is None else f"{machine.memory_limit / 2**20:g} MiB"
+    raises, locks = _capability("CAP_SYS_NICE", machine.may_raise), _capability("CAP_IPC_LOCK", machine.may_lock)
+    share = "unbounded" if machine.realtime_share is None else f"{machine.realtime_share:.0%} of a processor"
+    where = "a container, " if machine.container else ""
+    return {
+        "kernel": f"{machine.kernel}, {machine.preemption}",
+        "runs on": where
+        + ("hardware, as far as it shows" if machine.virtual is None else f"{machine.virtual} (virtual)"),
+        "processors": f"{machine.processors}; usable: {', '.join(map(str, machine.usable))}",
+        "frequency governor": unknown if machine.governors is None else ", ".join(machine.governors),
+        "clock source": machine.clock_source or unknown,
+        "real-time priority": f"RLIMIT_RTPRIO {machine.priority_limit}, {raises}",
+        "real-time threads get": share,
+        "locked memory": f"RLIMIT_MEMLOCK {memory}, {locks}",
+        "Python": f"{machine.python}, {'with' if machine.gil else 'without'} a global lock",
+        "ZeroMQ": f"{machine.zeromq} (pyzmq {machine.pyzmq}), CURVE {_yes(machine.curve)}, ipc {_yes(machine.ipc)}",
+    }
+
+
+def print_measured(console: Console, measured: Measured, period: float) -> None:
+    """How late a process wakes, and how long a tick takes."""
+    table = _durations(f"how late a process wakes, T = {period * 1e3:g} ms [µs]", "way")
+    for way, spread in measured.waking.late.items():
+        table.add_row(_WAYS[way], *_row(spread))
+    console.print(table)
+    table = _durations("a tick from sample to force, of a session at rest [µs]", "way")
+    table.add_column("late", justify="right")
+    for found in measured.ticking:
+        table.add_row(found.way.text, *_row(found.tau), f"{found.late / found.ticks:.2%}")
+    console.print(table)
+
+
+def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple[Advice, ...]) -> None:
+    """What the ticks leave to be certified, and what would change that."""
+    loop = worth.loop
+    table = Table(title=escape(f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"), title_justify="left")
+    table.add_column("certified stiffness below [N/m]")
+    for column in ("at the median", "at p99.9"):
+        table.add_column(column, justify="right")
+    limit = f"{worth.weakest(0.0):.0f}"
+    table.add_row("no delay", limit, limit)
+    for ticking in measured.ticking:
+        values = (worth.weakest(getattr(ticking.tau, q) * 1e-6) for q in QUANTILES)
+        table.add_row(ticking.way.text, *(f"{value:.0f}" if value > 0.0 else "none" for value in values))
+    console.print(table)
+    say(console, "Here a session is at rest among springs; the report of a run has its own delays (manyhands launch).")
+    for one in found:
+        say(console, f"- {one.change}\n    buys: {one.buys}")
+
+
+def _durations(title: str, first: str) -> Table:
+    table = Table(title=escape(title), title_justify="left")
+    table.add_column(first)
+    for column in ("median", "p99", "p99.9", "max"):
+        table.add_column(column, justify="right")
+    return table
+
+
+def _row(spread: Spread) -> list[str]:
+    return [f"{value:.0f}" for value in (spread.p50, spread.p99, spread.p999, spread.max)]
+
+
+def _capability(name: str, held: bool) -> str:
+    return name if held else f"no {name}"
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
 
 LEAST_SECONDS = 1.0
 MOST_SECONDS = 600.0

@@ -15,7 +15,7 @@ from typing import Any
 
 import zmq
 
-from manyhands.nodes.linux import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
+from manyhands.nodes.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
 
 _CONTAINER_MARKS = (".dockerenv", "run/.containerenv", "run/systemd/container")
 

@@ -14,18 +14,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from manyhands.launch.doctor.waking import Spread, Waking
-from manyhands.launch.interrupt import Interrupt
-from manyhands.launch.placement import placement
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import Prepared, unproved
-from manyhands.launch.processes import Processes
-from manyhands.launch.reach import reach
-from manyhands.launch.recorder import Recorder
-from manyhands.launch.run_directory import run_directory
+from manyhands.launch.doctor.wakeup import Spread, Waking
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared, unproved
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import Topology, placement
+from manyhands.launch.run.directory import run_directory
+from manyhands.launch.run.processes import Interrupt, Processes
+from manyhands.launch.run.recorder import Recorder
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import Topology
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.realtime import FIFO_PRIORITY
@@ -222,7 +220,7 @@ def measure_waking(
     try:
         try:
             arguments = [str(number) for number in (nanoseconds, ticks, FIFO_PRIORITY)]
-            processes.spawn((_WAKING,), "manyhands.launch.doctor.waking", arguments, processor, its_end)
+            processes.spawn((_WAKING,), "manyhands.launch.doctor.wakeup", arguments, processor, its_end)
         finally:
             os.close(its_end)
         code = _end_of(processes, within, interrupt, RealtimeClock() if clock is None else clock)

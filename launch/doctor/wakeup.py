@@ -1,4 +1,4 @@
-"""How late a process wakes: ``python -m manyhands.launch.doctor.waking PERIOD PARENT_PID TICKS PRIORITY``.
+"""How late a process wakes: ``python -m manyhands.launch.doctor.wakeup PERIOD PARENT_PID TICKS PRIORITY``.
 
 A probe of the machine alone, without a session: the kernel's timer slack, the least slack, and SCHED_FIFO are compared
 in one process, by turns, which no node does. It prints one line of JSON.
@@ -16,9 +16,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from manyhands.nodes.distribution import PERCENTILES
-from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.realtime import Grant, Granted, RealtimeWishes, prepare, restore
+from manyhands.nodes.telemetry import PERCENTILES
 from manyhands.protocol.clock import Instant, RealtimeClock
 
 DEFAULT_SLACK = 50_000  # ns, the kernel's own
@@ -139,7 +139,7 @@ def set_timer_slack(nanoseconds: int) -> None:
 def main() -> int:
     """Measure as the command line says; returns the exit code."""
     if len(sys.argv) != 5 or not all(argument.isdigit() for argument in sys.argv[1:]):
-        print("usage: python -m manyhands.launch.doctor.waking PERIOD PARENT_PID TICKS PRIORITY", file=sys.stderr)  # noqa: T201
+        print("usage: python -m manyhands.launch.doctor.wakeup PERIOD PARENT_PID TICKS PRIORITY", file=sys.stderr)  # noqa: T201
         return _EXIT_BAD_INPUT
     period, parent, ticks, priority = map(int, sys.argv[1:])
     try:

@@ -1,11 +1,11 @@
 """What `manyhands graph` shows: a session's nodes and links, or who may read and write what, in several forms.
 
-:mod:`parts` is what every picture is made of, :mod:`layout` puts it in its place, :mod:`svg` and :mod:`mermaid` draw
-it, :mod:`tables` and :mod:`objects` say it in words and in JSON.
+Read :mod:`parts` first (what every picture is made of), then :mod:`svg` (the drawing), :mod:`text` (tables and
+Mermaid), and :mod:`show` (which of them is asked for).
 """
 
-from manyhands.launch.graph.objects import access_object, graph_object, scene_object
-from manyhands.launch.graph.showing import FORMATS, format_of, show_scene, show_session
+from manyhands.launch.graph.parts import access_object, graph_object, scene_object
+from manyhands.launch.graph.show import FORMATS, format_of, show_scene, show_session
 
 __all__ = [
     "FORMATS",

@@ -12,14 +12,18 @@ import typer
 from rich.console import Console
 
 from manyhands.design.files import replacing
-from manyhands.launch.exits import EXIT_OK
-from manyhands.launch.files import TargetError
-from manyhands.launch.graph.mermaid import mermaid
-from manyhands.launch.graph.objects import access_object, graph_object, scene_object
-from manyhands.launch.graph.parts import Drawing, drawing_of_scene, drawing_of_session
+from manyhands.launch.files import EXIT_OK, TargetError
+from manyhands.launch.graph.parts import (
+    Drawing,
+    access_object,
+    drawing_of_scene,
+    drawing_of_session,
+    graph_object,
+    scene_object,
+)
 from manyhands.launch.graph.svg import svg
-from manyhands.launch.graph.tables import print_access, print_graph, print_scene
-from manyhands.launch.plan import Plan
+from manyhands.launch.graph.text import mermaid, print_access, print_graph, print_scene
+from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.observer.scene import Scene
 
 TEXT, JSON = "text", "json"

@@ -1,4 +1,7 @@
-"""A session's nodes and links as tables, how they are where it runs, and who may read and write what."""
+"""A session's nodes and links as tables, how they are where it runs, and who may read and write what.
+
+A drawing as Mermaid's flowchart, which many places show that take Markdown.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from manyhands.launch.access import Capability
-from manyhands.launch.display import say
-from manyhands.launch.graph.objects import signals
-from manyhands.launch.plan import Plan
-from manyhands.nodes.observer.scene import Scene
+from manyhands.launch.graph.parts import Drawing, signals
+from manyhands.launch.plan.access import Capability
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.run.display import say
+from manyhands.nodes.observer.scene import Health, Scene
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 
@@ -99,3 +102,53 @@ def _table(title: str, *columns: str) -> Table:
     for column in columns:
         table.add_column(column, overflow="fold")  # a name is never cut short: who may read it is the point
     return table
+
+
+_SHAPES = {
+    Role.DEVICE: ('(["', '"])'),
+    Role.COUPLING: ('["', '"]'),
+    Role.ENVIRONMENT: ('[["', '"]]'),
+    Role.OBSERVER: ('>"', '"]'),
+}
+
+_CLASSES = {
+    Health.OK: "stroke:#2e7d32,stroke-width:2px",
+    Health.WAITING: "stroke:#757575,stroke-dasharray:4 3",
+    Health.LATE: "stroke:#b26a00,stroke-width:3px",
+    Health.FROZEN: "stroke:#0277bd,stroke-width:3px",
+    Health.SILENT: "stroke:#8e24aa,stroke-width:3px,stroke-dasharray:4 3",
+    Health.AWAY: "stroke:#c62828,stroke-width:3px,stroke-dasharray:2 3",
+}
+
+
+def mermaid(drawing: Drawing) -> str:
+    """The drawing's text. Links lead from a hand to the world, and say what goes there and back."""
+    ids = {part.name: f"n{number}" for number, part in enumerate(drawing.parts)}
+    lines = ["flowchart LR", f"  accTitle: {_plain(drawing.title)}"]
+    for part in drawing.parts:
+        before, after = _SHAPES[part.role]
+        lines.append(f"  {ids[part.name]}{before}{'<br/>'.join(map(_escaped, part.label))}{after}")
+    healths: dict[Health, list[int]] = {}
+    for number, tie in enumerate(drawing.ties):
+        first, second = (ids[end] for end in tie.ends)
+        label = tie.label if tie.health is None else f"{tie.label}, {tie.health.value}"
+        lines.append(f'  {first} {"<-->" if tie.is_link else "-.-"}|"{_escaped(label)}"| {second}')
+        if tie.health is not None:
+            healths.setdefault(tie.health, []).append(number)
+    for health, style in _CLASSES.items():
+        of = [ids[part.name] for part in drawing.parts if part.health is health]
+        if of:
+            lines += [f"  classDef {health.value} {style}", f"  class {','.join(of)} {health.value}"]
+        if health in healths:
+            lines.append(f"  linkStyle {','.join(map(str, healths[health]))} {style}")
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(text: str) -> str:
+    """Fit for a quoted label: what means something there as its number."""
+    return "".join(c if c.isalnum() or c in " .,:_-/→←…" else f"#{ord(c)};" for c in text)
+
+
+def _plain(text: str) -> str:
+    """Fit for a line that is not quoted."""
+    return "".join(c if c.isalnum() or c in " .,_-" else " " for c in text)

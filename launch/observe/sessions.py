@@ -1,4 +1,9 @@
-"""The loop of whoever looks on at one running session: frames of its gallery, until there is a reason to stop.
+"""Which sessions run on this machine under this user, and which of them is meant.
+
+Each has a directory of its own below the temporary one (:mod:`manyhands.launch.run.directory`), which nobody else may
+enter; there it says what it is (:class:`manyhands.nodes.observer.scene.About`).
+
+The loop of whoever looks on at one running session: frames of its gallery, until there is a reason to stop.
 
 It ends when the session says that it is over, when the supervisor's process has ended, or at a deadline. It waits for
 frames alone and reads no clock but the one that it is handed.
@@ -11,16 +16,86 @@ import select
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, Protocol, TypeAlias
 
-from manyhands.launch.looking.sessions import Running
-from manyhands.launch.node_states import Phase
-from manyhands.nodes.observer.about import ABOUT
-from manyhands.nodes.observer.scene import Scene
+from manyhands.launch.run.directory import run_directories
+from manyhands.launch.run.states import SessionPhase
+from manyhands.nodes.log import LOG_FOLDER
+from manyhands.nodes.observer.scene import ABOUT, About, AboutError, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import Condition, Observation
-from manyhands.protocol.transport.gallery import Visit
+from manyhands.protocol.transport.broadcast import Visit
+
+
+class NoSession(Exception):
+    """The session that was asked for does not run, or several could be meant; says which there are."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """A session that runs: its directory, and what it says of itself."""
+
+    directory: Path
+    about: About
+
+
+def running_sessions() -> list[Running]:
+    """The sessions that run, the oldest first; one that is just beginning or ending may be left out."""
+    found = []
+    for directory in run_directories():
+        try:
+            found.append(Running(directory, About.load(directory)))
+        except AboutError:
+            continue  # not yet begun, over since, or another version's
+    return sorted(found, key=lambda running: (running.about.started, running.about.session, running.about.pid))
+
+
+def find_session(name: str | None) -> Running:
+    """The running session of this name, or the only one.
+
+    Args:
+        name: its name, or its supervisor's process id, which tells two of one name apart; None for the only one.
+
+    Raises:
+        NoSession: there is none, or several.
+    """
+    running = running_sessions()
+    if not running:
+        raise NoSession("found no running session; start one with: manyhands launch SESSION")
+    wanted = [r for r in running if name is None or name in (r.about.session, str(r.about.pid))]
+    listed = ", ".join(f"{r.about.session} (process {r.about.pid})" for r in running)
+    if len(wanted) > 1:
+        which = "several" if name is None else f"{len(wanted)} of the name {name!r}"
+        raise NoSession(f"found {which} running: {listed}; expected one, named by --session NAME or its process id")
+    if not wanted:
+        close = get_close_matches(name or "", [r.about.session for r in running], n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise NoSession(f"found no running session {name!r}; expected one of {listed}{hint}")
+    return wanted[0]
+
+
+def session_in(directory: Path) -> Running:
+    """The running session of this directory: its own below the temporary one, or the one that its user keeps.
+
+    Raises:
+        NoSession: it is of none that runs.
+    """
+    running = running_sessions()
+    for one in running:
+        if _same(one.directory, directory) or _same(one.directory / LOG_FOLDER, directory / LOG_FOLDER):
+            return one
+    listed = ", ".join(f"{one.about.session} in {one.directory}" for one in running) or "none runs"
+    raise NoSession(f"{directory}: found no running session's directory; expected that of one: {listed}")
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there
+        return False
+
 
 LOOK: Final = from_seconds(0.2)
 """The longest wait for a frame: so often it is seen to that the session is still there, whatever it says."""
@@ -73,7 +148,7 @@ def watch(source: Source, scene: Scene, clock: Clock, gone: Callable[[], bool], 
         at = clock.now()
         message = scene.take(frame, at)
         yield Seen(at, message)
-        if isinstance(message, Condition) and message.phase == Phase.OVER:
+        if isinstance(message, Condition) and message.phase == SessionPhase.OVER:
             return
 
 

@@ -1,4 +1,8 @@
-"""What `manyhands hz` finds: how often a topic is told of, and how evenly, and who measured that. Pure.
+"""Finding a topic of a running session by its name, however much of it was said. Pure.
+
+What `manyhands echo` prints: a line of JSON for each value of a topic, as a recording has them.
+
+What `manyhands hz` finds: how often a topic is told of, and how evenly, and who measured that. Pure.
 
 Ticks come in batches, one telemetry of about a hundred: when a batch arrives says how fast ticks go, and nothing of
 how evenly. That the device measures itself, from sample to sample, and tells the percentiles since it was started; the
@@ -7,17 +11,172 @@ delays inside its ticks it tells one by one.
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
 
-from manyhands.launch.looking.topics_named import Named
+from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.json_number import json_number
+from manyhands.nodes.observer.scene import About
+from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name, topics_of
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
-from manyhands.protocol.topics import CONDITION, TAU
+
+_MOST_LISTED = 60  # names in one message
+
+
+class NoTopic(Exception):
+    """There is no such topic; says which there are."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """A topic of a session.
+
+    Attributes:
+        session: the session's name.
+        node: whose it is; the supervisor's is the session's condition.
+        name: last part of its name.
+        topic: its row of the table, or None where it is none of a node's ticks.
+        columns: of a row of it.
+    """
+
+    session: str
+    node: str
+    name: str
+    topic: Topic | None
+    columns: tuple[str, ...] = ()
+
+    @property
+    def full(self) -> str:
+        """Its full name."""
+        return topic_name(self.session, self.node, self.name)
+
+
+def named_topics(about: About) -> dict[str, Named]:
+    """Every topic of a session by ``NODE/TOPIC``, in the session's order. A session without promises has no ledgers."""
+    masses = tuple(about.masses)
+    found = []
+    for name, node in about.nodes.items():
+        found += [
+            Named(about.session, name, topic.name, topic, topic.columns_of(node.ports, masses))
+            for topic in topics_of(node.role, masses)
+            if about.certificate is not None or topic.trace != LEDGER
+        ]
+        found.append(Named(about.session, name, TELEMETRY, None))
+    found.append(Named(about.session, SUPERVISOR, CONDITION, None))
+    return {f"{one.node}/{one.name}": one for one in found}
+
+
+def session_of(name: str) -> str | None:
+    """The session that a topic's full name, ``/SESSION/NODE/TOPIC``, begins with; None for one that is not full."""
+    parts = name.split("/")
+    return parts[1] if len(parts) == 4 and not parts[0] else None
+
+
+def find_topic(about: About, name: str) -> Named:
+    """The topic of this name.
+
+    Args:
+        about: the session.
+        name: ``NODE/TOPIC`` or ``/SESSION/NODE/TOPIC``.
+
+    Raises:
+        NoTopic: the session has none of that name.
+    """
+    topics = named_topics(about)
+    session = session_of(name)
+    short = name if session is None else name.split("/", 2)[2]
+    if short in topics and session in (None, about.session):
+        return topics[short]
+    node, _, last = short.partition("/")
+    by_quantity = [
+        other
+        for other, one in topics.items()
+        if one.node == node and one.topic and last in (one.topic.trace, one.topic.symbol)
+    ]
+    close = by_quantity or get_close_matches(short, topics, n=1)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    listed = list(topics)
+    rest = f" and {len(listed) - _MOST_LISTED} more" if len(listed) > _MOST_LISTED else ""
+    shown = ", ".join(listed[:_MOST_LISTED]) + rest
+    raise NoTopic(f"found no topic {name!r} in session {about.session!r}{hint}; expected one of: {shown}")
+
+
+class EchoLines:
+    """Makes lines of what is seen.
+
+    Attributes:
+        printed: lines made so far.
+        misfits: observations whose trace was not of the topic's columns.
+    """
+
+    def __init__(self, named: Named, period: float, count: int | None = None, every: int = 1) -> None:
+        """Echo a topic.
+
+        Args:
+            named: the topic.
+            period: T, s.
+            count: lines to make; None for no end.
+            every: of a topic of ticks those that are a multiple of it, of another one every so many messages.
+        """
+        self._named, self._period, self._count, self._every = named, period, count, every
+        self._messages = 0
+        self.printed = self.misfits = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether all lines are made."""
+        return self._count is not None and self.printed >= self._count
+
+    def lines(self, message: Observation | Condition | None, tick: int) -> Iterator[str]:
+        """The lines of a message, none if it says nothing of the topic; ``tick`` is the session's latest."""
+        for value in self._values(message, tick):
+            if self.done:
+                return
+            self.printed += 1
+            yield json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+    def _values(self, message: Observation | Condition | None, tick: int) -> Iterator[dict[str, Any]]:
+        named = self._named
+        if isinstance(message, Condition):
+            if named.name == CONDITION and self._turn():
+                yield self._at(tick) | dataclasses.asdict(message)
+        elif message is not None and message.node == named.node:
+            if named.topic is not None:
+                yield from self._rows(message)
+            elif named.name == TELEMETRY and self._turn():
+                figures = {name: json_number(value) for name, value in message.figures.items()}
+                yield {"tick": message.tick, "figures": figures}
+
+    def _rows(self, told: Observation) -> Iterator[dict[str, Any]]:
+        topic = self._named.topic
+        trace = None if topic is None else told.traces.get(topic.trace)
+        if topic is None or trace is None:
+            return
+        rows = trace.shape[0]
+        if trace.ndim != 2 or trace.shape[1] != len(self._named.columns) or rows > told.tick:
+            self.misfits += 1
+            return
+        for tick, row in enumerate(trace.tolist(), start=told.tick - rows):
+            if tick % self._every == 0:
+                numbers = [json_number(value) for value in row]
+                yield self._at(tick) | {topic.trace: numbers[0] if topic.columns is Columns.ONE else numbers}
+
+    def _at(self, tick: int) -> dict[str, Any]:
+        return {"tick": tick, "time": round(tick * self._period, 9)}
+
+    def _turn(self) -> bool:
+        self._messages += 1
+        return (self._messages - 1) % self._every == 0
+
 
 DEFAULT_WINDOW: Final = 10_000
 """Messages that figures are taken over, if nothing else is asked for: of a topic of ticks, so many ticks."""

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from manyhands.launch.plan.topology import Topology, roster
 from manyhands.launch.session import SUPERVISOR, Session
-from manyhands.launch.session.error import listed, one_of
-from manyhands.launch.session.observers import TELEMETRY
-from manyhands.launch.topology import Topology, roster
+from manyhands.launch.session.errors import listed, one_of
+from manyhands.launch.session.session import TELEMETRY
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 

@@ -1,26 +1,41 @@
 """Cutting a session and its certificate into what each process may know.
 
 This is the only place where the data of one user and of another are in the same hands.
+
+From the limits that a session states for its devices to what each process holds its peers to.
+
+A device keeps to its own limits, and a coupling clips every force to those of its devices. What an honest coupling can
+then say to the environment follows; the environment is given these bounds, and never the limits.
+
+What somebody on another machine needs to take part with one node: its bundle and its key, and nothing of others.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from manyhands.design.contract import DeviceShare
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.environment import NetworkBox
-from manyhands.design.network import Network
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.launch.port_bounds import PortBounds, budgets, limits_at, tool_bounds
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.reach import IPC, Reach
+from manyhands.design.files import replacing
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
+from manyhands.design.models.network import Network
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.peak_gain import output_bounds
+from manyhands.launch.files import require_target
+from manyhands.launch.plan.keys import Keys
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
+from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
-from manyhands.launch.topology import ENVIRONMENT, Topology
+from manyhands.launch.session.errors import one_of
+from manyhands.launch.session.limits import HAND_STORE
+from manyhands.launch.session.session import ENVIRONMENT
+from manyhands.nodes import bundle as bundle_files
+from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     BrowserHand,
@@ -31,24 +46,88 @@ from manyhands.nodes.bundle import (
     DeviceBundle,
     DeviceRung,
     EnvironmentBundle,
+    Limits,
     ObserverBundle,
     Peer,
     RecordedMotion,
     SimulatedHand,
     Source,
 )
+from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
-from manyhands.nodes.feedthrough import feedthrough_digest
+from manyhands.protocol.channels import topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
-from manyhands.protocol.topics import topics_of
+
+PortBounds = tuple[float | None, ...]
+"""By port of the session; None for no bound."""
+
+
+def limits_at(session: Session, ports: Sequence[str]) -> Limits:
+    """What the devices at ``ports`` may exert and reach."""
+    by_port = {
+        port: limits
+        for name, device in session.devices.items()
+        for port, *limits in zip(
+            session.ports_of(name),
+            device.limits.force,
+            device.limits.displacement,
+            device.limits.speed,
+            strict=True,
+        )
+    }
+    force, displacement, speed = zip(*(by_port[port] for port in ports), strict=True)
+    return Limits(force, displacement, speed)
+
+
+def budgets(session: Session) -> tuple[EnergyBudget, ...]:
+    """What each coupling may put into the others: what its devices may, of each the part of its axes that it holds."""
+    of_port: dict[str, tuple[float, float, float]] = {}
+    for name, device in session.devices.items():
+        limits, ports = device.limits, session.ports_of(name)
+        stroke = 2.0 * sum(force * reach for force, reach in zip(limits.force, limits.displacement, strict=True))
+        whole = (limits.power, limits.energy, min(HAND_STORE, stroke))
+        of_port |= {port: (whole[0] / len(ports), whole[1] / len(ports), whole[2] / len(ports)) for port in ports}
+    return tuple(
+        EnergyBudget(*map(sum, zip(*(of_port[port] for port in ports), strict=True))) for ports in session.blocks
+    )
+
+
+def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBounds, PortBounds]:
+    """The greatest |p| and |p(k) - p(k-1)|, m, that honest devices and couplings can send.
+
+    p = x + C_V xi, and xi follows forces that were clipped, so that
+
+        |p_i| <= X_i + sum_j ||h_ij||_1 F_j,     |p_i(k) - p_i(k-1)| <= T S_i + sum_j ||h_ij(k) - h_ij(k-1)||_1 F_j
+
+    with h the impulse response of (A_V, B_V, C_V, 0) and X, S, F the limits of displacement, speed and force. A block
+    that is not found to be stable leaves its ports without bounds.
+
+    Args:
+        session: the session.
+        blocks: those of V, in the order of its couplings.
+    """
+    magnitude: dict[str, float] = {}
+    step: dict[str, float] = {}
+    for ports, block in zip(session.blocks, blocks, strict=True):
+        limits = limits_at(session, ports)
+        dynamic = StateSpace(block.A, block.B, block.C, np.zeros_like(block.D))
+        offset, change = output_bounds(dynamic, np.array(limits.force))
+        magnitude |= zip(ports, (limits.displacement + offset).tolist(), strict=True)
+        step |= zip(ports, (session.period * np.array(limits.speed) + change).tolist(), strict=True)
+    return _in_order(session, magnitude), _in_order(session, step)
+
+
+def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
+    return tuple(bounds[port] if math.isfinite(bounds[port]) else None for port in session.ports)
+
 
 TELEMETRY_PERIOD = 0.1  # s, ten a second (the channel table's rate)
 MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # of all traces in a message: what its frame has room for
 
 
 @dataclass(frozen=True)
-class Run:
+class RunPlan:
     """How a session is to be run.
 
     Attributes:
@@ -66,7 +145,7 @@ class Run:
     private: Mapping[str, Path] = field(default_factory=dict)
 
 
-def cut(prepared: Prepared, run: Run) -> dict[str, Bundle]:
+def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     """The bundle of every node, by name.
 
     Args:
@@ -175,14 +254,14 @@ def _greatest(bounds: tuple[float | None, ...]) -> float | None:
     return max(stated) if len(stated) == len(bounds) else None
 
 
-def bundle_of(prepared: Prepared, run: Run, name: str) -> Bundle:
+def bundle_of(prepared: Prepared, run: RunPlan, name: str) -> Bundle:
     """The bundle of one node, or of an observer."""
     if name in prepared.session.observers:
         return ObserverBundle(_common(prepared, run, name))
     return cut(prepared, run)[name]
 
 
-def _common(prepared: Prepared, run: Run, name: str) -> Common:
+def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
     graph = prepared.graph
     peers, ports = [], graph.ports.get(name, ())
     for index, link in enumerate(graph.links):
@@ -261,3 +340,31 @@ def _plain(intent: float | str | TraceData) -> object:
     if isinstance(intent, TraceData):
         return {"times": list(intent.times), "values": list(intent.values)}
     return intent
+
+
+def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: Path) -> Bundle:
+    """Cut one node's (or observer's) bundle and write it for its owner's eyes only (mode 0600); returns it.
+
+    Args:
+        prepared: the session, under the certificate that it will be launched with.
+        name: the node or observer.
+        keys: the session's keys; None for a session that is not encrypted.
+        clock: "realtime" or "simulated", as it will be launched.
+        path: where the bundle goes; a file that is there is replaced.
+
+    Raises:
+        ReachError: no such node or observer.
+        KeyFileError: no key of it, or of somebody it has to do with.
+        TargetError, OSError: the file cannot be written.
+    """
+    session = prepared.session
+    valid = (*session.roles, *session.observers)
+    if name not in valid:
+        raise ReachError(f"{session.name}: found no node or observer {name!r:.100}; expected {one_of(valid, name)}")
+    require_target(path)
+    ways = reach(prepared, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
+    # what only the guest knows is filled in when it joins; traces, for it cannot be told later that they are wanted
+    bundle = bundle_of(prepared, RunPlan(clock, None, "", reach=ways), name)
+    with replacing(path, mode=0o600) as file:
+        file.write(bundle_files.encoded(bundle))
+    return bundle

@@ -5,31 +5,34 @@
 
 A run that is interrupted can be repeated: every private key is whole or absent, and the public keys, which make keys
 known, are written last.
+
+The folder in which a session's keys are kept: what is where, who may enter it, and one at a time.
+
+What `manyhands keys` does, from a loaded session to what is printed; apart from :mod:`keys`, which runs need too.
 """
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import stat
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Final
 
-from manyhands.launch.key_folder import (
-    PRIVATE,
-    PUBLIC,
-    SUFFIX,
-    alone_in,
-    held_names,
-    private_folder,
-    private_path,
-    require_folder,
-)
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.launch.design_report import print_json
+from manyhands.launch.files import EXIT_OK
+from manyhands.launch.plan.topology import roster
+from manyhands.launch.run.display import say
 from manyhands.launch.session import Session
-from manyhands.launch.session.error import one_of
-from manyhands.launch.topology import roster
-from manyhands.protocol.key_files import sync_folder
+from manyhands.launch.session.errors import one_of
 from manyhands.protocol.keys import (
     MAX_KEYS,
     KeyFileError,
@@ -38,9 +41,80 @@ from manyhands.protocol.keys import (
     PublicKeys,
     load_private,
     new_pair,
+    problem_of_folder,
     ring_of,
     save_private,
+    sync_folder,
 )
+
+PUBLIC: Final = "public.json"
+PRIVATE: Final = "private"
+SUFFIX: Final = ".key"
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """While entered, no other run makes keys in this folder, which is made if absent.
+
+    Raises:
+        KeyFileError: another one does, others can write to it, or there is something other than a folder.
+    """
+    try:
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise KeyFileError(f"{folder}: found a file; expected the name of a folder") from error
+    require_folder(folder, private=False)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise KeyFileError(f"{folder}: found another run that makes keys there; expected to be alone") from error
+        except OSError as error:
+            # some network file systems lock no folders; two runs at once would then end in keys that disagree, which
+            # every reader reports
+            if error.errno not in (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP):
+                raise
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def require_folder(folder: Path, *, private: bool) -> None:
+    """Refuse a folder that others could enter, where it is of private keys, or write to.
+
+    Raises:
+        KeyFileError: it is such a folder, or none.
+    """
+    # the private folder must be one itself; the outer one may be a link to wherever the user keeps it
+    problem = problem_of_folder(os.lstat(folder) if private else os.stat(folder), os.geteuid(), private=private)
+    if problem is not None:
+        raise KeyFileError(f"{folder}: {problem}")
+
+
+def private_folder(folder: Path) -> Path:
+    """The folder of private keys in a folder of keys, made if absent.
+
+    Raises:
+        KeyFileError: there is something else, or others can enter it.
+    """
+    private = folder / PRIVATE
+    if not os.path.lexists(private):
+        private.mkdir(mode=0o700)
+        private.chmod(0o700)  # the umask may have taken from it
+    require_folder(private, private=True)
+    return private
+
+
+def held_names(private: Path) -> frozenset[str]:
+    """The names in a folder of private keys, as far as they can be shown."""
+    names = (path.name.removesuffix(SUFFIX) for path in private.iterdir() if path.name.endswith(SUFFIX))
+    return frozenset(name for name in names if name.isprintable() and not name.startswith("."))
+
+
+def private_path(private: Path, name: str) -> Path:
+    """The file of a private key."""
+    return private / f"{name}{SUFFIX}"
 
 
 class KeyState(StrEnum):
@@ -273,3 +347,72 @@ def _disagreement(place: Path | str, name: str) -> str:
         f"{place}: found a private key of {name!r} that is not the one of its public key in {PUBLIC}; expected a pair; "
         f"put back what was replaced, or make both anew with manyhands keys --renew {name}"
     )
+
+
+def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console, err: Console, as_json: bool) -> int:
+    """Make a session's keys, and tell what was made and what to do with it.
+
+    Args:
+        session: the session.
+        folder: where its keys are, or are to be.
+        renew: names whose keys are to be replaced.
+        out: for the table.
+        err: for what to do next.
+        as_json: print one JSON object instead of the table.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        KeyFileError: as :func:`make_keys`.
+        OSError: something cannot be written.
+    """
+    made = make_keys(session, folder, renew)
+    states = {name: state for state in KeyState for name in getattr(made, state.value)}
+    if as_json:
+        print_json(_object(session, folder, made, states))
+    else:
+        table = Table(title=f"{session.name}: keys", title_justify="left")
+        for column in ("name", "role", "key"):
+            table.add_column(column)
+        for name, role in roster(session).items():
+            table.add_row(name, role.value, states[name].value)
+        out.print(table)
+    _say_next(session, folder, made, err)
+    return EXIT_OK
+
+
+def _object(session: Session, folder: Path, made: Made, states: dict[str, KeyState]) -> dict[str, object]:
+    """The object that ``--json`` prints; it names files, and no key."""
+    private = folder / PRIVATE
+    return {
+        "session": session.name,
+        "public": str(folder / PUBLIC),
+        "keys": {
+            name: {
+                "role": role.value,
+                "key": states[name].value,
+                "private": None if states[name] is KeyState.ELSEWHERE else str(private_path(private, name)),
+            }
+            for name, role in roster(session).items()
+        },
+        "stale": list(made.stale),
+    }
+
+
+def _say_next(session: Session, folder: Path, made: Made, err: Console) -> None:
+    private = folder / PRIVATE
+    say(err, f"to machines that launch the session: {folder / PUBLIC}")
+    say(
+        err,
+        f"to the machine that runs NAME, and to no other: {private}/NAME{SUFFIX} (mode 0600; over a secure channel), "
+        "with its bundle (manyhands invite)",
+    )
+    if made.new or made.renewed:
+        say(
+            err, f"the public keys have changed: an older {PUBLIC} elsewhere, and older bundles, are of no use any more"
+        )
+    for name in made.elsewhere:
+        say(err, f"{name}: its private key is not here: on its own machine, or lost; then make it anew: --renew {name}")
+    if made.stale:
+        say(err, f"not in {session.name} any more, and left where they are: {', '.join(made.stale)}")

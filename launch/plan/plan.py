@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from manyhands.launch.access import Capability, access, peers
+from manyhands.launch.plan.access import Capability, access, peers
+from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.session import Session
-from manyhands.launch.topology import Topology, topology
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A planned session; :class:`manyhands.launch.preparation.Prepared` is one whose coupling is settled.
+    """A planned session; :class:`manyhands.launch.plan.prepare.Prepared` is one whose coupling is settled.
 
     Attributes:
         session: the session.

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from manyhands.launch.keys import Keys, ephemeral
-from manyhands.launch.plan import Plan
+from manyhands.launch.plan.keys import Keys, ephemeral
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.topology import Topology, roster
 from manyhands.launch.session import SUPERVISOR
-from manyhands.launch.session.error import one_of
-from manyhands.launch.topology import Topology, roster
+from manyhands.launch.session.errors import one_of
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.transport.zeromq import LOOPBACK, is_address
 

@@ -17,19 +17,19 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from manyhands.design.files import open_regular
-from manyhands.launch.conductor import Phase
-from manyhands.launch.interrupt import Interrupt
-from manyhands.launch.looking.sessions import NoSession, Running
-from manyhands.nodes.observer.about import ABOUT, About
+from manyhands.launch.observe.sessions import NoSession, Running
+from manyhands.launch.run.processes import Interrupt
+from manyhands.launch.run.states import SessionPhase
+from manyhands.nodes.observer.scene import ABOUT, About
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.file import RecordingFile
-from manyhands.nodes.recorder.layout import MEDIA_TYPES, Recorded
+from manyhands.nodes.recorder.format import MEDIA_TYPES, Recorded
+from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition
-from manyhands.protocol.transport.gallery import Visit
+from manyhands.protocol.transport.broadcast import Visit
 
 MOST_ATTACHED_BYTES: Final = 64 * 2**20
 """Longest file of a session that is put into a recording."""
@@ -88,7 +88,7 @@ class AttachedCore:
         if self._core.refused > refused:
             return
         match message:
-            case Condition(Phase.OVER.value):
+            case Condition(SessionPhase.OVER.value):
                 self.end(Ending.OVER)
         if self._most is not None and self.tick - min(self.beginning.values(), default=self.tick) >= self._most:
             self.end(Ending.DURATION)
@@ -179,7 +179,7 @@ def attachments_in(directory: Path) -> dict[str, bytes]:
     return found
 
 
-class Supervisor:
+class SupervisorWatch:
     """Whether a session's supervisor still runs; to be closed."""
 
     def __init__(self, running: Running) -> None:
@@ -222,7 +222,7 @@ def record_attached(
         TransportError: its gallery cannot be entered.
         OSError: the file cannot be written; it is whole up to there.
     """
-    supervisor = Supervisor(running)
+    supervisor = SupervisorWatch(running)
     try:
         visit = Visit(running.directory)
         try:

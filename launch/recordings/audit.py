@@ -12,40 +12,285 @@ what that party was told by the others, by the arithmetic of the nodes, and comp
 and what two parties told of the same thing is compared. So a number that was changed afterwards stands in contradiction
 to others at its own tick. What a recording does not hold is not claimed: each check says which ticks it does not speak
 of, and why.
+
+What several parties told of the same thing, and what each told against its bounds: no state is needed for these.
+
+The force that a coupling handed on is the force that its devices exerted; a tool is where its coupling's end is; the
+total in a node's figures is the last of its trace; a ledger never falls below where it began; nobody exceeds limits.
+
+A recording's session, ready to be recomputed: from the session and the certificate that the file itself holds.
+
+Both are read as their own files are, and nothing is believed that they do not prove: the certificate is proved again,
+and has to be this session's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch import bundles as cutting
-from manyhands.launch.preparation import NotCertified, Prepared
-from manyhands.launch.recordings import agreement
-from manyhands.launch.recordings.coupling_again import recompute_coupling
-from manyhands.launch.recordings.course import Course, course_of, sent_no_force
-from manyhands.launch.recordings.device_again import recompute_device
-from manyhands.launch.recordings.findings import Check, Verdict, compare
-from manyhands.launch.recordings.hands import hand_of
-from manyhands.launch.recordings.prepared import prepared_of
-from manyhands.launch.recordings.recomputed import Recomputed
+from manyhands.design.errors import CertificateError
+from manyhands.launch.plan import bundles as cutting
+from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import UNCERTIFIED, NotCertified, Prepared, prepare
+from manyhands.launch.recordings.audit_coupling import recompute_coupling
+from manyhands.launch.recordings.audit_device import recompute_device
+from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks, increments, recompute_environment
+from manyhands.launch.recordings.events import Course, course_of, sent_no_force
+from manyhands.launch.recordings.findings import EXACT, Check, Recomputed, UncheckedTicks, Verdict, compare, first_of
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rows import changed_after, first_sign, rows_of, there
-from manyhands.launch.recordings.run import Run
-from manyhands.launch.recordings.world import Blocks, increments, recompute_environment
-from manyhands.launch.topology import ENVIRONMENT
+from manyhands.launch.recordings.replay import hand_of
+from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, rows_of, there
+from manyhands.launch.session import Session, SessionError, load_session
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
-from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
+from manyhands.nodes.device.core import Guard
+from manyhands.nodes.device.telemetry import PERIOD_TOLERANCE
+from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
 
 Array = NDArray[np.float64]
-Progress = Callable[[int], None]
+
+_EPSILON = float(np.finfo(np.float64).eps)
+
+LEDGER_ROUNDING = 1e-12
+"""Of all the work in a ledger's increments: by so much its total may be below its bound, which is rounding."""
+
+_LIMITS = "no tolerance: it is what the node itself compares with"
+
+
+def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array) -> list[Check]:
+    """For each coupling: what it handed on is what its devices exerted."""
+    what = "the force that it handed on is the one that its devices exerted"
+    ports = run.recorded.ports
+    return [
+        compare("agreement", name, what, ports[name], blocks.f[:, own], forces[:, own])
+        for name, own in blocks.ports.items()
+    ]
+
+
+def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Array, sign: tuple[int, str]) -> Check:
+    """x_e = p + D_V f_v, as long as no clutch has moved."""
+    ends, size = blocks.ends()
+    begin, why = sign
+    ends[begin:] = np.nan
+    ends[blocks.clipped] = np.nan
+    gaps = [UncheckedTicks(begin, len(tools), f"{why}, and a clutch may have moved")] if begin < len(tools) else []
+    tolerance = ROUNDING * _EPSILON * np.where(np.isnan(size), 0.0, size)
+    source = f"{ROUNDING:g} units in the last place of |p| + |D_V| |f_v|, for the sums are in another order"
+    what = "tools are at p + D_V f_v of what the couplings told"
+    return compare("agreement", party, what, columns, tools, ends, gaps=gaps, tolerance=tolerance, source=source)
+
+
+def figures_agree(run: RecordedRun, node: str) -> Check:
+    """The ledger's total in the figures is the last of the trace before them.
+
+    Those told before a gap, or at a run's end in real time, may be those of free periods that are in no row.
+    """
+    trace = rows_of(run, node, names.LEDGER)
+    told = np.full_like(trace, np.nan)
+    last = len(told) if run.recorded.clock == SIMULATED else len(told) - 1
+    for tick, figures in run.figures.get(node, ()):
+        if 0 < tick <= last and (tick == len(told) or np.isfinite(trace[tick, 0])):
+            told[tick - 1] = figures.get(names.LEDGER, np.nan)
+    return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, told)
+
+
+def bounded(run: RecordedRun, node: str) -> Check:
+    """A ledger of ``node`` is never below 0; what a hand intended, a person's at a browser too, is in it.
+
+    Returns:
+        The finding; nothing was checked where no ledger was kept.
+    """
+    trace = rows_of(run, node, names.LEDGER)
+    total = trace[np.isfinite(trace)]
+    work = float(np.abs(np.diff(total, prepend=0.0)).sum())
+    tolerance = LEDGER_ROUNDING * work
+    what = "its ledger never fell below 0: it kept its promise"
+    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
+    wrong = trace < -tolerance
+    first = first_of(wrong, ("E",), trace, np.zeros_like(trace))
+    verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if len(total) else Verdict.UNCHECKED
+    told = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
+    return Check(
+        "bound", node, what, verdict, len(total), first, int(wrong.sum()), tolerance=tolerance, source=source, told=told
+    )
+
+
+def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check]:
+    """A device's force within its limit; displacement, and speed where ticks are no later than they should, likewise.
+
+    Beyond one of the last two it has let go, and exerts no force.
+    """
+    x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
+    found = [
+        ("displacement", np.abs(x), bundle.limits.displacement, "m"),
+        ("force", np.abs(f), bundle.limits.force, "N"),
+    ]
+    if run.recorded.clock == SIMULATED:
+        step = np.abs(np.diff(x, axis=0, prepend=x[:1]))
+        found.append(("step", step, tuple(run.recorded.period * v for v in bundle.limits.speed), "m"))
+    out = []
+    exerted = np.any(f != 0.0, axis=1, keepdims=True)
+    for name, values, limits, unit in found:
+        most = np.broadcast_to(np.array(limits), values.shape)
+        beyond = (values > most) & exerted
+        first = first_of(beyond, ports, values, most)
+        numbers = int(np.isfinite(values).sum())
+        verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
+        told = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
+        what = f"its {name} is within its limit" + ("" if name == "force" else ", or it exerts no force")
+        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, told))
+    return out
+
+
+def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Check:
+    """The certificate takes for granted that a force acts at most tau after its sample.
+
+    Args:
+        run: the recording.
+        node: a device.
+        tau: the delay that is covered, s, from which tick on.
+    """
+    trace = rows_of(run, node, names.TAU)
+    covered = np.zeros_like(trace)
+    for begin, most in sorted(tau.items()):
+        covered[begin:] = most * 1e6
+    late = trace > covered
+    ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
+    told = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""
+    if ticks:
+        told = f"later in {ticks} of {numbers} ticks; {told}"
+    first = first_of(late, ("τ",), trace, covered)
+    verdict = Verdict.ASSUMPTION if ticks else Verdict.HOLDS if numbers else Verdict.UNCHECKED
+    what = "the force acts no later after its sample than the certificate assumes"
+    return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, told=told)
+
+
+def period_assumed(run: RecordedRun, node: str) -> Check:
+    """The certificate takes for granted that samples come every T; the device itself has counted where they did not."""
+    figures = run.figures.get(node, ())
+    counts = [told[names.PERIOD_BREACHES] for _, told in figures if names.PERIOD_BREACHES in told]
+    what = f"samples come every T, give or take {PERIOD_TOLERANCE:g} T, as the device counted"
+    if not counts:
+        return Check("period", node, what, Verdict.UNCHECKED)
+    most = max(counts)
+    told = f"{most:.0f} ticks did not" if most else ""
+    return Check("period", node, what, Verdict.ASSUMPTION if most else Verdict.HOLDS, len(counts), told=told)
+
+
+def let_go_source(offsets: int) -> str:
+    """Where the tolerance of the environment's increments comes from."""
+    text = f"{ROUNDING:g} units in the last place of the tick's products, for the sums are in another order"
+    if offsets:
+        text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, by which a clutch may close"
+    return text
+
+
+StepProgress = Callable[[str], None]
+
+MOST_VALUES: Final = 100_000_000
+"""Numbers of a recording that is recomputed: what is recomputed is kept beside what was recorded, 0.8 GB of each."""
+
+
+def session_of(path: Path, run: RecordedRun) -> Session:
+    """The session that a recording holds.
+
+    Args:
+        path: the recording, for messages.
+        run: what was read from it.
+
+    Raises:
+        RecordingError: it holds none, one that cannot be read, or another one than was recorded.
+    """
+    with _unpacked(path, run) as folder:
+        return _session(path, run, folder)
+
+
+def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = None) -> Prepared:
+    """The session of a recording with its coupling, its certificate and its ladder.
+
+    Args:
+        path: the recording, for messages.
+        run: what was read from it.
+        progress: told what a design is doing, where there is one: of the ladder, or of a session without certificate.
+
+    Raises:
+        RecordingError: session or certificate are missing or cannot be read, or are not those that were recorded.
+        NotCertified: the certificate does not hold, or is another session's.
+    """
+    with _unpacked(path, run) as folder:
+        session = _session(path, run, folder)
+        certified = CERTIFICATE_FILE in run.attachments
+        if not certified and not run.recorded.certificate.startswith(UNCERTIFIED):
+            raise RecordingError(f"{path}: found no certificate in it; expected {run.recorded.certificate[:16]}")
+        try:
+            prepared = prepare(session, folder / CERTIFICATE_FILE if certified else None, not certified, progress)
+        except CertificateError as error:
+            raise RecordingError(_within(path, folder, error)) from error
+        except NotCertified as error:
+            raise NotCertified(_within(path, folder, error)) from error
+    if prepared.id != run.recorded.certificate:
+        raise NotCertified(
+            f"{path}: found the certificate {prepared.id[:32]} in it; expected {run.recorded.certificate[:32]}, which "
+            "it says that its session ran under"
+        )
+    return prepared
+
+
+@contextmanager
+def _unpacked(path: Path, run: RecordedRun) -> Iterator[Path]:
+    """A folder with the session, and the certificate where there is one; gone afterwards."""
+    if SESSION_FILE not in run.attachments:
+        raise RecordingError(f"{path}: found no session in it; expected the attachment {SESSION_FILE}")
+    with tempfile.TemporaryDirectory(prefix="recorded-") as name:
+        folder = Path(name)
+        for attachment in (SESSION_FILE, CERTIFICATE_FILE):
+            if attachment in run.attachments:
+                (folder / attachment).write_bytes(run.attachments[attachment])
+        yield folder
+
+
+def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
+    try:
+        session = load_session(folder / SESSION_FILE)
+    except SessionError as error:
+        raise RecordingError(_within(path, folder, error)) from error
+    recorded, graph = run.recorded, Plan(session).graph
+    for what, found, expected in (
+        ("name", session.name, recorded.session),
+        ("period", session.period, recorded.period),
+        ("nodes", dict(graph.nodes), dict(recorded.roles)),
+        ("ports", {name: graph.ports[name] for name in graph.nodes}, dict(recorded.ports)),
+        ("masses", mass_names(session), tuple(recorded.masses)),
+    ):
+        if found != expected:
+            raise RecordingError(
+                f"{path}: found a session whose {what} are {found!r:.200}; expected {expected!r:.200}, as recorded"
+            )
+    values = run.ticks * sum(len(trace.columns) for trace in run.traces.values())
+    if values > MOST_VALUES:
+        raise RecordingError(
+            f"{path}: found {values} numbers; expected at most {MOST_VALUES}, which memory has room for"
+        )
+    return session
+
+
+def _within(path: Path, folder: Path, error: Exception) -> str:
+    """An error's text with the recording's name in place of that of the folder that its parts were unpacked to."""
+    return str(error).replace(f"{folder}/", f"{path}: in it: ")
+
+
+TickProgress = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -89,7 +334,7 @@ class Audit:
         }
 
 
-def require_certificate(path: Path, run: Run) -> None:
+def require_certificate(path: Path, run: RecordedRun) -> None:
     """Refuse a recording that has no certificate: nothing was promised, so nothing can be audited.
 
     Raises:
@@ -102,12 +347,12 @@ def require_certificate(path: Path, run: Run) -> None:
         )
 
 
-def work_of(run: Run) -> int:
+def work_of(run: RecordedRun) -> int:
     """How many ticks of nodes an audit recomputes, for its progress."""
     return run.ticks * len(run.recorded.roles)
 
 
-def audit(path: Path, run: Run, say: Callable[[str], None], progress: Progress) -> Audit:
+def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: TickProgress) -> Audit:
     """Check a recording.
 
     Args:
@@ -134,10 +379,10 @@ def audit(path: Path, run: Run, say: Callable[[str], None], progress: Progress) 
 class _Auditing:
     """One audit."""
 
-    def __init__(self, prepared: Prepared, run: Run, progress: Progress) -> None:
+    def __init__(self, prepared: Prepared, run: RecordedRun, progress: TickProgress) -> None:
         self._prepared, self._run, self._progress = prepared, run, progress
         self._session = prepared.session
-        self._bundles = cutting.cut(prepared, cutting.Run(SIMULATED, None, ""))
+        self._bundles = cutting.cut(prepared, cutting.RunPlan(SIMULATED, None, ""))
         ports = self._session.ports
         index = {port: i for i, port in enumerate(ports)}
         self._ports = {
@@ -175,17 +420,17 @@ class _Auditing:
         for name, device in devices.items():
             out += self._device(name, device, courses[name])
             self._next()
-        out += agreement.forces_agree(self._run, blocks, f)
+        out += forces_agree(self._run, blocks, f)
         out += self._environment(blocks)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
-        out += [agreement.figures_agree(self._run, name) for name in ledgers]
-        out += [agreement.bounded(self._run, name) for name in ledgers]
+        out += [figures_agree(self._run, name) for name in ledgers]
+        out += [bounded(self._run, name) for name in ledgers]
         for name, device in devices.items():
-            out += agreement.limits_kept(self._run, name, device)
+            out += limits_kept(self._run, name, device)
             taus = {0: device.rungs[0].tau} | {
                 tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
             }
-            out += [agreement.delay_assumed(self._run, name, taus), agreement.period_assumed(self._run, name)]
+            out += [delay_assumed(self._run, name, taus), period_assumed(self._run, name)]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
 
@@ -254,7 +499,7 @@ class _Auditing:
             compare("tools", ENVIRONMENT, "x_e follows from p of all couplings", ports, tools, again.tools, gaps=gaps),
             compare("forces", ENVIRONMENT, "f_v of the couplings does", ports, blocks.f, again.forces, gaps=gaps),
             compare("ledger", ENVIRONMENT, "its ledger does", ("E",), ledger, again.ledger, gaps=gaps),
-            agreement.tools_agree(blocks, ports, ENVIRONMENT, tools, sign),
+            tools_agree(blocks, ports, ENVIRONMENT, tools, sign),
         ]
         if bundle.masses:
             masses = rows_of(run, ENVIRONMENT, names.MASS_POSITION)
@@ -267,7 +512,7 @@ class _Auditing:
                 silent[:, its] = sent_no_force(told, name, there(blocks.f[:, its]))[:, None]
             own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent)
             what = "what its ledger gains in a tick is the work at the couplings' ends and what Phi_E dissipates"
-            source = agreement.let_go_source(own.offsets)
+            source = let_go_source(own.offsets)
             out.append(
                 compare(
                     "work",

@@ -2,7 +2,7 @@
 
 The state xi follows from the forces that the block handed on, and p from that and the devices' displacement, to the
 last bit. A process that came back begins at rest, and so does a block that has changed its rung, at a tick without
-force; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.course`).
+force; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`).
 
 A device that ran free says its x of one tick again and again, and records the last that it said, where p is of the
 first. So in a row behind free periods, and in the first one behind a gap, p may be another one; such rows are told.
@@ -17,10 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.course import Course, Happening
-from manyhands.launch.recordings.findings import gaps_of
-from manyhands.launch.recordings.recomputed import EVERY, Progress, Recomputed, no_progress
-from manyhands.launch.recordings.rows import there
+from manyhands.launch.recordings.events import Course, Happening
+from manyhands.launch.recordings.findings import EVERY, Progress, Recomputed, gaps_of, no_progress
+from manyhands.launch.recordings.run import there
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.core import CouplingCore
 

@@ -4,7 +4,7 @@ Where the hand is a simulated one, the displacement follows from the forces; wit
 is known, and the ledger follows, all to the last bit.
 
 A device that heard no force for a while ran free for some periods, and a process that ended and came back began at
-rest. Neither is in a row; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.course`).
+rest. Neither is in a row; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`).
 Where events are missing, the device is believed from there on, until a process begins anew.
 """
 
@@ -17,14 +17,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.course import Course, Happening
-from manyhands.launch.recordings.findings import Gap
-from manyhands.launch.recordings.recomputed import EVERY, Progress, Recomputed, no_progress
-from manyhands.launch.recordings.rows import there
+from manyhands.launch.recordings.events import Course, Happening
+from manyhands.launch.recordings.findings import EVERY, Progress, Recomputed, UncheckedTicks, no_progress
+from manyhands.launch.recordings.run import there
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.device.drivers import Driver
 
 Array = NDArray[np.float64]
 
@@ -84,7 +83,7 @@ def recompute_device(
     """
     out, driver = Recomputed.nothing(*x.shape), make()
     if driver is None:
-        out.gaps.append(Gap(0, len(x), "a person moved the device: its motion and its ledger are believed"))
+        out.gaps.append(UncheckedTicks(0, len(x), "a person moved the device: its motion and its ledger are believed"))
         return out
     state: _State | None = _State(bundle, driver)
     nothing, freed = Happening(), 0
@@ -99,7 +98,7 @@ def recompute_device(
             why = why or f"it ran free for {freed} periods, more than are computed"
         if why and state is not None:
             state = None
-            out.gaps.append(Gap(k, len(x), f"{why}: from there on it is believed"))
+            out.gaps.append(UncheckedTicks(k, len(x), f"{why}: from there on it is believed"))
         if state is None:
             continue
         if happened.began and out.gaps and out.gaps[-1].end > k:

@@ -23,13 +23,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.course import Course
-from manyhands.launch.recordings.findings import Gap, gaps_of
-from manyhands.launch.recordings.rows import there
+from manyhands.launch.recordings.events import Course
+from manyhands.launch.recordings.findings import UncheckedTicks, gaps_of
+from manyhands.launch.recordings.run import there
+from manyhands.nodes.arithmetic import Saturation
 from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.environment.clutch import LET_GO
-from manyhands.nodes.environment.cores import environment_core
-from manyhands.nodes.saturation import Saturation
+from manyhands.nodes.environment.enforced import environment_core
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]
@@ -96,7 +96,7 @@ class Blocks:
 
 
 @dataclass(frozen=True, eq=False)
-class Environment:
+class RecomputedEnvironment:
     """What the environment must have told by its own core.
 
     Attributes:
@@ -111,7 +111,7 @@ class Environment:
     masses: Array
     forces: Array
     ledger: Array
-    gaps: list[Gap]
+    gaps: list[UncheckedTicks]
 
 
 def recompute_environment(
@@ -121,7 +121,7 @@ def recompute_environment(
     ledger: Array,
     sign: tuple[int, str],
     progress: Progress,
-) -> Environment:
+) -> RecomputedEnvironment:
     """Everything the environment tells, from p of all couplings.
 
     Args:
@@ -133,7 +133,7 @@ def recompute_environment(
         progress: told now and then how many ticks are done.
     """
     ticks, m = blocks.p.shape
-    out = Environment(
+    out = RecomputedEnvironment(
         np.full((ticks, m), np.nan),
         np.full((ticks, len(bundle.masses)), np.nan),
         np.full((ticks, m), np.nan),
@@ -142,7 +142,7 @@ def recompute_environment(
     )
     if bundle.model is not None:
         why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are believed"
-        out.gaps.append(Gap(0, ticks, why))
+        out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
     core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
     limits = [(blocks.ports[name], Saturation(of.limits.force)) for name, of in blocks.bundles.items()]
@@ -150,12 +150,12 @@ def recompute_environment(
     for k in range(ticks):
         if not complete[k]:
             if k < ticks - 1 and complete[k:].any():
-                out.gaps.append(Gap(k, ticks, "a coupling has no row there: what follows is believed"))
+                out.gaps.append(UncheckedTicks(k, ticks, "a coupling has no row there: what follows is believed"))
             break
         f = core.react(blocks.p[k].tolist())
         core.settle()
         if k >= begin and (core.tools != tools[k].tolist() or _forces(f, limits, m) != blocks.f[k].tolist()):
-            out.gaps.append(Gap(k, ticks, f"{why}, and a clutch has moved: forces and masses are believed"))
+            out.gaps.append(UncheckedTicks(k, ticks, f"{why}, and a clutch has moved: forces and masses are believed"))
             break
         out.tools[k], out.forces[k] = core.tools, _forces(f, limits, m)
         if bundle.masses:
@@ -192,7 +192,7 @@ class Increments:
     recomputed: Array
     tolerance: Array
     offsets: int
-    gaps: list[Gap]
+    gaps: list[UncheckedTicks]
 
 
 def increments(

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.findings import Gap
-from manyhands.launch.recordings.rows import Figures, changed_after
+from manyhands.launch.recordings.findings import UncheckedTicks
+from manyhands.launch.recordings.run import Figures, changed_after
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.tick_events import Kind, events_in
 
@@ -63,14 +63,14 @@ class Course:
         return sorted([*begun, *self.rungs.items()], key=lambda change: change[0])
 
     @property
-    def unknown(self) -> list[Gap]:
+    def unknown(self) -> list[UncheckedTicks]:
         """The ticks from which on the node's state is not known, each up to the next process."""
-        out: list[Gap] = []
+        out: list[UncheckedTicks] = []
         for k, happening in sorted(self.before.items()):
             if happening.began and out and out[-1].end > k:
                 out[-1] = replace(out[-1], end=k)
             if happening.unknown:
-                out.append(Gap(k, self.ticks, happening.unknown))
+                out.append(UncheckedTicks(k, self.ticks, happening.unknown))
         return out
 
     @property

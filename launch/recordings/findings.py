@@ -1,12 +1,14 @@
 """What was checked of a recording, and what came of it: the first number that is another one, or that all agree.
 
 A check never says more than what it has looked at: ticks that it could not recompute are counted, with the reason.
+
+What comes of recomputing a party from the signals that it had.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final
 
@@ -56,7 +58,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Gap:
+class UncheckedTicks:
     """Ticks that a check does not speak of: from ``begin`` on, up to but not including ``end``, and why."""
 
     begin: int
@@ -68,10 +70,10 @@ class Gap:
         return f"{ticks}: {self.why}"
 
 
-def gaps_of(ticks: NDArray[np.bool_], why: str) -> list[Gap]:
+def gaps_of(ticks: NDArray[np.bool_], why: str) -> list[UncheckedTicks]:
     """Each run of the marked ticks as one gap."""
     edges = np.flatnonzero(np.diff(ticks, prepend=False, append=False))
-    return [Gap(int(begin), int(end), why) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+    return [UncheckedTicks(int(begin), int(end), why) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class Check:
     numbers: int = 0
     first: Difference | None = None
     differing: int = 0
-    gaps: tuple[Gap, ...] = ()
+    gaps: tuple[UncheckedTicks, ...] = ()
     tolerance: float = 0.0
     source: str = EXACT
     told: str = ""
@@ -134,7 +136,7 @@ def compare(
     recorded: Array,
     recomputed: Array,
     *,
-    gaps: Sequence[Gap] = (),
+    gaps: Sequence[UncheckedTicks] = (),
     tolerance: Array | float = 0.0,
     source: str = EXACT,
 ) -> Check:
@@ -176,3 +178,33 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
 def verdicts(checks: Sequence[Check]) -> Mapping[Verdict, int]:
     """How many checks came to each verdict."""
     return {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
+
+
+Progress = Callable[[int], None]
+
+EVERY: Final = 1000
+"""Ticks between two words of progress."""
+
+
+@dataclass(eq=False)
+class Recomputed:
+    """What a party must have told.
+
+    Attributes:
+        signal: x of a device or p of a coupling, ticks x ports, m; NaN where it could not be recomputed.
+        ledger: ticks x 1, J; likewise.
+        gaps: why not.
+    """
+
+    signal: Array
+    ledger: Array
+    gaps: list[UncheckedTicks] = field(default_factory=list)
+
+    @classmethod
+    def nothing(cls, ticks: int, ports: int) -> Recomputed:
+        """Nothing yet."""
+        return cls(np.full((ticks, ports), np.nan), np.full((ticks, 1), np.nan))
+
+
+def no_progress(_tick: int) -> None:
+    """Nobody is told."""

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata
 
+from manyhands.launch.recordings.mcap import End, Message, Messages, parts
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import cut_at
-from manyhands.launch.recordings.stream import End, Message, Messages, parts
-from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
-from manyhands.nodes.recorder.layout import METADATA, SUPERVISOR, Recorded
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
+from manyhands.nodes.recorder.coverage import Gap as MissingTicks
+from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded
+from manyhands.protocol.channels import DISPLACEMENT, topic_name, topics_of
 from manyhands.protocol.messages import Role
-from manyhands.protocol.topics import DISPLACEMENT, topic_name, topics_of
 
 
 @dataclass
@@ -64,7 +65,7 @@ class Info:
     channels: tuple[ChannelInfo, ...]
     attachments: Mapping[str, int]
     missing: Mapping[str, int]
-    gaps: Mapping[str, tuple[Gap, ...]]
+    gaps: Mapping[str, tuple[MissingTicks, ...]]
     cut: str | None
 
     @property

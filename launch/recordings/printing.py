@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.launch.display import say
 from manyhands.launch.recordings.audit import Audit
-from manyhands.launch.recordings.findings import Check, Gap, Verdict, verdicts
+from manyhands.launch.recordings.findings import Check, UncheckedTicks, Verdict, verdicts
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.replay import Replayed
+from manyhands.launch.run.display import say
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
@@ -84,7 +84,7 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
 
 def _unchecked(check: Check) -> list[str]:
     """What a check does not speak of, a line for each reason."""
-    gaps: dict[str, list[Gap]] = {}
+    gaps: dict[str, list[UncheckedTicks]] = {}
     for gap in check.gaps:
         gaps.setdefault(gap.why, []).append(gap)
     out = []

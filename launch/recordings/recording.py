@@ -3,7 +3,7 @@
 Two formats are written from here, chosen by the file's suffix: ``.npz`` (arrays ``x`` and ``f_v``, ticks x ports, with
 the port names, the period, the session and the certificate's id; exact) and ``.csv`` (one row a tick, for a
 spreadsheet). The third, ``.mcap``, is written while the session runs by a process of its own
-(:mod:`manyhands.launch.recorder`) and read by :mod:`manyhands.launch.recordings.file`.
+(:mod:`manyhands.launch.run.recorder`) and read by :mod:`manyhands.launch.recordings.tables`.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ and what comes out is the same to the last bit, or the recording is another vers
 
 What no arithmetic knows is taken from the recording: the displacement of a device that a person moved. A session that
 lost a process cannot be run again, for the tick of a death is nowhere written.
+
+What moved the devices of a recorded session: what can be computed again, and what was a person's doing.
 """
 
 from __future__ import annotations
@@ -12,23 +14,83 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.preparation import Prepared
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.findings import Difference, first_of
-from manyhands.launch.recordings.hands import GivenMotion, given_devices
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rows import rows_of
-from manyhands.launch.recordings.run import Run, Trace
-from manyhands.launch.recordings.tracing import Traces
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
+from manyhands.launch.recordings.traces import Traces
+from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
-from manyhands.nodes.bundle import SIMULATED
+from manyhands.nodes.bundle import SIMULATED, DeviceBundle
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.recorder.coverage import Coverage
-from manyhands.protocol.topics import DISPLACEMENT, LEDGER, TAU
+from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
+
+COMPUTED: Final = frozenset({"simulated", "trace"})
+"""Drivers whose motion follows from the session and the forces alone."""
+
+
+def given_devices(session: Session, clock: str) -> tuple[str, ...]:
+    """The devices whose motion only a recording knows, since a person moved them; nobody does in simulated time."""
+    if clock == SIMULATED:
+        return ()
+    return tuple(name for name, device in session.devices.items() if device.driver not in COMPUTED)
+
+
+def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | None:
+    """The device and its hand, at rest; None where a person was the hand."""
+    return None if bundle.common.name in given_devices(session, clock) else driver_of(bundle)
+
+
+class GivenMotion:
+    """A :class:`manyhands.nodes.device.drivers.Driver` that moves as was recorded, whatever is exerted on it.
+
+    Attributes:
+        ticks: as many as were recorded without a gap.
+    """
+
+    def __init__(self, x: NDArray[np.float64]) -> None:
+        """``x``: ticks x axes, m."""
+        self._x = x
+        holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
+        self.ticks = int(holes[0]) if len(holes) else len(x)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return int(self._x.shape[1])
+
+    def sample(self, tick: int) -> list[float]:
+        """Where it was at that tick, m."""
+        row: list[float] = self._x[tick].tolist()
+        return row
+
+    def apply(self, f: Sequence[float]) -> None:
+        """The force is not felt."""
+
+    def release(self) -> None:
+        """There is none."""
+
+    def idle(self) -> None:
+        """Nothing was put off."""
+
+    def intended_work(self) -> float:
+        """Unknown."""
+        return 0.0
+
+    def figures(self) -> Mapping[str, float]:
+        """None."""
+        return {}
+
+    def close(self) -> None:
+        """Nothing is held."""
+
 
 Array = NDArray[np.float64]
 
@@ -96,7 +158,7 @@ class Replayed:
         }
 
 
-def require_simulated(path: Path, run: Run) -> None:
+def require_simulated(path: Path, run: RecordedRun) -> None:
     """Refuse a recording of a session that kept real time.
 
     Raises:
@@ -110,7 +172,7 @@ def require_simulated(path: Path, run: Run) -> None:
         )
 
 
-def replay(prepared: Prepared, run: Run, progress: Callable[[int], None] | None = None) -> Replayed:
+def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None] | None = None) -> Replayed:
     """Run a recorded session again and compare.
 
     Args:
@@ -135,7 +197,7 @@ def replay(prepared: Prepared, run: Run, progress: Callable[[int], None] | None 
     return _compared(run, ticks, traces, given, ended)
 
 
-def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended: str) -> Replayed:
+def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str], ended: str) -> Replayed:
     numbers = differing = done = 0
     deviations: list[Deviation] = []
     missing: dict[str, int] = {}
@@ -179,6 +241,6 @@ def _compared(run: Run, ticks: int, traces: Traces, given: Sequence[str], ended:
     )
 
 
-def _believed(trace: Trace, given: bool) -> bool:
+def _believed(trace: RecordedTrace, given: bool) -> bool:
     """Whether a topic is taken over: where a person moved a device, and the ledger that reckons with that."""
     return given and trace.topic.trace in (DISPLACEMENT, LEDGER)

@@ -1,24 +1,152 @@
-"""A recording read as a whole: every topic of every node, tick by tick, and what else the file holds."""
+"""A recording read as a whole: every topic of every node, tick by tick, and what else the file holds.
+
+Putting the rows of a topic together again, tick by tick, out of the messages that tell one tick each.
+
+The rows of a recording as those who recompute it take them, and the first tick at which a clutch may have moved.
+
+A row is whole or it is none. What happened to a node between two rows is in its events
+(:mod:`manyhands.launch.recordings.events`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Final
+from types import NoneType
+from typing import Any, Final
 
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.gathering import Gatherer, fitting, objects, span_of
+from manyhands.launch.recordings.mcap import End, Messages, parts
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.stream import End, Messages, parts
-from manyhands.nodes.recorder.layout import METADATA, SUPERVISOR, Recorded, decode_condition, decode_figures
-from manyhands.protocol.messages import Condition
-from manyhands.protocol.topics import CONDITION, LEDGER, TELEMETRY, Topic, topic_name
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, TICK, Recorded, decode_condition, decode_figures
+from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
+from manyhands.protocol.messages import Condition, Role
 
 Array = NDArray[np.float64]
+
+MOST_TICK: Final = 2**53
+"""Ticks beyond are no ticks of a run."""
+
+
+_ROOM_OF_A_ROW: Final = 200
+_ROOM_OF_A_NUMBER: Final = 32
+"""Bytes that a message's text takes at most, besides and for each number; longer ones are not parsed."""
+
+
+def objects(texts: Sequence[bytes]) -> list[Any]:
+    """What each text is in JSON, those that are it: all at once, or one by one where that does not go."""
+    try:
+        found: list[Any] = json.loads(b"[%b]" % b",".join(texts))
+    except (ValueError, RecursionError):
+        found = []
+    return found if len(found) == len(texts) else list(_one_by_one(texts))
+
+
+def _one_by_one(texts: Iterable[bytes]) -> Iterator[Any]:
+    for text in texts:
+        try:
+            yield json.loads(text)
+        except (ValueError, RecursionError):
+            continue  # a checksum says that this is what was written: who wrote it meant something else
+
+
+def fitting(plain: Iterable[Any], read: Callable[[Any], Any]) -> Iterator[Any]:
+    """What ``read`` makes of each object; those of which it says that they are none are passed over."""
+    for one in plain:
+        try:
+            yield read(one)
+        except ValueError:
+            continue
+
+
+class Gatherer:
+    """The rows of one topic of one node.
+
+    Attributes:
+        topic: the topic.
+        columns: names of its columns.
+    """
+
+    def __init__(self, topic: Topic, columns: tuple[str, ...]) -> None:
+        """Nothing is gathered yet."""
+        self.topic, self.columns = topic, columns
+        self._pieces: list[tuple[NDArray[np.int64], Array]] = []
+
+    @property
+    def count(self) -> int:
+        """How many rows were taken."""
+        return sum(len(ticks) for ticks, _ in self._pieces)
+
+    def take(self, texts: Sequence[bytes]) -> None:
+        """Take in messages; what is none of this topic is passed over, and its tick is missing then."""
+        most = _ROOM_OF_A_ROW + _ROOM_OF_A_NUMBER * len(self.columns)
+        plain = objects([text for text in texts if len(text) <= most])
+        piece = self._read(plain)
+        if piece is None:
+            for one in plain:
+                self._keep(self._read([one]))
+        else:
+            self._keep(piece)
+
+    def _keep(self, piece: tuple[NDArray[np.int64], Array] | None) -> None:
+        if piece is not None and len(piece[0]):
+            self._pieces.append(piece)
+
+    def _read(self, plain: list[Any]) -> tuple[NDArray[np.int64], Array] | None:
+        """Ticks and rows of messages that were read; None if not all of them are as they should be."""
+        key, one = self.topic.trace, self.topic.columns is Columns.ONE
+        try:
+            numbers, rows = [each[TICK] for each in plain], [each[key] for each in plain]
+            kinds = {type(value) for value in (rows if one else chain.from_iterable(rows))}
+            if {type(number) for number in numbers} != {int} or not kinds <= {float, int, NoneType}:
+                return None
+            ticks, values = np.array(numbers, dtype=np.int64), np.array(rows, dtype=np.float64)  # None: not a number
+        except (LookupError, TypeError, ValueError, OverflowError):
+            return None
+        values = values[:, None] if one else values
+        right = values.shape == (len(plain), len(self.columns)) and (ticks >= 0).all() and (ticks < MOST_TICK).all()
+        return (ticks, values) if right else None
+
+    @property
+    def first(self) -> int | None:
+        """The earliest tick that was told of; None if none was."""
+        return min((int(at.min()) for at, _ in self._pieces), default=None)
+
+    def end(self, most: int) -> int:
+        """One more than the latest tick of those below ``most``."""
+        return max((int(at[at < most].max(initial=-1)) + 1 for at, _ in self._pieces), default=0)
+
+    def rows(self, span: range) -> tuple[Array, NDArray[np.bool_]]:
+        """The rows of the ticks of ``span``, NaN where there are none, and which of them were told."""
+        values = np.full((len(span), len(self.columns)), np.nan)
+        told = np.zeros(len(span), dtype=np.bool_)
+        for at, piece in self._pieces:
+            inside = (at >= span.start) & (at < span.stop)
+            row = at[inside] - span.start
+            values[row], told[row] = piece[inside], True
+        return values, told
+
+
+def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
+    """The ticks that there are, up to the latest told of; such that no more than ``most_missing`` numbers are missing.
+
+    From tick 0 on, unless so many are missing before the first that was told of, in a recording of a session's later
+    hours: then from there. A single message of a tick out of this world would otherwise cost memory for all before it.
+    """
+    told = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
+    width = sum(len(gatherer.columns) for gatherer in gatherers)
+    room = (told + most_missing) // max(1, width)
+    earliest = min((gatherer.first for gatherer in gatherers if gatherer.first is not None), default=0)
+    first = earliest if earliest >= room else 0
+    return range(first, max((gatherer.end(first + room) for gatherer in gatherers), default=first))
+
 
 MOST_VALUES: Final = 500_000_000
 """Most numbers that are read from one recording: 4 GB, about four hours of three users."""
@@ -34,13 +162,14 @@ MOST_ATTACHED_BYTES: Final = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class RecordedTrace:
     """One topic of one node.
 
     Attributes:
         topic: which.
         columns: names of its columns.
-        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`Run`); NaN where it was not
+        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`RecordedRun`); NaN where it was
+        not
             recorded.
     """
 
@@ -50,7 +179,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RecordedRun:
     """Everything of a recording.
 
     Attributes:
@@ -65,7 +194,7 @@ class Run:
     """
 
     recorded: Recorded
-    traces: Mapping[tuple[str, str], Trace]
+    traces: Mapping[tuple[str, str], RecordedTrace]
     figures: Mapping[str, Sequence[tuple[int, Mapping[str, float]]]] = field(default_factory=dict)
     conditions: Sequence[tuple[int, Condition]] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
@@ -82,7 +211,7 @@ class Run:
         """The instants kT, s."""
         return np.arange(self.first, self.first + self.ticks, dtype=np.float64) * self.recorded.period
 
-    def require_beginning(self, path: Path) -> Run:
+    def require_beginning(self, path: Path) -> RecordedRun:
         """Itself, where row k is tick k.
 
         Raises:
@@ -92,7 +221,7 @@ class Run:
         return self
 
 
-def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Run:
+def read_run(path: Path, progress: Callable[[float], None] | None = None) -> RecordedRun:
     """Read an ``.mcap`` recording of this program, whole or cut anywhere behind its beginning.
 
     Args:
@@ -105,12 +234,14 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Run
     reading = read_topics(path, lambda node, topic: True, progress)
     span = span_of([*reading.gatherers.values()], MOST_MISSING)
     traces = {
-        key: Trace(gatherer.topic, gatherer.columns, gatherer.rows(span)[0])
+        key: RecordedTrace(gatherer.topic, gatherer.columns, gatherer.rows(span)[0])
         for key, gatherer in reading.gatherers.items()
         if gatherer.count or gatherer.topic.trace != LEDGER
     }
     cut = None if reading.why is None else cut_at(reading.why, span.stop)
-    return Run(reading.recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start)
+    return RecordedRun(
+        reading.recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start
+    )
 
 
 def cut_at(why: str, ticks: int) -> str:
@@ -235,3 +366,74 @@ def read_topics(
     if reading is None:
         raise RecordingError(f"{path}: found no end")  # the last part is an end
     return reading
+
+
+Figures = Sequence[tuple[int, Mapping[str, float]]]
+
+
+def rows_of(run: RecordedRun, node: str, trace: str) -> Array:
+    """The rows of one trace of a node, ticks x columns; NaN where it has none, and for every tick where it is missing.
+
+    Args:
+        run: the recording.
+        node: whose.
+        trace: by its name in telemetry, such as ``x``.
+    """
+    for (of, _), kept in run.traces.items():
+        if of == node and kept.topic.trace == trace:
+            values = kept.values
+            if len(values) == run.ticks:
+                return values
+            missing = np.full((run.ticks - len(values), values.shape[1]), np.nan)
+            return np.vstack([values, missing])
+    topic = next(topic for topic in run.recorded.topics(node) if topic.trace == trace)
+    return np.full((run.ticks, len(run.recorded.columns(node, topic))), np.nan)
+
+
+def there(rows: Array) -> NDArray[np.bool_]:
+    """The ticks whose row is whole."""
+    return np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
+
+
+def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | None:
+    """The tick behind which a figure first was no longer ``at_rest``, as far as its telemetry says; None for never."""
+    begin = 0
+    for tick, told in figures:
+        value = told.get(name, at_rest)
+        if value != at_rest and not np.isnan(value):
+            return begin
+        begin = tick
+    return None
+
+
+def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
+    """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
+
+    A clutch moves when a coupling is frozen, comes back, or changes its rung, and when the devices have waited so long
+    that they have let go; and when one is held to its energy budget. The devices count who lets go, the environment
+    all the others.
+    """
+    told, signs = run.figures.get(environment, ()), [(run.ticks, "")]
+
+    def look(figures: Figures, name: str, why: str) -> None:
+        begin = changed_after(figures, name)
+        if begin is not None:
+            signs.append((begin, why))
+
+    look(told, names.FROZEN, "a coupling was frozen")
+    look(told, names.FROZEN_TICKS, "a coupling was frozen")
+    own = there(rows_of(run, environment, names.TOOL_POSITION))
+    for node in run.recorded.roles:
+        figures = run.figures.get(node, ())
+        look(figures, names.RELEASED, f"{node} ran free")
+        look(figures, names.JUMPS, f"{node} went on at a later tick")
+        look(figures, names.RUNG, f"{node} changed its rung")
+        look(told, f"{names.RUNG}_{node}", f"{node} changed its rung")
+        look(told, f"{names.SCALED}{node}", f"{node} was held to its budget")
+    holes = np.flatnonzero(~own)
+    signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
+    for node, role in run.recorded.roles.items():
+        if role is Role.COUPLING:
+            holes = np.flatnonzero(own & ~there(rows_of(run, node, names.FREE_POSITION)))
+            signs += [(int(holes[0]), f"{node} has no row there")] if len(holes) else []
+    return min(signs)

@@ -1,4 +1,10 @@
-"""A recording as a table: one row a tick, one column of each topic's; for a spreadsheet, numpy, or a data frame.
+"""Reading what :meth:`manyhands.launch.recordings.recording.Recording.save` wrote: ``.npz`` and ``.csv``.
+
+The files may come from anywhere: nothing in them is run (no pickles), and their size is looked at before they are read.
+
+The devices' motions and forces of a recording that was written as it happened: whole, or as far as it goes.
+
+A recording as a table: one row a tick, one column of each topic's; for a spreadsheet, numpy, or a data frame.
 
 A column is named ``NODE.TOPIC[COLUMN]_UNIT``, such as ``dx.sample[x]_m``. Every number is exact, and not a number where
 the recording has none.
@@ -7,22 +13,163 @@ the recording has none.
 from __future__ import annotations
 
 import csv
+import math
+import os
+import re
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.files import replacing
-from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import Run, Trace
-from manyhands.nodes.recorder.layout import Recorded
-from manyhands.protocol.topics import DISPLACEMENT, FORCE, topic_name
+from manyhands.design.files import open_regular, replacing
+from manyhands.launch.recordings.recording import Array, Recording, RecordingError, require_format
+from manyhands.launch.recordings.run import (
+    MOST_MISSING,
+    Gatherer,
+    RecordedRun,
+    RecordedTrace,
+    cut_at,
+    read_topics,
+    require_beginning,
+    span_of,
+)
+from manyhands.launch.session.motion import read_arrays
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, topic_name, topics_of
+from manyhands.protocol.messages import Role
 
-Array = NDArray[np.float64]
+MOST_BYTES: Final = 4 * 2**30
+"""Longest file (of ``.npz``: of what is packed in it) that is read."""
+
+_ARRAYS: Final = ("x", "f_v", "ports", "period", "session", "certificate")
+_COLUMN = re.compile(r"(x|f_v)\[(.+)\]_(m|N)")
+_LINES_TOLD = 10_000  # lines between two words on how far the reading is
+
+
+def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a ``.npz`` or ``.csv`` recording; a ``.csv`` has no session's name but the file's, and no certificate.
+
+    Args:
+        path: the file.
+        progress: told how far it is, 0 ... 1.
+
+    Raises:
+        RecordingError: another suffix, not readable, or no such recording.
+    """
+    require_format(path, (".npz", ".csv"))
+    try:
+        recording = _npz(path) if path.suffix == ".npz" else _csv(path, progress or (lambda _part: None))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise RecordingError(f"{path}: found more than this machine has memory for; expected a smaller file") from error
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"{path}: found no recording: {error}; expected what simulate -o writes") from error
+    if len(recording.x) < 1 or not recording.ports:
+        raise RecordingError(f"{path}: found no ticks; expected at least one")
+    return recording
+
+
+def _npz(path: Path) -> Recording:
+    data = read_arrays(path, (_ARRAYS,), MOST_BYTES)
+    x, f_v = (np.asarray(data[name], dtype=np.float64) for name in ("x", "f_v"))
+    ports = tuple(str(port) for port in data["ports"])
+    period = float(data["period"])
+    session, certificate = str(data["session"]), str(data["certificate"])
+    if x.ndim != 2 or x.shape != f_v.shape or x.shape[1] != len(ports):
+        raise ValueError(f"x of shape {x.shape} and f_v of {f_v.shape} for {len(ports)} ports")
+    if not 0.0 < period < math.inf:
+        raise ValueError(f"the period {period:g} s")
+    return Recording(session, certificate, period, ports, x, f_v)
+
+
+def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
+    with TextIOWrapper(open_regular(path, MOST_BYTES), newline="", encoding="utf-8") as file:
+        size = os.fstat(file.fileno()).st_size
+        ports, values = _rows(file, lambda: progress(os.lseek(file.fileno(), 0, os.SEEK_CUR) / max(size, 1)))
+    m = len(ports)
+    table: Array = np.frombuffer(values, dtype=np.float64).reshape(-1, 2 + 2 * m)
+    ticks, time = table[:, 0], table[:, 1]
+    if len(table) < 2:
+        raise ValueError(f"{len(table)} lines of ticks, which show no period")
+    period = float(time[-1] / (len(time) - 1))
+    if not np.array_equal(ticks, np.arange(len(table))) or not 0.0 < period < math.inf:
+        raise ValueError("ticks that do not go on one by one from 0, or no time with them")
+    return Recording(path.stem, "", period, ports, table[:, 2 : 2 + m], table[:, 2 + m :])
+
+
+def _rows(file: TextIO, tell: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
+    """The ports of the heading, and every number below it."""
+    reader = csv.reader(file, strict=True)
+    try:
+        head = next(reader, [])
+        found = [_COLUMN.fullmatch(name) for name in head[2:]]
+        names = [(match[1], match[2]) for match in found if match]
+        ports = tuple(port for kind, port in names if kind == "x")
+        if head[:2] != ["tick", "time_s"] or names != [(kind, port) for kind in ("x", "f_v") for port in ports]:
+            raise ValueError(f"the heading {','.join(head)[:80]!r}")
+        values: array[float] = array("d")
+        for row in reader:
+            if len(row) != len(head):
+                raise ValueError(f"line {reader.line_num}: {len(row)} columns beside {len(head)} of the heading")
+            values.extend(map(float, row))
+            if reader.line_num % _LINES_TOLD == 0:
+                tell()
+    except csv.Error as error:
+        raise ValueError(f"line {reader.line_num}: {error}") from error
+    return ports, values
+
+
+_SIGNALS = (DISPLACEMENT, FORCE)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read x and f_v of an ``.mcap`` recording of this program, whole or cut anywhere behind its beginning.
+
+    What devices did not record, or what is lost with the end of a file that was cut, is NaN up to the last tick that
+    any device recorded, and counted in ``missing``. A tick is recorded where both its x and its f_v are.
+
+    Raises:
+        RecordingError: not readable, no such recording, larger than is read, or cut before it says what it is.
+    """
+    sample, force = (next(t.name for t in topics_of(Role.DEVICE) if t.trace == signal) for signal in _SIGNALS)
+    reading = read_topics(path, lambda node, topic: topic.name in (sample, force))
+    recorded, gatherers = reading.recorded, reading.gatherers
+    span = span_of([*gatherers.values()], MOST_MISSING)
+    require_beginning(path, span.start)
+    columns = [
+        _signal_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices
+    ]
+    coverages = {device: Coverage() for device in recorded.devices}
+    for coverage, (_, _, told) in zip(coverages.values(), columns, strict=True):
+        coverage.take_each(np.flatnonzero(told))
+    ticks = max(coverage.next for coverage in coverages.values())
+    return Recording(
+        recorded.session,
+        recorded.certificate,
+        recorded.period,
+        tuple(port for ports in recorded.devices.values() for port in ports),
+        np.hstack([x[:ticks] for x, _, _ in columns]),
+        np.hstack([f_v[:ticks] for _, f_v, _ in columns]),
+        missing_by_party(coverages, 0, ticks),
+        None if reading.why is None else cut_at(reading.why, ticks),
+    )
+
+
+def _signal_columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Both signals of a device, x and f_v, and the ticks of which both were told; NaN in the others."""
+    (x, x_told), (f_v, f_told) = sample.rows(span), force.rows(span)
+    told = x_told & f_told
+    x[~told] = f_v[~told] = np.nan
+    return x, f_v, told
+
+
 Progress = Callable[[float], None]
 
 TICK: Final = "tick"
@@ -30,7 +177,7 @@ TIME: Final = "time_s"
 _ROWS: Final = 2048  # that are turned into text at a time
 
 
-def chosen(run: Run, patterns: Sequence[str]) -> dict[tuple[str, str], Trace]:
+def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
     """The traces that are meant: all without patterns.
 
     Args:
@@ -54,7 +201,7 @@ def chosen(run: Run, patterns: Sequence[str]) -> dict[tuple[str, str], Trace]:
     return {key: trace for key, trace in run.traces.items() if not patterns or key in meant}
 
 
-def column_names(node: str, trace: Trace) -> list[str]:
+def column_names(node: str, trace: RecordedTrace) -> list[str]:
     """The names of a trace's columns in a table."""
     return [f"{node}.{trace.topic.name}[{column}]_{trace.topic.unit}" for column in trace.columns]
 
@@ -70,7 +217,9 @@ def about(recorded: Recorded) -> dict[str, str]:
     }
 
 
-def export(run: Run, path: Path, to: str, patterns: Sequence[str] = (), progress: Progress | None = None) -> None:
+def export(
+    run: RecordedRun, path: Path, to: str, patterns: Sequence[str] = (), progress: Progress | None = None
+) -> None:
     """Write a recording as a table, whole or not at all.
 
     Args:
@@ -92,10 +241,10 @@ def export(run: Run, path: Path, to: str, patterns: Sequence[str] = (), progress
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-Traces = Mapping[tuple[str, str], Trace]
+Traces = Mapping[tuple[str, str], RecordedTrace]
 
 
-def _save_csv(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
+def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     time, ticks = run.time, run.ticks
     text = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text)
@@ -108,14 +257,14 @@ def _save_csv(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> N
     text.detach()  # flushes it, and leaves the file open
 
 
-def _columns(run: Run, traces: Traces) -> dict[str, NDArray[Any]]:
+def _table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
     out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
     for key, trace in traces.items():
         out |= dict(zip(column_names(key[0], trace), trace.values.T, strict=True))
     return out
 
 
-def _save_npz(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
+def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     recorded = run.recorded
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
@@ -123,11 +272,11 @@ def _save_npz(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> N
         every = [t.values for (node, _), t in traces.items() if node in recorded.devices and t.topic.trace == name]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
-    np.savez(file, **arrays | _columns(run, traces))
+    np.savez(file, **arrays | _table_columns(run, traces))
     progress(1.0)
 
 
-def _save_parquet(run: Run, traces: Traces, file: BinaryIO, progress: Progress) -> None:
+def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     try:
         import pyarrow as pa
         from pyarrow import parquet
@@ -136,12 +285,14 @@ def _save_parquet(run: Run, traces: Traces, file: BinaryIO, progress: Progress) 
             "--to parquet: found no pyarrow, which writes such files; expected it: pip install 'manyhands[parquet]'"
         ) from error
     told = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
-    table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in _columns(run, traces).items()})
+    table = pa.table(
+        {name: pa.array(np.ascontiguousarray(values)) for name, values in _table_columns(run, traces).items()}
+    )
     parquet.write_table(table.replace_schema_metadata(told), file)
     progress(1.0)
 
 
-FORMATS: Final[Mapping[str, Callable[[Run, Traces, BinaryIO, Progress], None]]] = {
+FORMATS: Final[Mapping[str, Callable[[RecordedRun, Traces, BinaryIO, Progress], None]]] = {
     "csv": _save_csv,
     "npz": _save_npz,
     "parquet": _save_parquet,

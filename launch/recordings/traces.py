@@ -1,7 +1,7 @@
 """What every node of a session would tell of its ticks, kept by a simulation of it.
 
-A node's telemetry holds one row a tick of each of its topics (:mod:`manyhands.protocol.topics`). Here are the same rows
-by the same names, but for tau, which is the machine's and not the session's.
+A node's telemetry holds one row a tick of each of its topics (:mod:`manyhands.protocol.channels`). Here are the same
+rows by the same names, but for tau, which is the machine's and not the session's.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.bundles import mass_names
-from manyhands.launch.plan import Plan
-from manyhands.nodes.ledger import Ledger
-from manyhands.protocol.topics import LEDGER, TAU, Topic, topics_of
+from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.plan import Plan
+from manyhands.nodes.passivity import Ledger
+from manyhands.protocol.channels import LEDGER, TAU, Topic, topics_of
 
 Array = NDArray[np.float64]
 

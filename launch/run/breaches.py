@@ -11,6 +11,14 @@ environment's word may come later than the device's; so a telemetry is judged on
 A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
 time, so that the number of changes grows with the logarithm of time.
+
+What telemetry says of the certificate's assumptions: told to people at once and once, and judged by the policy.
+
+What a session withstands of its users' energy, in sentences for people: who was held to a budget, and who let go.
+
+A device that is beyond its limits knows that it is, and not what moved it. The environment knows whose energy went
+where (:mod:`manyhands.nodes.environment.energy`). Here the two come together, so that the sentence names the supplier
+and not the one who was moved. Pure: telemetry goes in, sentences come out.
 """
 
 from __future__ import annotations
@@ -22,7 +30,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Protocol
 
+import numpy as np
+
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME
+from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.01
 """Of the ticks between two telemetry messages, so many may break an assumption: every machine is late now and then."""
@@ -90,7 +105,7 @@ REMEDIES: Final[Mapping[tuple[Policy, Breach], Remedy]] = {
 _COUNTS: Final = {Breach.DELAY: names.TAU_BREACHES, Breach.PERIOD: names.PERIOD_BREACHES}
 
 
-class Ladder(Protocol):
+class CertifiedLadder(Protocol):
     """Couplings that were certified beforehand for longer delays."""
 
     @property
@@ -167,7 +182,7 @@ class BreachPolicy:
         chains: Mapping[str, tuple[str, ...]],
         tau: float,
         period: float,
-        ladder: Ladder | None,
+        ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
     ) -> None:
         """Nothing has been measured yet.
@@ -348,3 +363,164 @@ def _longest_delay(figures: Mapping[str, float]) -> float:
         if math.isfinite(told := figures.get(name, math.nan)):
             return told * 1e-6
     return math.inf
+
+
+class Assumptions:
+    """The assumptions of one run.
+
+    Attributes:
+        notices: those found broken, in words, by what each is about.
+    """
+
+    def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
+        """Nothing has been heard yet.
+
+        Args:
+            prepared: the session with its coupling and certificate.
+            graph: its nodes and links.
+            clock: "realtime" or "simulated"; nothing is late under the simulated one.
+            rungs: the rung of the ladder that each coupling was changed to.
+        """
+        session, certificate = prepared.session, prepared.certificate
+        devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
+        chains = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
+        self._policy = BreachPolicy(
+            Policy(session.faults.breach),
+            chains if certificate is not None and clock == REALTIME else {},
+            0.0 if certificate is None else certificate.tau,
+            session.period,
+            prepared.ladder,
+            rungs,
+        )
+        self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
+        self._chains, self._moved = chains, dict[str, float]()
+        self._policy.take_waits(0, {})  # the environment tells who was waited for, from the first tick on
+        self.notices: dict[str, str] = {}
+
+    def forget(self, node: str) -> None:
+        """``node`` has a new process, which counts from 0."""
+        self._policy.forget(node)
+
+    def check(self, node: str, telemetry: Telemetry) -> list[ShiftCoupling | EndSession]:
+        """Take what is to be told of ``node`` into the notices; returns what is to be done."""
+        deeds: list[ShiftCoupling | EndSession] = []
+        if node == ENVIRONMENT:
+            self._moved = {key: J for key, J in telemetry.figures.items() if key.startswith(names.MOVED)}
+            decisions = self._policy.take_waits(telemetry.tick, self._late_ticks(telemetry))
+        else:
+            tau = telemetry.traces.get(names.TAU, _NO_TAU)
+            decisions = self._policy.judge(node, telemetry.tick, telemetry.figures, (tau.ravel() * 1e-6).tolist())
+        for decision in decisions:
+            if isinstance(decision, Notice):
+                self.notices.setdefault(decision.key, decision.text)
+            else:
+                deeds.append(decision)
+        if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
+            text = f"{node}: a force was clipped to the limits; the certificate is about forces within them"
+            self.notices.setdefault(f"{node} limits", text + self._moved_by(node))
+        return deeds
+
+    def _moved_by(self, node: str) -> str:
+        """Who moved a device or a coupling most, where the environment has told of anybody, in words."""
+        couplings = self._chains.get(node, (node,))
+        by: dict[str, float] = {}
+        for key, energy in self._moved.items():
+            supplier, _, receiver = key.removeprefix(names.MOVED).partition("/")
+            if receiver in couplings and energy > 0.0:
+                by[supplier] = by.get(supplier, 0.0) + energy
+        most = max(by, key=by.__getitem__, default=None)
+        return "" if most is None else f"; of all others {most} has put the most energy into it, {by[most]:.3g} J"
+
+    def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
+        """In which ticks the others waited, by whom they waited for; who was frozen for it is told to people."""
+        for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
+            if lateness.frozen:
+                text = f"{name} made the others wait, and was frozen for it; nobody else is softened"
+                self.notices.setdefault(f"{name} late", text)
+        traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
+        return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}
+
+
+_NO_TAU: Final = np.empty((0, 1))
+
+
+QUIET: Final = 10.0
+"""s between two sentences about the same party: who comes back by a ramp may be beyond its limits again at once."""
+
+
+class EnergyIncidents:
+    """The incidents of one run."""
+
+    def __init__(self, graph: Topology, period: float) -> None:
+        """Nothing has been heard yet."""
+        devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
+        self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
+        self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}
+        self._quiet = QUIET / period
+        self._moved: dict[tuple[str, str], float] = {}  # J, by supplier and receiver
+        self._then: dict[str, dict[tuple[str, str], float]] = {}  # the same at a device's last sentence
+        self._counts: dict[str, float] = {}
+        self._awaiting: dict[str, int] = {}  # a device that let go, and the tick up to which the environment must tell
+        self._next: dict[str, float] = {}  # tick from which on there is a sentence again
+
+    def forget(self, node: str) -> None:
+        """``node`` has a new process, which counts from 0."""
+        self._counts.pop(node, None)
+        if node in self._worlds:
+            self._moved, self._then = {}, {}
+            self._counts = {key: count for key, count in self._counts.items() if key in self._couplings}
+
+    def hear(self, node: str, telemetry: Telemetry) -> list[str]:
+        """What a node's telemetry says of it."""
+        figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
+        if node in self._worlds:
+            out = list(self._budgets(telemetry.tick, figures))
+            for device in [device for device, tick in self._awaiting.items() if tick <= telemetry.tick]:
+                del self._awaiting[device]
+                out.append(self._let_go(device))
+            return out
+        if node in self._couplings and self._grown(node, figures.get(names.LET_GO, 0.0), telemetry.tick):
+            self._awaiting[node] = telemetry.tick
+        return []
+
+    def _budgets(self, tick: int, figures: Mapping[str, float]) -> Iterator[str]:
+        for name, value in figures.items():
+            supplier, found, receiver = name.removeprefix(names.MOVED).partition("/")
+            if found and name.startswith(names.MOVED):
+                self._moved[supplier, receiver] = value
+            elif name.startswith(names.STOPS):
+                party = name.removeprefix(names.STOPS)
+                if self._grown(party, value, tick):
+                    given = figures.get(f"{names.GIVEN}{party}", 0.0)
+                    yield (
+                        f"{self._who(party)} was beyond its energy budget, and was stopped until it is within it "
+                        f"again; it has put {given:.3g} J into the others so far"
+                    )
+
+    def _let_go(self, device: str) -> str:
+        couplings, before = self._couplings[device], self._then.get(device, {})
+        by: dict[str, float] = {}
+        for (supplier, receiver), total in self._moved.items():
+            if receiver in couplings:
+                by[supplier] = by.get(supplier, 0.0) + total - before.get((supplier, receiver), 0.0)
+        self._then[device] = dict(self._moved)
+        text = f"{device} was beyond its limits of displacement or speed, and let go until it is within them again"
+        most = max(by, key=by.__getitem__, default=None)
+        if most is None or by[most] <= 0.0:
+            return f"{text}; nobody else has moved it"
+        return (
+            f"{text}; of others it had received {sum(by.values()):.3g} J, {by[most]:.3g} J of it from {self._who(most)}"
+        )
+
+    def _who(self, coupling: str) -> str:
+        devices = [device for device, couplings in self._couplings.items() if coupling in couplings]
+        return f"{coupling} ({', '.join(devices)})"
+
+    def _grown(self, key: str, count: float, tick: int) -> bool:
+        """Whether ``count`` has grown, and there was no sentence about it lately."""
+        grown = count > self._counts.get(key, 0.0)
+        self._counts[key] = count
+        if not grown or tick < self._next.get(key, 0.0):
+            return False
+        self._next[key] = tick + self._quiet
+        return True

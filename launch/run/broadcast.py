@@ -1,7 +1,9 @@
 """What a running session shows to whoever may enter its directory: a description, and then all that its nodes tell.
 
-This is the supervisor's end; :mod:`manyhands.launch.looking` is the other one. Nobody is waited for, and nothing that
+This is the supervisor's end; :mod:`manyhands.launch.observe` is the other one. Nobody is waited for, and nothing that
 anybody looks at reaches a node.
+
+The observers of a session: of each node's telemetry each is told the part that it may read, and nothing else.
 """
 
 from __future__ import annotations
@@ -16,15 +18,20 @@ import numpy as np
 
 from manyhands.design.certificate import Certificate
 from manyhands.design.files import open_new
-from manyhands.launch.outcome import Progress
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.session import Interval, NetworkEnvironment, Session
+from manyhands.launch.plan.access import observed
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.reach import Reach
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, Session
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED
-from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import Condition, Observation, Telemetry, presentable
-from manyhands.protocol.transport.gallery import Gallery
+from manyhands.protocol.transport import Link, Transport
+from manyhands.protocol.transport.broadcast import Broadcast
 
 
 def observation_frame(node: str, telemetry: Telemetry) -> bytes | None:
@@ -129,7 +136,7 @@ class Showing:
         Raises:
             OSError, TransportError: it cannot be opened there.
         """
-        self._gallery = Gallery(directory)
+        self._gallery = Broadcast(directory)
         try:
             for name, data in files.items():
                 with open_new(directory / name, mode=0o600) as file:
@@ -147,3 +154,61 @@ class Showing:
     def close(self) -> None:
         """Close it. A second time does nothing."""
         self._gallery.close()
+
+
+TRACE_OF: Mapping[str, str] = {
+    "sample": names.DISPLACEMENT,
+    "force": names.FORCE,
+    "tool": names.FREE_POSITION,
+    "reaction": names.FORCE,
+}
+"""The trace of a node's telemetry that holds what went over a channel of its."""
+
+
+def visible(node: str, telemetry: Telemetry, channels: Collection[str]) -> Observation | None:
+    """The observation of ``node`` for somebody who may read these of its channels; None if that is nothing.
+
+    Figures belong to the channel ``telemetry``; each trace to the signal it holds.
+    """
+    wanted = {TRACE_OF[channel] for channel in channels if channel in TRACE_OF}
+    traces = {name: trace for name, trace in telemetry.traces.items() if name in wanted}
+    figures = telemetry.figures if "telemetry" in channels else {}
+    return Observation(node, telemetry.tick, figures, traces) if traces or figures else None
+
+
+class ObserverBroadcast:
+    """The observers, each with a link of its own, on which the supervisor speaks and never listens.
+
+    Attributes:
+        missed: observations that nobody was there to take, that were not taken fast enough, or that are too long, with
+            the name of their node, to be sent on.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._channels = {observer: observed(session, observer) for observer in session.observers}
+        self._links: dict[str, Link] = {}
+        self.missed = 0
+
+    def serve(self, transport: Transport, reach: Reach, graph: Topology) -> Mapping[str, str]:
+        """Bind a link for each observer; returns their endpoints."""
+        endpoints = {}
+        for index, observer in enumerate(self._channels):
+            address = reach.observer_address(graph, index)
+            self._links[observer], endpoints[observer] = transport.bind_outlet(
+                f"{SUPERVISOR}-{observer}", observer, address
+            )
+        return endpoints
+
+    def tell(self, node: str, telemetry: Telemetry) -> None:
+        """Pass on to each observer what it may know; who does not keep up misses it, and nobody waits."""
+        for observer, link in self._links.items():
+            observation = visible(node, telemetry, self._channels[observer].get(node, ()))
+            if observation is not None and not _send(link, observation):
+                self.missed += 1
+
+
+def _send(link: Link, observation: Observation) -> bool:
+    try:
+        return link.send(encode(observation))
+    except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+        return False

@@ -2,7 +2,9 @@
 
 The nodes' states and what moves them stand in :data:`TRANSITIONS`. The session as a whole starts up, runs, ends
 and is over; the first thing that goes wrong is its reason, and everything after that is only clearing up. What a
-running session withstands is the business of :mod:`manyhands.launch.recovery`.
+running session withstands is the business of :mod:`manyhands.launch.run.recovery`.
+
+Who may join a session, and what is said at the door: hellos go in, answers come out.
 """
 
 from __future__ import annotations
@@ -10,16 +12,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from manyhands.launch.endings import ending, signal_name
-from manyhands.launch.incidents import Incidents
-from manyhands.launch.instructions import Instruction, Kill, KillProcess, Release, Send, StartProcess, Terminate
-from manyhands.launch.node_states import RETURNING, TRANSITIONS, NodeState, Phase
-from manyhands.launch.reception import Reception
-from manyhands.launch.recovery import Recovery
-from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.topology import Topology
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.recovery import Recovery, RestartBudget
+from manyhands.launch.run.states import (
+    RETURNING,
+    TRANSITIONS,
+    Incidents,
+    Instruction,
+    Kill,
+    NodeState,
+    ReleaseName,
+    Send,
+    SessionPhase,
+    Terminate,
+    ending,
+)
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
+from manyhands.protocol.handshake import check_node_hello
 from manyhands.protocol.messages import (
+    Connect,
     Echo,
     Fault,
     NodeHello,
@@ -35,22 +46,53 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
+
+@dataclass(frozen=True)
+class Reception:
+    """What a hello is held against.
+
+    Attributes:
+        graph: the session's nodes and links.
+        certificate: the id that all nodes must share.
+        session: the session's name.
+    """
+
+    graph: Topology
+    certificate: str
+    session: str
+
+    def refusal(self, sender: str, hello: NodeHello | ForeignHello) -> Refusal | None:
+        """Why ``sender`` is no node of this session; None if it is one."""
+        binds = [link.connector for link in self.graph.links_of(sender) if link.binder == sender]
+        return check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
+
+    def connects(self, endpoints: Mapping[tuple[str, str], str]) -> list[Instruction]:
+        """All nodes are here: where each finds its peers, from the ``endpoints`` by binder and connector."""
+        out: list[Instruction] = []
+        for node in self.graph.nodes:
+            binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
+            out.append(Send(node, Connect({binder: endpoints.get((binder, node), "") for binder in binders})))
+        return out
+
+    def greet_observer(
+        self, name: str, hello: NodeHello | ForeignHello, places: Mapping[str, str]
+    ) -> list[Instruction]:
+        """Tell an observer where it is served, or refuse it; either way the next one of its name may come.
+
+        Args:
+            name: the observer.
+            hello: what it said.
+            places: where each observer is served.
+        """
+        roles = {**self.graph.nodes, **dict.fromkeys(places, Role.OBSERVER)}
+        refusal = check_node_hello(hello, self.certificate, self.session, roles, name)
+        if refusal is not None:
+            return [Send(name, refusal), ReleaseName(name)]
+        endpoints = {Role.SUPERVISOR.value: places[name]}
+        return [Send(name, Welcome()), Send(name, Connect(endpoints)), ReleaseName(name)]
+
+
 # what a decision is made of lives next door; who carries it out need not know that
-__all__ = [
-    "EPOCH_DELAY_NS",
-    "TRANSITIONS",
-    "Conductor",
-    "Instruction",
-    "Kill",
-    "KillProcess",
-    "NodeState",
-    "Phase",
-    "Release",
-    "Send",
-    "StartProcess",
-    "Terminate",
-    "signal_name",
-]
 
 
 @dataclass
@@ -83,7 +125,7 @@ class Conductor:
     observers: Mapping[str, str] = field(default_factory=dict)
     budget: RestartBudget = field(default_factory=RestartBudget)
     together: bool = False
-    phase: Phase = Phase.STARTING
+    phase: SessionPhase = SessionPhase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
     left: dict[str, Report] = field(default_factory=dict)
@@ -129,7 +171,7 @@ class Conductor:
         if state is None:
             self.ignored += 1
             return []
-        if isinstance(received, Offer) and self.phase is Phase.RUNNING:
+        if isinstance(received, Offer) and self.phase is SessionPhase.RUNNING:
             told = self._recovery.hear_offer(sender, received, now)
             return self._out_of_turn(sender) if told is None else told
         if isinstance(received, Malformed):
@@ -171,15 +213,15 @@ class Conductor:
 
     def look(self, now: int) -> list[Instruction]:
         """What falls due by time alone: a return that takes too long."""
-        return self._withstood(self._recovery.overdue(now)) if self.phase is Phase.RUNNING else []
+        return self._withstood(self._recovery.overdue(now)) if self.phase is SessionPhase.RUNNING else []
 
     def shift(self, coupling: str, rung: int) -> list[Instruction]:
         """Have ``coupling`` changed to ``rung`` of the ladder."""
-        return self._recovery.shift(coupling, rung) if self.phase is Phase.RUNNING else []
+        return self._recovery.shift(coupling, rung) if self.phase is SessionPhase.RUNNING else []
 
     def stop(self, reason: str) -> list[Instruction]:
         """End the session because of what a node has measured; ``reason`` is told as its fault."""
-        return self._fail(reason) if self.phase is Phase.RUNNING else []
+        return self._fail(reason) if self.phase is SessionPhase.RUNNING else []
 
     def tell(self, sentence: str, now: int) -> None:
         """Something happened that the session withstands."""
@@ -200,12 +242,12 @@ class Conductor:
     def too_late(self) -> list[Instruction]:
         """The time for the present phase is over: start-up failed, or a process does not end."""
         match self.phase:
-            case Phase.STARTING:
+            case SessionPhase.STARTING:
                 waiting = (f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
                 return self._fail(f"not every node became ready in time; still waiting for {', '.join(waiting)}")
-            case Phase.RUNNING if self.reports:
+            case SessionPhase.RUNNING if self.reports:
                 return self._leave_behind()
-            case Phase.ENDING:
+            case SessionPhase.ENDING:
                 for node in self.remote:  # which nobody here can kill
                     self.states[node] = NodeState.ENDED
                 self._over_if_all_ended()
@@ -214,7 +256,7 @@ class Conductor:
 
     def _is_awaited(self, node: str, hello: NodeHello | ForeignHello) -> bool:
         """Whether a hello of ``node`` is in turn."""
-        if node in self.remote and self.phase is Phase.RUNNING:
+        if node in self.remote and self.phase is SessionPhase.RUNNING:
             return self.states[node] is NodeState.LOST
         pid = self._recovery.pids.get(node)
         ours = pid is None or not isinstance(hello, NodeHello) or hello.pid == pid
@@ -222,7 +264,7 @@ class Conductor:
 
     def _out_of_turn(self, node: str) -> list[Instruction]:
         self.ignored += 1
-        return self._recovery.disown(node) if self.phase is Phase.RUNNING else []
+        return self._recovery.disown(node) if self.phase is SessionPhase.RUNNING else []
 
     def _greet(self, sender: str, hello: NodeHello | ForeignHello, now: int) -> list[Instruction]:
         """Accept or refuse a node."""
@@ -230,7 +272,7 @@ class Conductor:
         if refusal is not None:
             return [Send(sender, refusal), *self._refused(sender, refusal, now)]
         endpoints = dict(hello.endpoints) if isinstance(hello, NodeHello) else {}
-        if self.phase is Phase.RUNNING:
+        if self.phase is SessionPhase.RUNNING:
             return [Send(sender, Welcome()), *self._recovery.greet(sender, endpoints, now)]
         self.states[sender] = NodeState.WELCOMED
         self._endpoints.update({(sender, peer): endpoint for peer, endpoint in endpoints.items()})
@@ -241,27 +283,29 @@ class Conductor:
         if sender not in self.states:  # a stranger: no reason to end a session that is not its own
             self.ignored += 1
             return []
-        if self.phase is not Phase.RUNNING:
+        if self.phase is not SessionPhase.RUNNING:
             self.states[sender] = NodeState.FAULTED  # heard once; what it says after that is out of turn
             return self._fail(refusal.text)
         if sender in self.remote:  # it stays lost; its user may come with the right bundle
             self.ignored += 1
-            return [Release(sender)]
+            return [ReleaseName(sender)]
         return self._withstood(self._recovery.lose(sender, f"was refused: {refusal.text}", now, alive=True))
 
     def _connect_if_all_here(self) -> list[Instruction]:
         """Once all are here, tell each where its peers are."""
-        if self.phase is not Phase.STARTING or set(self.states.values()) != {NodeState.WELCOMED}:
+        if self.phase is not SessionPhase.STARTING or set(self.states.values()) != {NodeState.WELCOMED}:
             return []
         self.states.update(dict.fromkeys(self.states, NodeState.CONNECTED))
         return self._reception.connects(self._endpoints)
 
     def _ready(self, sender: str, now: int) -> list[Instruction]:
-        if self.phase is Phase.RUNNING:
+        if self.phase is SessionPhase.RUNNING:
             return self._recovery.ready(sender, now)
-        if self.phase is not Phase.STARTING or any(state is not NodeState.READY for state in self.states.values()):
+        if self.phase is not SessionPhase.STARTING or any(
+            state is not NodeState.READY for state in self.states.values()
+        ):
             return []
-        self.phase = Phase.RUNNING
+        self.phase = SessionPhase.RUNNING
         start = self._recovery.start = Start(now + EPOCH_DELAY_NS, self.ticks)
         for node in self.graph.nodes:
             self.states[node] = NodeState.RUNNING
@@ -271,14 +315,14 @@ class Conductor:
 
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
         told: list[Instruction] = [Send(sender, Stop("reported"))]
-        early = self.phase is Phase.RUNNING and not 0 < self.ticks <= report.ticks
+        early = self.phase is SessionPhase.RUNNING and not 0 < self.ticks <= report.ticks
         if early and self._does_without(sender):
             self.left[sender] = report
             return told + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
         self.reports[sender] = report
         if early:  # the others would wait for it for ever
             told += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
-        elif self.phase is Phase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
+        elif self.phase is SessionPhase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
             told += self._recovery.close(now)
         self._gone_if_remote(sender)
         return told
@@ -286,12 +330,17 @@ class Conductor:
     def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
         """A node ends by its own decision: the session's end, unless it is a guest's or was only on its way back."""
         told: list[Instruction] = [Send(sender, Stop("heard"))]
-        if self.phase is Phase.RUNNING and state in RETURNING:
+        if self.phase is SessionPhase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
             return told + self._withstood(lost)
-        if self.phase is Phase.RUNNING and self._does_without(sender):  # or a guest could end it by one word
+        if self.phase is SessionPhase.RUNNING and self._does_without(sender):  # or a guest could end it by one word
             return told + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
-        if self.phase is Phase.STARTING and state is NodeState.WELCOMED and sender in self.remote and not self.together:
+        if (
+            self.phase is SessionPhase.STARTING
+            and state is NodeState.WELCOMED
+            and sender in self.remote
+            and not self.together
+        ):
             return told + self._awaited_again(sender, text)
         told += self._fail(text)
         self._gone_if_remote(sender)
@@ -306,11 +355,11 @@ class Conductor:
         self.states[guest] = NodeState.STARTING
         self._endpoints = {ends: place for ends, place in self._endpoints.items() if ends[0] != guest}
         self.incidents.tell(f"{why}; the session waits for {guest} again")
-        return [Release(guest)]
+        return [ReleaseName(guest)]
 
     def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
         state = self.states[node]
-        if self.phase is Phase.RUNNING:
+        if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))
             if self.budget.restarts > 0 and (state is NodeState.RUNNING or state in RETURNING):
@@ -318,7 +367,7 @@ class Conductor:
         self.states[node] = NodeState.ENDED
         out: list[Instruction] = []
         expected = (NodeState.REPORTED, NodeState.FAULTED, NodeState.LEAVING)
-        if state not in expected and self.phase is not Phase.ENDING:
+        if state not in expected and self.phase is not SessionPhase.ENDING:
             out = self._fail(f"{node} {how} while {state}")
         self._over_if_all_ended()
         return out
@@ -338,7 +387,7 @@ class Conductor:
 
     def _over_if_all_ended(self) -> None:
         if all(state is NodeState.ENDED for state in self.states.values()):
-            self.phase = Phase.OVER
+            self.phase = SessionPhase.OVER
 
     def _leave_behind(self) -> list[Instruction]:
         """Some were done long ago and others are not: no fault of the session if the environment is among the done."""
@@ -353,9 +402,9 @@ class Conductor:
         return self._end()
 
     def _end(self) -> list[Instruction]:
-        if self.phase in (Phase.ENDING, Phase.OVER):
+        if self.phase in (SessionPhase.ENDING, SessionPhase.OVER):
             return []
-        self.phase = Phase.ENDING
+        self.phase = SessionPhase.ENDING
         farewell = [Send(node, Stop("the session ends")) for node in self.graph.nodes if node in self.remote]
         for node, state in self.states.items():
             if node in self.awaited or state in (NodeState.LOST, NodeState.GONE):

@@ -22,12 +22,12 @@ import yaml
 from manyhands.design.certificate import to_json
 from manyhands.design.files import naming, replacing
 from manyhands.launch.files import TargetError
-from manyhands.launch.report import save_json
+from manyhands.launch.run.outcome import save_json
 from manyhands.nodes.log import LOG_FOLDER
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
 
 if TYPE_CHECKING:
-    from manyhands.launch.preparation import Prepared
+    from manyhands.launch.plan.prepare import Prepared
 
 _PREFIX = "manyhands-"
 _FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC

@@ -1,24 +1,81 @@
-"""What a person sees while a session runs: one table that updates, or plain lines where there is no terminal."""
+"""What a person sees while a session runs: one table that updates, or plain lines where there is no terminal.
+
+Which figures of a node a table shows while a session runs, in which order and form: one place for all tables.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.columns import COLUMNS, energy_line
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.outcome import Progress
 from manyhands.launch.output import has_room, lost_at
-from manyhands.launch.topology import Topology
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Telemetry
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        title: above it, with its unit.
+        figure: the figure of a node's telemetry that it shows.
+        form: how, as :func:`format` has it.
+        rank: where there is little room the columns of the highest rank are left out first.
+    """
+
+    title: str
+    figure: str
+    form: str
+    rank: int
+
+    def cell(self, figures: Mapping[str, float]) -> str:
+        """What stands in it; nothing where the node has no such figure."""
+        value = figures.get(self.figure)
+        return "" if value is None else format(value, self.form)
+
+
+COLUMNS: Final = (
+    Column("late", names.LATE, ".0f", 1),
+    Column("τ p50 [µs]", f"{names.TAU}_p50", ".0f", 4),
+    Column("τ p99 [µs]", f"{names.TAU}_p99", ".0f", 2),
+    Column("rung", names.RUNG, ".0f", 5),
+    Column("frozen", names.FROZEN, ".0f", 3),
+    Column("speed [m/s]", names.SPEED, ".2e", 7),
+    Column("ledger [J]", names.LEDGER, ".2e", 6),
+    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 8),
+    Column("refused", names.NOT_ADMITTED, ".0f", 9),
+)
+"""In the order in which they are shown."""
+
+LEAST_SHOWN: Final = 1e-3
+"""J below which nobody is said to have moved anybody."""
+
+MOST_SHOWN: Final = 6
+"""Pairs that are shown, those with the most energy."""
+
+
+def energy_line(figures: Mapping[str, float]) -> str:
+    """Who moved whom, and who is held to an energy budget, in a line; empty for nothing."""
+    pairs = ((value, *key.removeprefix(names.MOVED).partition("/")) for key, value in figures.items()
+             if key.startswith(names.MOVED) and value >= LEAST_SHOWN)  # fmt: skip
+    moved = [f"{supplier} → {receiver} {value:.3g}" for value, supplier, _, receiver in sorted(pairs, reverse=True)]
+    scaled = [key.removeprefix(names.SCALED) for key, value in figures.items() if key.startswith(names.SCALED)]
+    parts = [f"who moved whom [J]: {', '.join(moved[:MOST_SHOWN])}"] if moved else []
+    if len(moved) > MOST_SHOWN:
+        parts[0] += f" and {len(moved) - MOST_SHOWN} more"
+    return "; ".join([*parts, *([f"held to an energy budget: {', '.join(scaled)}"] if scaled else [])])
 
 
 @contextmanager
@@ -57,7 +114,7 @@ class LiveTable:
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._rates: dict[str, tuple[float, int, float]] = {}
         self._line_at = 0.0
-        self._phase: Phase | None = None
+        self._phase: SessionPhase | None = None
         self._said: set[str] = set()
         self._lost: str | None = None
 
@@ -110,7 +167,7 @@ class LiveTable:
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
             away = progress.states[name] in _AWAY
-            if telemetry is None or progress.phase is Phase.STARTING or away:
+            if telemetry is None or progress.phase is SessionPhase.STARTING or away:
                 table.add_row(name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS)))
                 continue
             rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)

@@ -1,6 +1,11 @@
 """The one keeper of child processes: started, watched through process file descriptors, ended and reaped.
 
 The supervisor keeps a session's nodes here, a recording its recorder, the doctor its probe.
+
+Ctrl-C, SIGTERM and what else a terminal sends, noted rather than raised, and a file descriptor that wakes a poll.
+
+An exception out of a signal handler can surface between any two instructions, a process just started and not
+yet written down among them. While processes run, the request is a flag.
 """
 
 from __future__ import annotations
@@ -10,9 +15,12 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Self
 
+from manyhands.nodes.lifetime import terminal_signals
 from manyhands.protocol.messages import Role
 
 _LOG_SHOWN = 2000  # characters of a process's own error output that a message quotes
@@ -133,3 +141,45 @@ class Processes:
         """The end of what a process wrote to its error output; empty if nothing, or if it was not started here."""
         path = self._directory / f"{name}.log"
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""
+
+
+_Handler = Callable[[int, FrameType | None], object] | int | None
+
+
+class Interrupt:
+    """While entered, SIGINT, SIGTERM, SIGHUP and SIGQUIT set :attr:`signal` and make :attr:`fd` readable.
+
+    SIGHUP stays ignored where it was, as under nohup.
+    """
+
+    def __init__(self) -> None:
+        self.signal: signal.Signals | None = None
+        self.fd, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._before: dict[signal.Signals, _Handler] = {}
+        self._fd_before = -1
+
+    def __enter__(self) -> Self:
+        self._fd_before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        for which in (signal.SIGINT, signal.SIGTERM, *terminal_signals()):
+            self._before[which] = signal.signal(which, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for which, handler in self._before.items():
+            signal.signal(which, handler)
+        signal.set_wakeup_fd(self._fd_before)
+        os.close(self.fd)
+        os.close(self._write)
+
+    def clear(self) -> None:
+        """Empty the pipe, so that :attr:`fd` wakes a poll only for what comes next."""
+        try:
+            while os.read(self.fd, 256):
+                continue
+        except BlockingIOError:
+            return
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self.signal = signal.Signals(number)

@@ -1,4 +1,6 @@
-"""The supervisor's end of a recorder: starts it, keeps it supplied, and tells what became of the recording.
+"""What a supervisor asks of whoever writes its run down while it goes on.
+
+The supervisor's end of a recorder: starts it, keeps it supplied, and tells what became of the recording.
 
 A recorder that does not keep up never holds up anyone in real time: what it has no room for is lost and counted. Under
 the simulated clock nothing may be lost: there ``has_room`` asks the supervisor to leave what nodes tell in the nodes'
@@ -15,22 +17,69 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from manyhands.launch.bundles import mass_names
-from manyhands.launch.conductor import signal_name
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.processes import Processes
-from manyhands.launch.recorder import Recorder
+from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.run_directory import kept_files
+from manyhands.launch.run.directory import kept_files
+from manyhands.launch.run.processes import Processes
+from manyhands.launch.run.states import signal_name
 from manyhands.nodes.bundle import SIMULATED
-from manyhands.nodes.recorder.layout import Recorded
-from manyhands.nodes.recorder.plan import Plan
-from manyhands.nodes.recorder.status import Closed, Lines, Ready, Status, Stopped, Taken
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.recorder.node import Closed, Lines, Plan, Ready, Status, Stopped, Taken
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Stop
 from manyhands.protocol.transport import Link, milliseconds
 from manyhands.protocol.transport.zeromq import ZmqTransport
+
+
+class Recorder:
+    """Who writes a run down while it goes on: here nobody, in :class:`RecorderProcess` a process of its own."""
+
+    def start(self, directory: Path) -> None:
+        """Start it; ``directory`` is the run's own."""
+
+    def await_ready(self, interrupt: int) -> None:
+        """Wait until it can be told something, or the descriptor ``interrupt`` is readable."""
+
+    @property
+    def fds(self) -> tuple[int, ...]:
+        """Descriptors to wait on; when one of them is readable, :meth:`attend`."""
+        return ()
+
+    @property
+    def has_room(self) -> bool:
+        """Whether what nodes tell should be read on; False only where nothing may be lost."""
+        return True
+
+    def tell(self, frame: bytes | None) -> None:
+        """Pass on what was told, now or when there is room for it; None is what is too long to be passed on."""
+
+    def attend(self, ready: set[int]) -> str | None:
+        """Hear what it says and supply it; returns why the recording has stopped, once, when that happens."""
+        return None
+
+    def finish(self, interrupt: int) -> str | None:
+        """The session is over: have the rest written, unless ``interrupt`` becomes readable; returns as ``attend``."""
+        return None
+
+    def close(self) -> None:
+        """End it if it still runs."""
+
+    @property
+    def missing(self) -> Mapping[str, int]:
+        """Ticks that were never told of, by device, those devices that miss some."""
+        return {}
+
+    @property
+    def failure(self) -> str | None:
+        """What is wrong with a recording that has to be whole, the simulated clock's; None if nothing is."""
+        return None
+
+    def as_plain(self) -> dict[str, Any]:
+        """What it adds to a report: ``recording``, unless there is none."""
+        return {}
+
 
 MOST_WAITING_BYTES: Final = 16 * 2**20
 """Of observations that the recorder has not asked for yet: seconds of the telemetry of a large session."""

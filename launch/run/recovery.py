@@ -8,21 +8,165 @@ them that connect to it are told where it is.
     lost -> starting -> connecting -> shaking hands -> running          (a node elsewhere: from lost to connecting)
 
 Nobody returns more often than the budget allows, and nobody once the environment is done: the session's ticks are its.
+
+The links of a running session, as far as the supervisor has to mend them.
+
+A link that lost one of its ends is cut. It can be joined again once there is a fresh place to meet at, which is the
+binder's to make: one that runs *offers* it when it is told of the absence, one that comes back names it in its hello.
+The connector is told of the place when it is there itself, and then the link is joined.
+
+How often a node may come back: a budget with a stable-start window.
+
+A node that ran for the whole window has a clean slate, so that a session of hours does not lose it by its fourth
+mishap; one that dies again and again soon after its start is given up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Final
 
-from manyhands.launch.incidents import Incidents
-from manyhands.launch.instructions import Instruction, KillProcess, Release, Send, StartProcess
-from manyhands.launch.link_states import Links, LinkState, other_end
-from manyhands.launch.node_states import OFFERING, RETURNING, NodeState
-from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.topology import LinkPlan, Topology
-from manyhands.protocol.clock import from_seconds
+from manyhands.launch.plan.topology import LinkPlan, Topology
+from manyhands.launch.run.states import (
+    OFFERING,
+    RETURNING,
+    Incidents,
+    Instruction,
+    KillProcess,
+    NodeState,
+    ReleaseName,
+    Send,
+    StartProcess,
+)
+from manyhands.protocol.clock import Duration, from_seconds
 from manyhands.protocol.messages import Absent, Connect, Offer, Return, Role, Shift, Start, Stop
+
+
+class LinkState(StrEnum):
+    """Where a link stands."""
+
+    JOINED = "joined"
+    CUT = "cut"
+    OFFERED = "offered"  # cut, and there is a fresh place that the connector has not been told of
+
+
+class LinkEvent(StrEnum):
+    """What happens to a link."""
+
+    BINDER_LOST = "binder lost"
+    CONNECTOR_LOST = "connector lost"
+    PLACE = "place"  # the binder has bound a fresh one
+    ASKED = "asked"  # the binder, at its return, is told that the connector is absent, and binds once more
+    TOLD = "told"  # the connector is told where to connect to
+
+
+LINK_TRANSITIONS: Final[Mapping[tuple[LinkState, LinkEvent], LinkState]] = {
+    (LinkState.JOINED, LinkEvent.BINDER_LOST): LinkState.CUT,
+    (LinkState.JOINED, LinkEvent.CONNECTOR_LOST): LinkState.CUT,
+    (LinkState.CUT, LinkEvent.BINDER_LOST): LinkState.CUT,
+    (LinkState.CUT, LinkEvent.CONNECTOR_LOST): LinkState.CUT,
+    (LinkState.CUT, LinkEvent.PLACE): LinkState.OFFERED,
+    (LinkState.OFFERED, LinkEvent.BINDER_LOST): LinkState.CUT,
+    (LinkState.OFFERED, LinkEvent.CONNECTOR_LOST): LinkState.OFFERED,  # nobody has been there: it is as good as new
+    (LinkState.OFFERED, LinkEvent.ASKED): LinkState.CUT,
+    (LinkState.OFFERED, LinkEvent.TOLD): LinkState.JOINED,
+}
+"""Everything that can happen to a link. A link that is cut, and whose binder runs, is owed one Offer: no more than one
+is ever on its way."""
+
+
+def other_end(link: LinkPlan, node: str) -> str:
+    """Who is at the end of ``link`` that is not ``node``'s."""
+    return link.connector if link.binder == node else link.binder
+
+
+class Links:
+    """The state of every link, and the places of those that are offered."""
+
+    def __init__(self, graph: Topology) -> None:
+        """All joined, as after a start."""
+        self._of = {node: graph.links_of(node) for node in graph.nodes}
+        self._states = {(link.binder, link.connector): LinkState.JOINED for link in graph.links}
+        self._places: dict[tuple[str, str], str] = {}
+        self._links = graph.links
+
+    def of(self, node: str) -> tuple[LinkPlan, ...]:
+        """The links that end at ``node``."""
+        return self._of[node]
+
+    def state(self, link: LinkPlan) -> LinkState:
+        """Where ``link`` stands."""
+        return self._states[link.binder, link.connector]
+
+    def lost(self, node: str) -> list[str]:
+        """``node`` is gone: cut its links; returns the other ends of those that were joined."""
+        severed = []
+        for link in self._of[node]:
+            if self.state(link) is LinkState.JOINED:
+                severed.append(other_end(link, node))
+            self._move(link, LinkEvent.BINDER_LOST if link.binder == node else LinkEvent.CONNECTOR_LOST)
+        return severed
+
+    def owed(self, binder: str, connector: str) -> bool:
+        """Whether ``binder`` may offer a place for ``connector``."""
+        return self._states.get((binder, connector)) is LinkState.CUT
+
+    def offer(self, binder: str, connector: str, place: str) -> None:
+        """``binder`` has bound a fresh place; the link must be cut."""
+        state = self._states[binder, connector]
+        self._states[binder, connector] = LINK_TRANSITIONS[state, LinkEvent.PLACE]
+        self._places[binder, connector] = place
+
+    def ask(self, link: LinkPlan) -> None:
+        """The binder of an offered link is told that the connector is absent."""
+        self._move(link, LinkEvent.ASKED)
+
+    def tell(self, link: LinkPlan) -> str:
+        """The connector of an offered link is told; returns the place."""
+        self._move(link, LinkEvent.TOLD)
+        return self._places.pop((link.binder, link.connector))
+
+    def offered_between(self, nodes: Iterable[str]) -> Iterator[LinkPlan]:
+        """Offered links with both ends among ``nodes``."""
+        there = set(nodes)
+        for link in self._links:
+            if self.state(link) is LinkState.OFFERED and link.binder in there and link.connector in there:
+                yield link
+
+    def _move(self, link: LinkPlan, event: LinkEvent) -> None:
+        self._states[link.binder, link.connector] = LINK_TRANSITIONS[self.state(link), event]
+
+
+WINDOW: Final = from_seconds(60.0)
+
+
+@dataclass
+class RestartBudget:
+    """Counts the deaths of each node against what is allowed.
+
+    Attributes:
+        restarts: how many deaths in a row a node may come back from; with 0 none does.
+        window: after a run of this length (ns) all earlier deaths are forgotten.
+    """
+
+    restarts: int = 0
+    window: Duration = WINDOW
+    _deaths: dict[str, int] = field(default_factory=dict)
+    _ran_since: dict[str, int] = field(default_factory=dict)
+
+    def ran(self, node: str, now: int) -> None:
+        """``node`` runs from ``now`` on (monotonic ns)."""
+        self._ran_since[node] = now
+
+    def died(self, node: str, now: int) -> bool:
+        """Count a death at ``now``; whether the node may come back from it."""
+        since = self._ran_since.pop(node, None)  # a death before the next run is none after a long one
+        stable = since is not None and now - since >= self.window
+        deaths = self._deaths[node] = 1 if stable else self._deaths.get(node, 0) + 1
+        return deaths <= self.restarts
+
 
 RETURN_TIME = from_seconds(60.0)
 """How long a node may take from its start to its hello, and again over its handshakes."""
@@ -120,7 +264,7 @@ class Recovery:
         if self.states[node] not in (NodeState.LOST, NodeState.GONE, NodeState.STARTING):
             return []
         farewell: list[Instruction] = [Send(node, Stop("you were taken for lost"))] if node in self.remote else []
-        return [*farewell, Release(node)]
+        return [*farewell, ReleaseName(node)]
 
     def overdue(self, now: int) -> list[Instruction]:
         """Give up those who take too long to return."""
@@ -168,7 +312,7 @@ class Recovery:
             state = self.states[node]
             if state is NodeState.LOST and node not in self.remote and self._all_to_be_found(node):
                 self.states[node], self._since[node] = NodeState.STARTING, now
-                out += [Release(node), StartProcess(node)]
+                out += [ReleaseName(node), StartProcess(node)]
             elif state is NodeState.WELCOMED and self._all_to_be_found(node):
                 self.states[node], self._since[node] = NodeState.CONNECTED, now
                 out += self._connect(node)
@@ -197,7 +341,7 @@ class Recovery:
             self.states[node], self._then[node] = NodeState.LEAVING, future
         else:
             self.states[node] = future
-        out: list[Instruction] = [Release(node)] if node in self.remote else []
+        out: list[Instruction] = [ReleaseName(node)] if node in self.remote else []
         for peer in self._links.lost(node):
             if self.states[peer] is NodeState.RUNNING:
                 out.append(Send(peer, Absent(node)))

@@ -8,16 +8,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from manyhands.launch.display import LiveTable, not_admitted, say
 from manyhands.launch.files import TargetError
-from manyhands.launch.outcome import Outcome
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.reach import Reach
-from manyhands.launch.recorder_process import RecorderProcess
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.reach import Reach
 from manyhands.launch.recordings.recording import STREAMED, RecordingError
-from manyhands.launch.report import save_json
-from manyhands.launch.run_directory import SessionDirectory
-from manyhands.launch.supervisor import Supervisor
+from manyhands.launch.run.directory import SessionDirectory
+from manyhands.launch.run.display import LiveTable, not_admitted, say
+from manyhands.launch.run.outcome import Outcome, save_json
+from manyhands.launch.run.recorder import RecorderProcess
+from manyhands.launch.run.supervisor import Supervisor
 
 
 def run_session(

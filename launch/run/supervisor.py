@@ -1,8 +1,15 @@
 """Runs a session's processes from start to end, and leaves nothing behind.
 
-The decisions are the :class:`manyhands.launch.conductor.Conductor`'s; here are its senses and hands: the hub's
+The decisions are the :class:`manyhands.launch.run.conductor.Conductor`'s; here are its senses and hands: the hub's
 frames, the ends of processes, Ctrl-C and deadlines go in, and its instructions are carried out. One thread, one
 poll over all of them, and no waiting for time to pass.
+
+How much the supervisor listens: a budget of frames that refills with time, so that a flood costs bounded work.
+
+What is beyond the budget stays unread; ZeroMQ takes turns between senders and stops reading those whose queues are
+full, so one who floods is slowed down and the others' frames still come through.
+
+When each node was last heard of.
 """
 
 from __future__ import annotations
@@ -13,43 +20,36 @@ import signal
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from manyhands.launch.allowance import Allowance
-from manyhands.launch.assumptions import Assumptions
-from manyhands.launch.attention import Attention
-from manyhands.launch.audience import Audience
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import (
-    Conductor,
+from manyhands.launch.files import EXIT_FAILED, EXIT_OK
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.reach import HUB_NAME, Reach
+from manyhands.launch.plan.topology import placement
+from manyhands.launch.recordings.recording import Collector
+from manyhands.launch.run.breaches import Assumptions, EndSession, EnergyIncidents, ShiftCoupling
+from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.directory import kept_files, run_directory
+from manyhands.launch.run.outcome import Outcome, Progress, run_report
+from manyhands.launch.run.processes import Interrupt, Processes
+from manyhands.launch.run.recorder import Recorder
+from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.states import (
     Instruction,
     Kill,
     KillProcess,
     NodeState,
-    Phase,
-    Release,
+    ReleaseName,
     Send,
+    SessionPhase,
     StartProcess,
     Terminate,
 )
-from manyhands.launch.energy_incidents import EnergyIncidents
-from manyhands.launch.exits import EXIT_FAILED, EXIT_OK
-from manyhands.launch.gallery import Showing, condition_frame, describe, observation_frame
-from manyhands.launch.interrupt import Interrupt
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.placement import placement
-from manyhands.launch.policy import EndSession, ShiftCoupling
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.processes import Processes
-from manyhands.launch.reach import HUB_NAME, Reach
-from manyhands.launch.recorder import Recorder
-from manyhands.launch.recordings.recording import Collector
-from manyhands.launch.report import run_report
-from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.run_directory import kept_files, run_directory
 from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
-from manyhands.nodes.log import Event, Log, log_path
+from manyhands.nodes.log import Log, LogEvent, log_path
 from manyhands.nodes.realtime import may_raise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
@@ -57,6 +57,65 @@ from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
+
+_NS_PER_S = 1_000_000_000
+
+
+class FrameAllowance:
+    """A token bucket that, once dry, stays so until a tenth of a second's worth is there: few wake-ups in a flood.
+
+    Attributes:
+        exhausted: times that it ran dry.
+    """
+
+    def __init__(self, per_second: int, now: Instant) -> None:
+        """Full at ``now``: ``per_second`` frames at once, and as many a second in the long run."""
+        self._interval = _NS_PER_S // per_second
+        self._credit = _NS_PER_S  # ns
+        self._at = now
+        self._dry = False
+        self.exhausted = 0
+
+    def spend(self, frames: int, now: Instant) -> None:
+        """Take this many frames off, though it be more than there are."""
+        self._refill(now)
+        self._credit -= frames * self._interval
+        if self._credit < self._interval and not self._dry:
+            self._dry = True
+            self.exhausted += 1
+
+    def pause(self, now: Instant) -> Duration:
+        """How long not to listen; 0 while there is something left."""
+        self._refill(now)
+        wanted = _NS_PER_S // 10 if self._dry else self._interval
+        if self._credit >= wanted:
+            self._dry = False
+            return Duration(0)
+        return Duration(wanted - self._credit)
+
+    def _refill(self, now: Instant) -> None:
+        self._credit = min(_NS_PER_S, self._credit + now - self._at)
+        self._at = now
+
+
+class Attention:
+    """Remembers instants by name; who was never heard of counts as heard when first asked for."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, Instant] = {}
+
+    def note(self, name: str, now: Instant) -> None:
+        """``name`` was heard of."""
+        self._heard[name] = now
+
+    def forget(self, name: str) -> None:
+        """What comes from ``name`` is somebody else's from now on."""
+        self._heard.pop(name, None)
+
+    def quiet(self, names: Iterable[str], now: Instant, after: Duration) -> list[str]:
+        """Those of ``names`` that have not been heard of for more than ``after``."""
+        return [name for name in names if now - self._heard.setdefault(name, now) > after]
+
 
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
@@ -118,7 +177,7 @@ class Supervisor:
         self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
-        self._audience = Audience(session)
+        self._audience = ObserverBroadcast(session)
         self._heard, self._told = Attention(), Attention()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
@@ -141,11 +200,11 @@ class Supervisor:
         with Interrupt() as interrupt:
             with run_directory(self._logs) as directory:
                 self._log = Log(log_path(str(directory), SUPERVISOR), self._session.name, SUPERVISOR, self._clock)
-                self._log.note(Event.START, pid=os.getpid(), certificate=self._prepared.id, clock=self._clock_name)
+                self._log.note(LogEvent.START, pid=os.getpid(), certificate=self._prepared.id, clock=self._clock_name)
                 try:
                     self._run_in(directory, interrupt)
                 finally:
-                    self._log.note(Event.END, reason=str(interrupt.signal or "over"))
+                    self._log.note(LogEvent.END, reason=str(interrupt.signal or "over"))
                     self._log.close()
             return self._outcome(interrupt.signal)
 
@@ -161,7 +220,7 @@ class Supervisor:
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
             self._conductor.observers = self._audience.serve(transport, reach, self._graph)
             self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
-            run = Run(self._clock_name, directory, endpoint, reach, private)
+            run = RunPlan(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
             bundles = cut(self._prepared, run)
             for name in local:
@@ -184,8 +243,8 @@ class Supervisor:
         phase, deadline = conductor.phase, Instant(clock.now() + STARTUP_TIME)
         shown, reported = Instant(0), 0
         per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
-        allowance = Allowance(per_second, clock.now())
-        while conductor.phase is not Phase.OVER:
+        allowance = FrameAllowance(per_second, clock.now())
+        while conductor.phase is not SessionPhase.OVER:
             pause = allowance.pause(clock.now())
             timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
             fds = (*processes.fds, *recorder.fds, interrupt.fd)
@@ -208,20 +267,20 @@ class Supervisor:
             for name in self._silent():
                 self._carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
-                self._log.note(Event.EXITED, peer=name, code=code)
+                self._log.note(LogEvent.EXITED, peer=name, code=code)
                 self._carry_out(conductor.exited(name, code, clock.now()), hub, processes)
             self._carry_out(conductor.look(clock.now()), hub, processes)
             if conductor.phase is not phase:
                 phase, shown = conductor.phase, Instant(0)
-                self._log.note(Event.PHASE, phase=phase.value)
-                deadline = Instant(clock.now() + ENDING_TIME if phase is Phase.ENDING else 2**62)
-                if phase is Phase.RUNNING:
+                self._log.note(LogEvent.PHASE, phase=phase.value)
+                deadline = Instant(clock.now() + ENDING_TIME if phase is SessionPhase.ENDING else 2**62)
+                if phase is SessionPhase.RUNNING:
                     self._began = clock.now()
                     for name in self._reach.remote:
                         self._heard.note(name, self._began)  # who was ready first has waited
-            elif conductor.phase is Phase.STARTING and conductor.awaited:
+            elif conductor.phase is SessionPhase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
-            elif conductor.phase is Phase.RUNNING and len(conductor.reports) > reported:
+            elif conductor.phase is SessionPhase.RUNNING and len(conductor.reports) > reported:
                 reported, deadline = len(conductor.reports), Instant(clock.now() + CLOSING_TIME)
             elif clock.now() >= deadline:
                 self._carry_out(conductor.too_late(), hub, processes)
@@ -233,11 +292,11 @@ class Supervisor:
                 self._tell(self._progress(processes))
         self._tally(hub, transport)
         for fault in conductor.faults:
-            self._log.note(Event.FAULT, text=fault)
+            self._log.note(LogEvent.FAULT, text=fault)
         for text in self._assumptions.notices.values():
-            self._log.note(Event.NOTICE, text=text)
+            self._log.note(LogEvent.NOTICE, text=text)
         for text in conductor.incidents.sentences:
-            self._log.note(Event.INCIDENT, text=text)
+            self._log.note(LogEvent.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
         self._tell(self._progress(processes))
@@ -306,7 +365,7 @@ class Supervisor:
             match instruction:
                 case Send(node, message):
                     hub.send(node, encode(message))  # one that is gone hears nothing; its exit is seen
-                case Release(name):
+                case ReleaseName(name):
                     hub.forget(name)
                 case StartProcess(node):
                     self._start_anew(node, hub, processes)

@@ -1,33 +1,35 @@
 """Session files: the one place where the structure of a session is written, read and checked.
 
-``source`` turns YAML into plain data with positions; ``model`` and the parts it is made of turn that into a
-:class:`Session` or a :class:`SessionError`. docs/session-file.md is the reference of the format.
+``yaml`` turns YAML into plain data with positions; ``session`` and the parts it is made of (``device``,
+``environment``, ``design``) turn that into a :class:`Session` or a :class:`SessionError`. docs/session-file.md is the
+format's reference.
 """
 
-from manyhands.launch.session.black_box import PythonEnvironment
-from manyhands.launch.session.design import Design, Pole
-from manyhands.launch.session.device import Device
+from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights
+from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, Device, Hand
 from manyhands.launch.session.environment import (
     GROUND,
     Environment,
-    Link,
     NetworkEnvironment,
+    PythonEnvironment,
+    SessionLink,
     StateSpaceEnvironment,
     TransferFunctionEnvironment,
 )
-from manyhands.launch.session.error import SessionError
-from manyhands.launch.session.faults import Faults
-from manyhands.launch.session.given import BlockMatrices
-from manyhands.launch.session.hand import BROWSER_HAND, DEFAULT_HAND, Hand
-from manyhands.launch.session.interval import Interval, LevelInterval
-from manyhands.launch.session.model import Session, load_session
-from manyhands.launch.session.motion import Motion
-from manyhands.launch.session.observers import Observer
-from manyhands.launch.session.port_limits import PortLimits
-from manyhands.launch.session.rational import Rational
-from manyhands.launch.session.structure import ENVIRONMENT, RESERVED, SUPERVISOR, CouplingBlock
-from manyhands.launch.session.trace import TraceData
-from manyhands.launch.session.weights import Weight, Weights
+from manyhands.launch.session.errors import SessionError
+from manyhands.launch.session.fields import Interval, LevelInterval, PortLimits
+from manyhands.launch.session.matrices import Rational
+from manyhands.launch.session.motion import Motion, TraceData
+from manyhands.launch.session.session import (
+    ENVIRONMENT,
+    RESERVED,
+    SUPERVISOR,
+    CouplingBlock,
+    Faults,
+    Observer,
+    Session,
+    load_session,
+)
 
 __all__ = [
     "BROWSER_HAND",
@@ -45,7 +47,6 @@ __all__ = [
     "Hand",
     "Interval",
     "LevelInterval",
-    "Link",
     "Motion",
     "NetworkEnvironment",
     "Observer",
@@ -55,6 +56,7 @@ __all__ = [
     "Rational",
     "Session",
     "SessionError",
+    "SessionLink",
     "StateSpaceEnvironment",
     "TraceData",
     "TransferFunctionEnvironment",

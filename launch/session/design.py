@@ -1,26 +1,39 @@
-"""What a session asks of the design: the class of couplings, the objective, and couplings that are given."""
+"""What a session asks of the design: the class of couplings, the objective, and couplings that are given.
 
+Couplings that are given: K and B by number, list or matrix, or a state space for each block.
+
+The weights W1, W2 of the transparency objectives: by their coefficients, or by the band that they emphasise.
+
+    (23): || W1 (F(E, V) - E) W2 ||,   (24): || W1 E V W2 ||    ([Bianchini2010]_)
+
+One scalar weight stands for all ports. It must be stable and proper, which keeps it stable under backward Euler.
+"""
+
+import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Final, Literal, Self, TypeAlias
+from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from manyhands.launch.session.error import listed, one_of, show
+from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
     Items,
     NamedParts,
     Problem,
     Quantity,
+    Rows,
     SessionModel,
     Whole,
+    each,
     each_named,
     optional,
     part_name,
     refusal,
     refuse,
+    unsymmetric,
 )
-from manyhands.launch.session.given import BlockMatrices, OneOrMany, given_problems, one_or_many
 from manyhands.launch.session.limits import (
     LONGEST_PERIOD,
     MAX_COUPLINGS,
@@ -28,11 +41,183 @@ from manyhands.launch.session.limits import (
     MAX_ORDER,
     MAX_POLES,
     MAX_PORT_ORDER,
+    MAX_PORTS,
     MAX_RUNGS,
     MIN_POSITIVE,
 )
-from manyhands.launch.session.rational import Rational
-from manyhands.launch.session.weights import Weight, Weights
+from manyhands.launch.session.matrices import (
+    COEFFICIENTS,
+    STATIC_MEANING,
+    Array,
+    MatrixRows,
+    OptionalRows,
+    Rational,
+    full_arrays,
+    is_hurwitz,
+    one_of_two,
+    size_problems,
+    trimmed,
+)
+
+OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
+"""A number for all ports, one for each port, or a matrix."""
+
+
+def one_or_many(what: Quantity) -> Any:
+    """The validator of a value that may be a number, a list or a matrix of ``what``, or absent."""
+
+    def check(value: object) -> object:
+        if not isinstance(value, list | tuple):
+            return what(value)
+        if any(isinstance(row, list | tuple) for row in value):
+            return Items(f"rows of {what.what}", MAX_PORTS, Items("entries of a row", MAX_PORTS, what))(value)
+        return Items("numbers, one for each port", MAX_PORTS, what)(value)
+
+    return BeforeValidator(optional(check))
+
+
+class BlockMatrices(SessionModel):
+    """A given coupling block V in discrete time: xi+ = A xi + B f_v, tool displacement = C xi + D f_v.
+
+    With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m and N. A static block has
+    no states: ``A: [], B: [], C: []``.
+    """
+
+    A: MatrixRows = Field(description="the n x n matrix A, as rows")
+    B: MatrixRows = Field(description="the n x m matrix B, as rows")
+    C: MatrixRows = Field(description="the m x n matrix C, as rows")
+    D: OptionalRows = Field(default=None, description="the m x m matrix D, as rows")
+    static: OptionalRows = Field(default=None, description=STATIC_MEANING)
+
+    def problems(self, ports: int) -> Iterator[Problem]:
+        """Which matrices have not the size that a block of ``ports`` ports needs."""
+        return size_problems(self.A, self.B, self.C, self.D, self.static, ports, MAX_ORDER)
+
+    @model_validator(mode="after")
+    def _d_or_static(self) -> Self:
+        one_of_two(self.D, self.static)
+        return self
+
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+        return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
+
+
+def given_problems(
+    value: OneOrMany, ports: tuple[str, ...], block_of: Mapping[str, str], definite: bool
+) -> Iterator[Problem]:
+    """What does not fit these ports and their couplings; a ``definite`` value must be positive definite."""
+    m = len(ports)
+    rows = value if isinstance(value, tuple) else (value,) * m
+    if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
+        expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
+        yield Problem((), f"{len(rows)} {'rows' if isinstance(rows[0], tuple) else 'numbers'}", expected)
+        return
+    if isinstance(rows[0], tuple):
+        matrix: Any = rows
+        if problem := unsymmetric(matrix):
+            yield problem
+        array = np.array(matrix)
+        for i, j in zip(*np.nonzero(np.triu((array != 0.0) | (array.T != 0.0), 1)), strict=True):
+            a, b = ports[i], ports[j]
+            if block_of[a] != block_of[b]:
+                where = f"between {a!r} of coupling {block_of[a]!r} and {b!r} of coupling {block_of[b]!r}"
+                expected = "0 between ports of different couplings, or one coupling with both ports"
+                yield Problem((int(i), int(j)), f"{array[i, j] or array[j, i]:g} {where}", expected)
+    least = float(np.linalg.eigvalsh(full_matrix(value, m))[0]) if isinstance(rows[0], tuple) else min(rows)
+    if definite and least <= 0.0:
+        yield Problem((), f"a stiffness with the eigenvalue {least:.3g}", "a positive definite stiffness in N/m")
+
+
+def full_matrix(value: OneOrMany, ports: int) -> Array:
+    """A number, a list or a matrix as a matrix, ``ports`` x ``ports``."""
+    array = np.array(value, dtype=np.float64)
+    return array if array.ndim == 2 else np.diag(np.broadcast_to(array, (ports,)))
+
+
+_EDGE: Final = Quantity("an edge of the band", "Hz", least=0.0, smallest=MIN_POSITIVE)
+_FORMS: Final = "{num: [...], den: [...]} in s, or {emphasise: [low, high]} in Hz"
+
+
+def _band(value: object) -> tuple[float, float]:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise refuse(show(value), "the two edges of a band, [low, high] in Hz")
+    low, high = each(_EDGE, value)
+    if low >= high:
+        raise refuse(f"a band from {low:g} to {high:g} Hz", "[low, high] in Hz with low less than high")
+    return low, high
+
+
+class Weight(SessionModel):
+    """A stable, proper, scalar weight, in continuous time.
+
+    ``emphasise: [0, f]`` is the low-pass 1/(1 + s/w), w = 2 pi f; ``emphasise: [f1, f2]`` the band-pass
+
+        (w2 - w1) s / (s^2 + (w2 - w1) s + w1 w2),    w1 = 2 pi f1, w2 = 2 pi f2,
+
+    whose gain is 1 at sqrt(w1 w2) and 1/sqrt(2) at both edges.
+    """
+
+    num: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
+        default=None, description="coefficients of the numerator, the highest power of s first"
+    )
+    den: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
+        default=None, description="coefficients of the denominator, the highest power of s first"
+    )
+    emphasise: Annotated[tuple[float, float] | None, BeforeValidator(optional(_band))] = Field(
+        default=None, description="the band [low, high] in Hz, in place of num and den"
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        written = [name for name in ("num", "den") if getattr(self, name) is not None]
+        if self.emphasise is not None:
+            if written:
+                raise refuse(f"emphasise besides {written[0]}", _FORMS, at=("emphasise",))
+            return self
+        if len(written) != 2:
+            raise refuse(f"{written[0]} alone" if written else "nothing in it", _FORMS)
+        return self
+
+    @model_validator(mode="after")
+    def _stable_and_proper(self) -> Self:
+        if self.num is None or self.den is None:
+            return self
+        weight = self.rational
+        if -1 in weight.degrees:
+            name = "den" if weight.degrees[1] < 0 else "num"
+            raise refuse("coefficients that are all 0", "a coefficient other than 0", at=(name,))
+        if not weight.proper:
+            num, den = weight.degrees
+            found = f"an improper weight, of degree {num} over {den}"
+            raise refuse(found, "a numerator of no higher degree than the denominator", at=("num",))
+        if not is_hurwitz(self.den):
+            with np.errstate(all="ignore"):
+                rightmost = max(np.roots(trimmed(self.den)), key=lambda root: float(root.real))
+            found = f"an unstable weight, with a pole at about {rightmost:.3g} rad/s"
+            raise refuse(found, "every pole in the open left half plane", at=("den",))
+        return self
+
+    @property
+    def rational(self) -> Rational:
+        """The weight as a rational function of s."""
+        if self.emphasise is None:
+            return Rational(num=self.num or (), den=self.den or ())
+        low, high = (2.0 * math.pi * edge for edge in self.emphasise)
+        if low == 0.0:
+            return Rational(num=(1.0,), den=(1.0 / high, 1.0))
+        return Rational(num=(high - low, 0.0), den=(1.0, high - low, low * high))
+
+
+_NEUTRAL: Final = Weight(num=(1.0,), den=(1.0,))
+
+
+class Weights(SessionModel):
+    """The two weights of an objective; one that is left out is 1."""
+
+    W1: Weight = Field(default=_NEUTRAL, description="the weight W1, at the output")
+    W2: Weight = Field(default=_NEUTRAL, description="the weight W2, at the input")
+
 
 Blocks: TypeAlias = Mapping[str, tuple[str, ...]]
 """The ports of each coupling."""

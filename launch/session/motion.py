@@ -3,23 +3,247 @@
 A recording of this program knows its devices and their axes; a table of somebody else's has a column of times and one
 for each axis. Either way numbers are what a session keeps, so that a device's process opens no file of the session's
 author and a session that was written down needs no other file.
+
+Recorded traces: CSV files of two columns, ``t`` (s) and the value, read under a bound on rows and bytes.
+
+Positions in columns, as recordings and other programs write them down: .npz and .csv, read within bounds.
+
+A recording of this program names its columns by ports; another's has times in its first column and one for each axis.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import csv
+import io
+import math
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer
 from pydantic_core import PydanticCustomError
 
-from manyhands.launch.session.error import listed, one_of, show
-from manyhands.launch.session.fields import Problem, Quantity, SessionModel, problems_of, refusal, refuse
-from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_ROWS
-from manyhands.launch.session.port_limits import PortLimits
-from manyhands.launch.session.table import Table, table_of
-from manyhands.nodes.device.intent import IntentError, Trace
+from manyhands.design.files import open_regular
+from manyhands.launch.session.errors import listed, one_of, show
+from manyhands.launch.session.fields import PortLimits, Problem, Quantity, SessionModel, problems_of, refusal, refuse
+from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_LINE, MAX_TRACE_ROWS
+from manyhands.nodes.device.intent import IntentError, SampledSignal
+
+_ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"
+
+
+class TraceData(SessionModel):
+    """A recorded trace as numbers: ``times`` (s) and the ``values`` at them (N or m)."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+
+def trace_from_numbers(times: tuple[float, ...], values: tuple[float, ...], name: str) -> TraceData:
+    """The trace of these numbers; ``name`` is how errors call it.
+
+    Raises:
+        PydanticCustomError: the numbers are no trace.
+    """
+    try:
+        SampledSignal(times, values)
+    except IntentError as error:
+        raise refuse(f"{name}: {error}", _ROW) from None
+    return TraceData(times=times, values=values)
+
+
+def read_trace(file: object, folder: Path) -> TraceData:
+    """Read a trace; its path is relative to ``folder``, where the session file stands.
+
+    Raises:
+        PydanticCustomError: the file cannot be read or holds something else than a trace.
+
+    """
+    if not isinstance(file, str) or not file:
+        raise refuse(show(file), "the name of a CSV file, relative to the session file")
+    name = f"the trace {show(file)}"
+    try:
+        times, values = _trace_columns(folder / file, name)
+    except PydanticCustomError:
+        raise  # a refusal of a line is a ValueError too, but not one of opening the file
+    except UnicodeDecodeError:
+        raise refuse(f"{name}, which is not UTF-8 text", _ROW) from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
+        reason = getattr(error, "strerror", None) or str(error)
+        raise refuse(f"{name}, {reason.lower()}", "a CSV file that can be read, relative to the session file") from None
+    return trace_from_numbers(times, values, name)
+
+
+def _trace_columns(path: Path, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    times: list[float] = []
+    values: list[float] = []
+    number = 0
+    with io.TextIOWrapper(open_regular(path, MAX_TRACE_BYTES), encoding="utf-8-sig") as file:
+        while line := file.readline(MAX_TRACE_LINE + 1):
+            number += 1
+            if len(line) > MAX_TRACE_LINE:
+                raise refuse(f"{name}, line {number}: more than {MAX_TRACE_LINE} characters", _ROW)
+            if number > MAX_TRACE_ROWS + 1:
+                raise refuse(f"{name}, more than {MAX_TRACE_ROWS} rows", f"at most {MAX_TRACE_ROWS} rows")
+            cells = [_number(cell) for cell in line.split(",")]
+            match cells:
+                case [float(time), float(value)]:
+                    times.append(time)
+                    values.append(value)
+                case [None, None] if number == 1:
+                    pass  # the header
+                case _ if not line.strip():
+                    pass  # a blank line, as editors leave one at the end
+                case _:
+                    raise refuse(f"{name}, line {number}: no two numbers", _ROW)  # what there is may be a secret
+    return tuple(times), tuple(values)
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+Array = NDArray[np.float64]
+
+_TIME_COLUMN: Final = "time_s"
+_FIRST, _LAST = "x[", "]_m"  # around a port, in the heading of its column
+_HEADERS: Final[Mapping[int, Callable[[Any], Any]]] = {
+    1: np.lib.format.read_array_header_1_0,
+    2: np.lib.format.read_array_header_2_0,
+}
+"""By an array's version, what reads its header: shape, order and type."""
+
+
+class Table(NamedTuple):
+    """What was read.
+
+    Attributes:
+        times: s.
+        x: times x columns, m.
+        ports: of each column; None where nothing says whose they are.
+    """
+
+    times: Array
+    x: Array
+    ports: tuple[str, ...] | None
+
+
+def table_of(path: Path) -> Table:
+    """Read a ``.npz`` or ``.csv`` file.
+
+    Raises:
+        OSError, ValueError: it cannot be read, or holds no table.
+    """
+    return _from_npz(path) if path.suffix == ".npz" else _from_csv(path)
+
+
+def _from_npz(path: Path) -> Table:
+    arrays = read_arrays(path, (("x", "ports", "period"), ("x", "t")), MAX_TRACE_BYTES)
+    x = _floats(arrays["x"])
+    x = x[:, None] if x.ndim == 1 else x
+    if x.ndim != 2:
+        raise ValueError("whose x is not ticks x columns")
+    if "t" in arrays:
+        times, ports = _floats(arrays["t"]), None
+    else:
+        ports = tuple(map(str, np.atleast_1d(arrays["ports"])))
+        times = np.arange(x.shape[0], dtype=np.float64) * float(_floats(arrays["period"]))
+    if times.shape != x.shape[:1] or (ports is not None and len(ports) != x.shape[1]):
+        raise ValueError("whose x has not a row for each time and a column for each port")
+    return Table(times, x, ports)
+
+
+def read_arrays(path: Path, choices: Sequence[Sequence[str]], most: int) -> dict[str, NDArray[np.generic]]:
+    """The arrays of a ``.npz`` file, those of the first of ``choices`` that it has all of.
+
+    What a member claims of its size is held against the file and the limit before room is made for it.
+
+    Args:
+        path: the file.
+        choices: names of arrays, one list of which is wanted.
+        most: bytes of the file, and of all that is packed in it.
+
+    Raises:
+        OSError, ValueError: it cannot be read, is damaged or larger, or has none of the choices.
+    """
+    try:
+        with open_regular(path, most) as file, zipfile.ZipFile(file) as archive:
+            members = {member.filename: member for member in archive.infolist()}
+            for wanted in choices:
+                files = [f"{name}.npy" for name in wanted]
+                if members.keys() >= {*files}:
+                    if sum(members[one].file_size for one in files) > most:
+                        raise ValueError(f"larger than {most} bytes when unpacked")
+                    return {name: _array(archive, members[one]) for name, one in zip(wanted, files, strict=True)}
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:  # encrypted: RuntimeError
+        raise ValueError(f"which is damaged ({error})") from error
+    raise ValueError(f"which does not hold {', or '.join(', '.join(wanted) for wanted in choices)}")
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
+    """One array, when its header says that it is as large as its file."""
+    with archive.open(member) as file:
+        major, _ = np.lib.format.read_magic(file)
+        if major not in _HEADERS:
+            raise ValueError(f"with an array of version {major}; expected 1 or 2")
+        shape, _, dtype = _HEADERS[major](file)
+        if dtype.hasobject:
+            raise ValueError("which holds Python's objects and not numbers or texts")  # reading them would run code
+        stated = math.prod(shape) * dtype.itemsize
+        if member.file_size - file.tell() != stated:
+            raise ValueError(f"with an array of {stated} bytes by its header and {member.file_size} in its file")
+        file.seek(0)
+        array: NDArray[np.generic] = np.lib.format.read_array(file, allow_pickle=False)
+    return array
+
+
+def _floats(array: NDArray[np.generic]) -> Array:
+    if array.dtype.kind not in "fiu":
+        raise ValueError("which holds something else than numbers")
+    return array.astype(np.float64)
+
+
+def _from_csv(path: Path) -> Table:
+    with io.TextIOWrapper(open_regular(path, MAX_TRACE_BYTES), encoding="utf-8-sig", newline="") as file:
+        rows = csv.reader(file)
+        try:
+            first = next(rows, [])
+            heading = first if any(cell and _number(cell) is None for cell in first) else None
+            if heading is not None and _TIME_COLUMN in heading:
+                columns = [heading.index(_TIME_COLUMN)]
+                columns += [i for i, cell in enumerate(heading) if cell.startswith(_FIRST) and cell.endswith(_LAST)]
+                ports = tuple(heading[i][len(_FIRST) : -len(_LAST)] for i in columns[1:])
+                values = _rows(rows, columns)
+                return Table(values[:, 0], values[:, 1:], ports)
+            values = _rows(rows if heading is not None else [first, *rows], list(range(len(first))))
+        except csv.Error as error:
+            raise ValueError(f"which is no table ({error})") from error
+        except UnicodeDecodeError:
+            raise ValueError("which is not UTF-8 text") from None
+    return Table(values[:, 0], values[:, 1:], None)
+
+
+def _rows(rows: Iterable[list[str]], columns: list[int]) -> Array:
+    """The numbers in these columns; an empty cell is a position that was not recorded."""
+    out: list[list[float]] = []
+    for row in rows:
+        if not row:
+            continue  # a blank line, as editors leave one at the end
+        cells = [row[i] if i < len(row) else None for i in columns]
+        numbers = [None if cell is None else np.nan if cell == "" else _number(cell) for cell in cells]
+        kept = [number for number in numbers if number is not None]
+        if len(kept) != len(columns):
+            raise ValueError(f"row {len(out) + 1}: not {len(columns)} numbers")  # what there is may be a secret
+        if len(out) == MAX_TRACE_ROWS:
+            raise ValueError(f"more than {MAX_TRACE_ROWS} rows")
+        out.append(kept)
+    return np.array(out, dtype=np.float64).reshape(len(out), max(1, len(columns)))
+
 
 OWN_NAME: Final = "(name of the device)"
 """Key under which a session tells a device's trace whose it is; no session file can sensibly use it."""
@@ -28,8 +252,6 @@ _FORM: Final = "{file: FILE, device: NAME} or {times: [...], values: [...]}"
 _FILES: Final = "a recording (.mcap, .npz, .csv) or a table of t and a column for each axis (.npz, .csv)"
 _POSITION: Final = Quantity("a position", "m")
 _TIME: Final = Quantity("a time", "s")
-
-Array = NDArray[np.float64]
 
 
 def _plain_values(values: tuple[tuple[float, ...], ...]) -> object:
@@ -141,11 +363,11 @@ def _from_lists(times: object, values: object, dof: int) -> Motion:
     for axis in by_axis:
         if not isinstance(axis, list | tuple) or len(axis) != len(times):
             raise refuse(show(axis), f"a list of {len(times)} positions in m, one at each time", ("values",))
-    positions = [_numbers(_POSITION, axis, "values") for axis in by_axis]
-    return _checked(_numbers(_TIME, times, "times"), positions, "the trace")
+    positions = [_number_list(_POSITION, axis, "values") for axis in by_axis]
+    return _checked(_number_list(_TIME, times, "times"), positions, "the trace")
 
 
-def _numbers(of: Quantity, entries: Sequence[object], key: str) -> tuple[float, ...]:
+def _number_list(of: Quantity, entries: Sequence[object], key: str) -> tuple[float, ...]:
     """The numbers of a list; the first that is none is told, with its position in the list."""
     numbers = []
     for index, entry in enumerate(entries):
@@ -159,7 +381,7 @@ def _numbers(of: Quantity, entries: Sequence[object], key: str) -> tuple[float, 
 def _checked(times: Sequence[float], values: Sequence[Sequence[float]], name: str) -> Motion:
     try:
         for axis in values:
-            Trace(times, axis)
+            SampledSignal(times, axis)
     except IntentError as error:
         raise refuse(f"{name}: {error}", "samples with t in s increasing from 0, and finite positions in m") from None
     return Motion(times=tuple(times), values=tuple(map(tuple, values)))
@@ -176,7 +398,7 @@ def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise refuse(f"{name}, {why[:1].lower() + why[1:]}", _FILES, ("file",)) from None
-    x = _columns(table, device, own_name, dof, name)
+    x = _motion_columns(table, device, own_name, dof, name)
     there = np.flatnonzero(~np.isnan(x).all(axis=1))
     x = x[: there[-1] + 1 if there.size else 0]  # a device that ended before the others stays where it was
     if x.shape[0] * (1 + dof) > MAX_MOTION_NUMBERS:
@@ -190,7 +412,7 @@ def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -
     return _checked(table.times[: x.shape[0]].tolist(), x.T.tolist(), name)
 
 
-def _columns(table: Table, device: object, own_name: str, dof: int, name: str) -> Array:
+def _motion_columns(table: Table, device: object, own_name: str, dof: int, name: str) -> Array:
     """The columns of a device's axes, or those of a table without devices."""
     if table.ports is None:
         if device is not None:
@@ -218,8 +440,8 @@ def _table(path: Path) -> Table:
     """
     if path.suffix == ".mcap":
         # only those who replay need what reads recordings
-        from manyhands.launch.recordings.file import read_recording
         from manyhands.launch.recordings.recording import RecordingError
+        from manyhands.launch.recordings.tables import read_recording
 
         try:
             recording = read_recording(path)

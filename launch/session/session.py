@@ -4,41 +4,250 @@ The session file is the one place where the structure of a session is written, s
 once: :attr:`Session.ports`, :attr:`Session.blocks` and :meth:`Session.osp_level` are what the LMIs, the
 processes, the sockets and the keys all start from. Values arrive normalised (what was one number for all axes
 is a tuple by axis), and a ``Session`` that exists satisfies everything that docs/session-file.md asks for.
+
+How devices and coupling blocks hang together, and every name in them.
+
+A name that leads nowhere is only visible over the whole session; :func:`structure_problems` finds all of them at
+once, so that an author sees how many places are left to mend.
+
+What a session does about its faults: how often a node is started anew, and what follows when a loop is too slow.
+
+Neither changes what is certified. A restart is bounded, so that what cannot run does not keep the others busy with
+its beginnings; a breach is an assumption of the certificate that a device has measured not to hold.
+
+Who may look on at a session without taking part in it, and at which channels.
+
+An observer is told what its session lists and nothing else, and it writes nothing. Which channels there are to read
+follows from the channel table: every node's telemetry, and each signal under the end that is nearer to the hand,
+where its ports are a device's (``dx/sample``, ``dx/force``) or a coupling's (``cx/tool``, ``cx/reaction``).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from manyhands.launch.session.design import Design
+from manyhands.launch.session.design import Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.environment import Environment, environment_of_its_type
-from manyhands.launch.session.error import listed
-from manyhands.launch.session.faults import Faults
+from manyhands.launch.session.environment import GROUND, Environment, environment_of_its_type
+from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
+    Choice,
     Flag,
+    Items,
     NamedParts,
     Period,
     Problem,
+    Quantity,
     SessionModel,
     SessionName,
+    Whole,
+    first_error,
+    nulls_in,
+    optional,
     part_name,
+    problems_in,
     refusal,
+    refuse,
 )
-from manyhands.launch.session.given import full_matrix
-from manyhands.launch.session.limits import MAX_COUPLINGS, MAX_DEVICES, MAX_OBSERVERS, MAX_PROBLEMS
+from manyhands.launch.session.limits import (
+    DEFAULT_RESTARTS,
+    DEFAULT_WINDOW,
+    LONGEST_WINDOW,
+    MAX_COUPLINGS,
+    MAX_DEVICES,
+    MAX_OBSERVERS,
+    MAX_PORTS,
+    MAX_PROBLEMS,
+    MAX_READS,
+    MAX_RESTARTS,
+    MIN_POSITIVE,
+)
 from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.motion import motion_problems, with_own_names
-from manyhands.launch.session.observers import Observer, observer_problems
-from manyhands.launch.session.problems import first_error, nulls_in, problems_in
-from manyhands.launch.session.source import apply_overrides, read_tree
-from manyhands.launch.session.structure import ENVIRONMENT, CouplingBlock, ports_of_block, structure_problems
+from manyhands.launch.session.yaml import apply_overrides, read_tree
+from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
+
+ENVIRONMENT: Final = "environment"
+"""The name of the one node that is the environment."""
+
+SUPERVISOR: Final = "supervisor"
+"""The name of the process that starts, watches and ends a session."""
+
+RESERVED: Final = (ENVIRONMENT, SUPERVISOR, GROUND)
+"""Names that no device, coupling or observer may take: other processes of a session, and the fixed end of links."""
+
+PortsOf: TypeAlias = Mapping[str, tuple[str, ...]]
+"""The ports of each device, or of each coupling, in order."""
+
+
+def _name_word(value: object) -> str:
+    if not isinstance(value, str):
+        raise refuse(show(value), "a name there")
+    return value
+
+
+_DEVICES: Final = Items("device names", MAX_DEVICES, _name_word)
+_PORTS: Final = Items("port names", MAX_PORTS, _name_word)
+
+
+class CouplingBlock(SessionModel):
+    """One block of V, run as one process: the devices that it couples, or the ports."""
+
+    devices: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_DEVICES))] = Field(
+        default=None, description="the devices of which it couples every port"
+    )
+    ports: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_PORTS))] = Field(
+        default=None, description="the ports that it couples"
+    )
+
+    @model_validator(mode="after")
+    def _devices_or_ports(self) -> Self:
+        if (self.devices is None) == (self.ports is None):
+            found = "neither devices nor ports" if self.ports is None else "both devices and ports"
+            raise refuse(found, "one of the two: devices: [...] or ports: [...]")
+        return self
+
+
+def structure_problems(devices: PortsOf, couplings: Mapping[str, CouplingBlock]) -> Iterator[Problem]:
+    """Everything that is wrong with the names of devices and couplings; ``devices`` gives the ports of each."""
+    ports = tuple(port for own in devices.values() for port in own)
+    if len(ports) > MAX_PORTS:
+        yield Problem(("devices",), f"{len(ports)} ports", f"at most {MAX_PORTS}")
+    yield from _name_problems(devices, couplings)
+    yield from _coupling_problems(devices, ports, couplings)
+
+
+def _name_problems(devices: PortsOf, couplings: Mapping[str, CouplingBlock]) -> Iterator[Problem]:
+    for kind, names in (("devices", devices), ("couplings", couplings)):
+        for name in names:
+            if name in RESERVED:
+                yield Problem((kind, name), f"the reserved name {name!r}", f"a name other than {', '.join(RESERVED)}")
+    for name in couplings:
+        if name in devices:
+            yield Problem(("couplings", name), f"the name {name!r} of a device", "a name that no device has")
+
+
+def _coupling_problems(
+    devices: PortsOf, ports: tuple[str, ...], couplings: Mapping[str, CouplingBlock]
+) -> Iterator[Problem]:
+    owner: dict[str, str] = {}
+    dangling = False
+    valid = frozenset(ports)
+    for name, block in couplings.items():
+        kind: Literal["devices", "ports"] = "devices" if block.devices is not None else "ports"
+        known = devices if kind == "devices" else valid
+        for index, entry in enumerate(block.devices or block.ports or ()):
+            place = ("couplings", name, kind, index)
+            if entry not in known:
+                dangling = True
+                names = devices if kind == "devices" else ports
+                yield Problem(place, f"the unknown {kind[:-1]} {show(entry)}", one_of(names, entry))
+                continue
+            for port in devices[entry] if kind == "devices" else (entry,):
+                if port in owner:
+                    also = "this coupling" if owner[port] == name else f"the coupling {owner[port]!r}"
+                    yield Problem(
+                        place, f"the port {port!r}, which is also in {also}", "each port in one coupling, once"
+                    )
+                owner.setdefault(port, name)
+    for port in ports:
+        if port not in owner and not dangling:  # a port without a coupling is often a misspelt entry's consequence
+            yield Problem(("couplings",), f"no coupling for the port {port!r}", "every port in exactly one coupling")
+
+
+def ports_of_block(block: CouplingBlock, devices: PortsOf) -> tuple[str, ...]:
+    """The ports of a coupling, in the order in which it lists them or their devices."""
+    if block.ports is not None:
+        return block.ports
+    return tuple(port for device in block.devices or () for port in devices[device])
+
+
+_RESTARTS: Final = Whole("restarts", 0, MAX_RESTARTS)
+_WINDOW: Final = Quantity("a window", "s", above=0.0, most=LONGEST_WINDOW, smallest=MIN_POSITIVE)
+_BREACHES: Final = ("warn", "soften", "stop")
+
+
+class Faults(SessionModel):
+    """What follows the death of a process, and the breach of an assumption."""
+
+    restarts: Annotated[int, BeforeValidator(_RESTARTS)] = Field(
+        default=DEFAULT_RESTARTS, description="how often a node that dies is started anew; 0 ends the session"
+    )
+    window: Annotated[float, BeforeValidator(_WINDOW)] = Field(
+        default=DEFAULT_WINDOW, description="after how long a run, in s, a node's earlier deaths no longer count"
+    )
+    breach: Annotated[Literal["warn", "soften", "stop"], BeforeValidator(Choice(_BREACHES))] = Field(
+        default="soften", description="what follows a delay longer than the certificate's: warn, soften or stop"
+    )
+
+
+TELEMETRY: Final = "telemetry"
+"""Alone: the telemetry of every node."""
+
+_FROM_THE_HAND: Final = (Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT)
+
+
+def _channel_word(value: object) -> str:
+    if not isinstance(value, str):
+        raise refuse(show(value), f"{TELEMETRY}, or NODE/CHANNEL")
+    return value
+
+
+class Observer(SessionModel):
+    """One who looks on."""
+
+    reads: Annotated[tuple[str, ...], BeforeValidator(Items("channels", MAX_READS, _channel_word))] = Field(
+        description="what it may read: telemetry for that of all nodes, or single channels as NODE/CHANNEL"
+    )
+
+    def problems(self, nodes: Mapping[str, Role]) -> Iterator[Problem]:
+        """Which of its channels are none of a session with these nodes, or are listed twice."""
+        seen: set[str] = set()
+        for index, entry in enumerate(self.reads):
+            at = ("reads", index)
+            node, slash, channel = entry.partition("/")
+            if entry in seen:
+                yield Problem(at, f"the channel {show(entry)} twice", "each channel once")
+            elif slash and node not in nodes:
+                yield Problem(at, f"the unknown node {show(node)} in {show(entry)}", one_of(nodes, node))
+            elif slash and channel not in (valid := observable(nodes[node])):
+                own = [f"{node}/{name}" for name in valid]
+                yield Problem(at, f"the channel {show(channel)} of {node!r}", one_of(own, entry))
+            elif not slash and entry != TELEMETRY:
+                yield Problem(at, show(entry), f"{TELEMETRY}, or NODE/CHANNEL such as {next(iter(nodes))}/{TELEMETRY}")
+            seen.add(entry)
+
+
+def observable(role: Role) -> tuple[str, ...]:
+    """The channels that an observer may be allowed to read of a node of this role."""
+    return tuple(channel.name for channel in CHANNELS.values() if role in _told_by(channel))
+
+
+def _told_by(channel: Channel) -> tuple[Role, ...]:
+    """The nodes under whose names a channel is observed; none for what is said to set up and end a session."""
+    if channel.rate is Rate.EVERY_TICK:
+        ends = {*channel.senders, *channel.receivers}
+        return (next(role for role in _FROM_THE_HAND if role in ends),)
+    return channel.senders if channel.name == TELEMETRY else ()
+
+
+def observer_problems(observers: Mapping[str, Observer], nodes: Mapping[str, Role]) -> Iterator[Problem]:
+    """Everything that is wrong with the names of observers, and with what they are to read of these nodes."""
+    for name, observer in observers.items():
+        at = ("observers", name)
+        if name in RESERVED:
+            yield Problem(at, f"the reserved name {name!r}", f"a name other than {', '.join(RESERVED)}")
+        elif name in nodes:
+            yield Problem(at, f"the name {name!r} of a {nodes[name]}", "a name that no device or coupling has")
+        for problem in observer.problems(nodes):
+            yield problem._replace(at=(*at, *problem.at))
+
 
 _BEGUN_BY_OVERRIDES: Final = frozenset(
     {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2"), ("faults",)}

@@ -3,8 +3,12 @@
 YAML's surprises are closed off before anything is validated: scalars follow the core schema of YAML 1.2 (so
 ``1e-3`` is a number and ``no`` a word), a key given twice is refused instead of the last one winning, tags
 cannot name types, and aliases are written out under a limit, so a short file cannot become a huge one. What
-is left is ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None``, with a :class:`Place` for
+is left is ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None``, with a :class:`SourcePlace` for
 every key and list item, which is what lets every later error name a line.
+
+What an unquoted word of a session file means: the core schema of YAML 1.2.
+
+PyYAML itself follows YAML 1.1, where ``1e-3`` is a word, ``no`` is false, ``017`` is 15 and ``1:30`` is 90.
 """
 
 import gc
@@ -23,17 +27,35 @@ from yaml.reader import Reader
 from yaml.scanner import Scanner
 
 from manyhands.design.files import read_regular
-from manyhands.launch.session.error import SessionError, key_text, one_of, show
-from manyhands.launch.session.limits import (
-    MAX_DEPTH,
-    MAX_FILE_BYTES,
-    MAX_NODES,
-    MAX_OVERRIDE_CHARACTERS,
-    MAX_OVERRIDES,
-)
-from manyhands.launch.session.scalars import plain_scalar
+from manyhands.launch.session.errors import SessionError, key_text, one_of, show
+from manyhands.launch.session.limits import MAX_DEPTH, MAX_FILE_BYTES, MAX_NODES, MAX_OVERRIDE_CHARACTERS, MAX_OVERRIDES
 
-__all__ = ["KeyPath", "Place", "SessionError", "SessionTree", "apply_overrides", "parse_tree", "read_tree"]
+_INT: Final = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT: Final = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITE: Final = re.compile(r"([-+]?)\.(inf|Inf|INF)")
+_WORDS: Final[Mapping[str, bool | float | None]] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+_LONGEST_INT: Final = 18  # digits; longer ones become float, which no text can make large in memory
+
+
+def plain_scalar(text: str) -> str | int | float | bool | None:
+    """The value of an unquoted scalar in the core schema of YAML 1.2."""
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INT.fullmatch(text):
+        if len(text) > _LONGEST_INT:
+            return float(text) if text.lstrip("-+").isdecimal() else float("inf")
+        return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if infinite := _INFINITE.fullmatch(text):
+        return float(infinite[1] + "inf")
+    return text
+
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 
@@ -41,7 +63,7 @@ _YAML: Final = "YAML: 'key: value' lines indented by spaces, with quotes around 
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SourcePlace:
     """Where a value stands: a file and line, or the ``--set`` that brought it (then there is no line)."""
 
     source: str
@@ -54,9 +76,9 @@ class SessionTree:
 
     source: str
     data: dict[str, object]
-    places: Mapping[KeyPath, Place]
+    places: Mapping[KeyPath, SourcePlace]
 
-    def locate(self, path: KeyPath) -> tuple[KeyPath, Place]:
+    def locate(self, path: KeyPath) -> tuple[KeyPath, SourcePlace]:
         """The place of ``path``, or of the nearest key around it that is written in the file."""
         for length in range(len(path), 0, -1):
             if path[:length] in self.places:
@@ -99,7 +121,7 @@ def parse_tree(text: str, source: str) -> SessionTree:
         line = 1 if node is None else _line(node)
         found = "an empty file" if data is None else f"{show(data)} at the top"
         raise SessionError(source, line, "", found, "keys and values, beginning with 'session: NAME'")
-    return SessionTree(source, data, {(): Place(source, 1), **builder.places})
+    return SessionTree(source, data, {(): SourcePlace(source, 1), **builder.places})
 
 
 if TYPE_CHECKING or not yaml.__with_libyaml__:
@@ -193,13 +215,13 @@ class _Builder:
     def __init__(self, source: str, has_lines: bool) -> None:
         self.source = source
         self.has_lines = has_lines
-        self.places: dict[KeyPath, Place] = {}
+        self.places: dict[KeyPath, SourcePlace] = {}
         self._open: set[int] = set()
         self._count = 0
 
-    def place(self, node: yaml.Node | yaml.Event) -> Place:
+    def place(self, node: yaml.Node | yaml.Event) -> SourcePlace:
         """Where a node begins."""
-        return Place(self.source, _line(node) if self.has_lines else None)
+        return SourcePlace(self.source, _line(node) if self.has_lines else None)
 
     def error(self, node: yaml.Node | yaml.Event, path: KeyPath, found: str, expected: str) -> SessionError:
         """An error at a node."""
@@ -289,11 +311,11 @@ def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> Sess
     data = dict(tree.data)
     parent: Any = data  # a dict or a list, as _existing makes sure of
     path: KeyPath = ()
-    places: dict[KeyPath, Place] = {}
+    places: dict[KeyPath, SourcePlace] = {}
     for step in steps[:-1]:
         if (*path, step) in begun and isinstance(parent, dict) and step not in parent:
             parent[step] = {}
-            places[(*path, step)] = Place(source, None)
+            places[(*path, step)] = SourcePlace(source, None)
         key = _existing(parent, step, path, source)
         child = parent[key]
         if not isinstance(child, dict | list):
@@ -305,7 +327,7 @@ def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> Sess
     builder = _Builder(source, has_lines=False)
     parent[last] = None if node is None else builder.build(node, path)
     kept = {at: place for at, place in tree.places.items() if at[: len(path)] != path}
-    return SessionTree(tree.source, data, {**kept, **places, path: Place(source, None), **builder.places})
+    return SessionTree(tree.source, data, {**kept, **places, path: SourcePlace(source, None), **builder.places})
 
 
 def _existing(parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str) -> str | int:

@@ -1,5 +1,6 @@
 """The page of a running session: an observer that serves what the session shows of itself to a browser.
 
-It looks on through the session's gallery, as every command that looks on does, and can say one thing: where a person's
-hand, on the page, wants a device to be that can be held (:mod:`manyhands.protocol.transport.grip`).
+It reads the session's broadcast, as every command that observes does, and sends one thing: where a person's hand, on
+the page, moves a device (:mod:`manyhands.protocol.transport.pointer`). Read ``server``, ``feed``, ``pointer``,
+``security``.
 """

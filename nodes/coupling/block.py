@@ -9,19 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import CouplingBundle
-from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.exchange import Heard, Joint
-from manyhands.nodes.life import Life
-from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.lifetime import Life
+from manyhands.nodes.peer_link import PeerLink, Received
+from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.messages import Absent, Report, Rung, Telemetry, Tool
 
 
 class Block:
-    """The block in its loop, and the :class:`manyhands.nodes.exchange.Listener` on its link to the environment.
+    """The block in its loop, and the :class:`manyhands.nodes.peer_link.Listener` on its link to the environment.
 
     Attributes:
         core: the block at its present rung.
@@ -33,7 +33,7 @@ class Block:
         said: the tick of which p was said last; -1 before the first.
     """
 
-    def __init__(self, bundle: CouplingBundle, environment: Joint) -> None:
+    def __init__(self, bundle: CouplingBundle, environment: PeerLink) -> None:
         """At rest, at rung 0."""
         self._bundle, self._common = bundle, bundle.common
         self.core = self._core_of(0)
@@ -74,7 +74,7 @@ class Block:
         """The same once more: it, or its answer, may have been lost, or the session has gone on."""
         self.environment.send(Tool, tick, self._stamp, self._p)
 
-    def hear(self, tick: int, patience: Duration) -> Heard:
+    def hear(self, tick: int, patience: Duration) -> Received:
         """Listen for f_v(k).
 
         Returns:
@@ -83,12 +83,12 @@ class Block:
         """
         environment = self.environment
         heard = environment.hear(self._f, tick, patience, self)
-        if heard is Heard.SIGNAL:
+        if heard is Received.SIGNAL:
             self.applied = self.core.limited(self._f)
-        elif heard is Heard.TURNED:
+        elif heard is Received.TURNED:
             self.applied = [0.0] * len(self._f)
             self.jumps += 1
-        elif heard is Heard.MET:
+        elif heard is Received.MET:
             self._next_rung = 0  # the one that this environment reckons with, until it is told of another
             if self.said == tick:
                 self.say_again(tick)
@@ -113,11 +113,11 @@ class Block:
         self._energy[row] = 0.0 if ledger is None else ledger.total
         self._filled += 1
 
-    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
         """The environment is at another tick: zero force of a later one says that this block was left behind."""
         return told > awaited and joint.zero
 
-    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
         """The environment has changed to another rung: the zero force that follows is its first."""
         if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
             self._next_rung = message.rung
@@ -128,12 +128,12 @@ class Block:
         if self._life is not None:
             self._life.fail(text)
 
-    def publish(self, control: ControlLine, devices: tuple[Joint, ...] = ()) -> None:
+    def publish(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
         """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, devices)
 
-    def publish_rest(self, control: ControlLine, devices: tuple[Joint, ...] = ()) -> None:
+    def publish_rest(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
         """Telemetry of the ticks since the last, if there are any."""
         rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
         if rows == 0:
@@ -153,7 +153,7 @@ class Block:
         }
         control.publish(Telemetry(self.ticks, figures, traces))
 
-    def report(self, devices: tuple[Joint, ...] = ()) -> Report:
+    def report(self, devices: tuple[PeerLink, ...] = ()) -> Report:
         """Ticks, ledger, how often the force was clipped, and what was not admitted."""
         return Report(
             self.ticks,

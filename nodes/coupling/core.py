@@ -17,10 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.statespace import StateSpace
-from manyhands.nodes.ledger import Ledger
-from manyhands.nodes.linear_map import Floats, dot, linear_map
-from manyhands.nodes.saturation import Saturation
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map
+from manyhands.nodes.passivity import Ledger
 
 Vector = NDArray[np.float64]
 

@@ -8,28 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import CouplingBundle
-from manyhands.nodes.control import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.exchange import Heard, Joint, await_all
-from manyhands.nodes.greeting import bounds_by_peer, establish
-from manyhands.nodes.life import Life
-from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.patience import LISTEN_TICKS, patience
+from manyhands.nodes.lifetime import Life
+from manyhands.nodes.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.reunion import follow
+from manyhands.nodes.rejoin import follow
+from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
+from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
-from manyhands.protocol.messages import (
-    Absent,
-    Force,
-    Reaction,
-    Report,
-    Role,
-    Rung,
-    Sample,
-    SignalMessage,
-    Start,
-)
+from manyhands.protocol.messages import Absent, Force, Reaction, Report, Role, Rung, Sample, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
 
@@ -39,8 +28,8 @@ class CouplingNode:
     def __init__(self, bundle: CouplingBundle) -> None:
         """Make the node; its block waits for the link to the environment."""
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._patience = RealtimeClock(), patience(bundle.common)
-        self._devices: tuple[Joint, ...] = ()
+        self._clock, self._patience = RealtimeClock(), timeouts(bundle.common)
+        self._devices: tuple[PeerLink, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # its own tick is nobody's yet
@@ -77,7 +66,7 @@ class CouplingNode:
             sampled: int | None = tick
             for joint in devices:
                 heard = joint.hear(x, tick, turn, self)
-                if heard is not Heard.SIGNAL:
+                if heard is not Received.SIGNAL:
                     sampled = self._await_samples(joint, heard, x, tick, block, life, control)
                     break
             if sampled is None:
@@ -86,7 +75,7 @@ class CouplingNode:
             stamp = devices[0].gate.stamp
             block.say(x, tick, stamp)
             heard = block.hear(tick, turn)
-            if heard is not Heard.SIGNAL:
+            if heard is not Received.SIGNAL:
                 told = self._await_reaction(heard, tick, block, life, control)
                 if told is None:
                     break
@@ -112,7 +101,7 @@ class CouplingNode:
         """The block's."""
         return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
 
-    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
         """A device is at another tick: who is behind is told so; after a return, who is ahead is followed."""
         if told > awaited:
             return self._resumes or joint.new
@@ -122,7 +111,7 @@ class CouplingNode:
             joint.send_zero(Force, awaited - 1)
         return False
 
-    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
         """A device of several blocks was told by another one that the session is further on: it is followed there."""
         joint.new = joint.new or isinstance(message, Absent)
         return False
@@ -133,7 +122,7 @@ class CouplingNode:
             self._life.fail(text)
 
     def _await_samples(
-        self, last: Joint, heard: Heard, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
+        self, last: PeerLink, heard: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
     ) -> int | None:
         """Wait for the sample of every device, after ``heard`` came of ``last`` in place of its sample.
 
@@ -142,8 +131,8 @@ class CouplingNode:
         """
         began = self._clock.now()
 
-        def react(joint: Joint, heard: Heard, tick: int) -> int:
-            if heard is Heard.TURNED:  # the device knows better; nobody will ever send the tick that was awaited
+        def react(joint: PeerLink, heard: Received, tick: int) -> int:
+            if heard is Received.TURNED:  # the device knows better; nobody will ever send the tick that was awaited
                 if block.environment.tick == tick - 1:  # the device answered last is waited for in between
                     block.environment.say(Absent(joint.peer.name))
                 self._forget()
@@ -153,14 +142,14 @@ class CouplingNode:
                         other.send_zero(Force, joint.told - 1)
                 tick = joint.told
                 joint.take(joint.stray, x, tick)
-            elif heard is Heard.MET:
+            elif heard is Received.MET:
                 joint.send_zero(Force, tick - 1)
             return tick
 
         def pause(tick: int) -> Duration | None:
             self._forget_after(began)
             self._pause(block, life, control, idle=not any(joint.link for joint in self._devices))
-            if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Heard.MET:
+            if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.MET:
                 # not heard is as good as not here: the device may wait for another block, and that one for this one
                 self._tell_absences(block, [joint for joint in self._devices if joint.tick == tick])
             return None if life.stopping else self._patience.look
@@ -168,7 +157,7 @@ class CouplingNode:
         found = await_all(self._devices, last, x, react(last, heard, tick), self, react, pause)
         return None if life.stopping else found
 
-    def _await_reaction(self, heard: Heard, tick: int, block: Block, life: Life, control: ControlLine) -> int | None:
+    def _await_reaction(self, heard: Received, tick: int, block: Block, life: Life, control: ControlLine) -> int | None:
         """Wait for the environment's answer; ask again after a while, for who was lost or late may be behind.
 
         ``heard`` is what it was heard to say so far.
@@ -179,11 +168,11 @@ class CouplingNode:
         asked = began = self._clock.now()
         while True:
             self._forget_after(began)
-            if heard is Heard.SIGNAL:
+            if heard is Received.SIGNAL:
                 return tick
-            if heard is Heard.TURNED:
+            if heard is Received.TURNED:
                 return block.environment.told
-            if heard is Heard.MET:
+            if heard is Received.MET:
                 self._tell_absences(block, [joint for joint in self._devices if joint.here])
             for joint in self._devices:
                 if joint.handshake is not None:
@@ -207,7 +196,7 @@ class CouplingNode:
         for joint in self._devices:
             joint.gate.forget()
 
-    def _tell_absences(self, block: Block, present: Collection[Joint]) -> None:
+    def _tell_absences(self, block: Block, present: Collection[PeerLink]) -> None:
         """An environment that is back does not know whose samples are missing."""
         for joint in self._devices:
             if joint not in present:

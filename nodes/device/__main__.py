@@ -6,8 +6,7 @@ from pathlib import Path
 
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.colocated import colocated
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.process import main, main_together
 

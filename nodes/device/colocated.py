@@ -10,27 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, Peer, load
-from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.exchange import Heard, Joint, Listener
-from manyhands.nodes.greeting import establish, hello_to, positions
-from manyhands.nodes.life import Life
-from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.lifetime import Life
+from manyhands.nodes.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
 from manyhands.nodes.process import Node
-from manyhands.nodes.reunion import follow
+from manyhands.nodes.rejoin import follow
+from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Duration, RealtimeClock
-from manyhands.protocol.messages import (
-    Force,
-    Reaction,
-    Report,
-    Role,
-    Rung,
-    SignalMessage,
-    Start,
-)
+from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
 
@@ -73,7 +64,7 @@ class CarriedBlock:
         return Report(0, {}, {}, {}) if self.block is None else self.block.report()
 
 
-class Within(Joint):
+class Within(PeerLink):
     """What stands in the device for the link to a coupling in its own process."""
 
     def __init__(self, carried: CarriedBlock, device: DeviceBundle, block: Block) -> None:
@@ -101,17 +92,17 @@ class Within(Joint):
         """Say p(k) again."""
         self._block.say_again(self._block.said)
 
-    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Heard:
+    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
         """Listen for the environment's answer, and put the block's force into the device's ``values``."""
         heard = self._block.hear(tick, patience)
-        if heard is Heard.SIGNAL or heard is Heard.TURNED:
+        if heard is Received.SIGNAL or heard is Received.TURNED:
             self.put(values, self._block.applied)
-            rung = self._block.climb(tick if heard is Heard.SIGNAL else self._block.environment.told)
+            rung = self._block.climb(tick if heard is Received.SIGNAL else self._block.environment.told)
             if rung is not None:
                 listener.aside(self, Rung(rung))
-        if heard is Heard.SIGNAL:
+        if heard is Received.SIGNAL:
             self.tick = tick
-        elif heard is Heard.TURNED:
+        elif heard is Received.TURNED:
             self.told, self.zero = self._block.environment.told, True
         return heard
 

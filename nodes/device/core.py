@@ -4,21 +4,44 @@ The device with its hand promises that G_hat is (share Delta_D)-OSP, from force 
 
     y(k) = (x(k) - x(k-1))/T + K (F(k) - F(k-1))/T,    K = kappa T Delta_D^{-1}    ((7)-(9) of [Bianchini2010]_),
 
-with share = 1 and kappa = 1/2 without delay, and what :mod:`manyhands.design.delay` gives for a delay inside the tick.
+with share = 1 and kappa = 1/2 without delay, and what :mod:`manyhands.design.levels.device` gives for a delay inside
+the tick.
 
 What the hand *intends* is no part of that promise; where it is known, as for a simulated hand, the work
 that it did is added to the ledger.
+
+What a device may exert and reach, checked by the device itself: nobody else need be trusted for it.
+
+A force beyond its limit is clipped, last before the actuator. The couplings clip to the same limits already, so that a
+force to be clipped here means that a coupling misbehaves.
+
+A device beyond its displacement or its speed **lets go**: between it and its couplings stands an ideal transformer like
+the environment's clutch (:mod:`manyhands.nodes.environment.clutch`), whose ratio s falls to 0 at once,
+
+    x'(k) - x'(k-1) = s(k-1) (x(k) - x(k-1)),      f_applied(k) = s(k) f(k),
+
+with x the device's own displacement, x' what its couplings are told, and f the force that they ask for. So the device
+exerts no force, its tool stays where it is, and the tick goes on for everybody. Once it has been within its limits for
+:data:`RETURN` periods, s rises by the ramp of every return. The force that x(k) moved against was applied with s(k-1),
+so that the work that the couplings are told of is the work that was done: with v'(k) = s(k-1) v(k),
+
+    f(k-1)^T T v'(k) = f_applied(k-1)^T T v(k)  >=  storage difference + T v(k)^T Delta_D v(k),      |v'| <= |v|,
+
+and the device's promise holds of x' and f as it does of x and f_applied, whatever s does (docs/decisions/0029).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.ledger import Ledger
-from manyhands.nodes.linear_map import Floats, dot, linear_map
+from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map
+from manyhands.nodes.bundle import Limits
+from manyhands.nodes.passivity import Ledger
 
 Vector = NDArray[np.float64]
 
@@ -72,3 +95,108 @@ class DeviceCore:
         y = [v + part for v, part in zip(self._velocity, change, strict=True)]
         self.ledger.enter(self._T * (dot(f, y) - dot(y, self._level(y))) + intended_work)
         self._f = f
+
+
+RETURN: Final = 100
+"""Periods that a device must be within its limits before it takes hold again; and as many until s = 1."""
+
+
+class Guard:
+    """Watches over one device.
+
+    Attributes:
+        let_go: how often it has let go.
+        why: what was beyond its limit when it last did, in one sentence; empty for never.
+    """
+
+    def __init__(self, limits: Limits, T: float, axes: Sequence[str]) -> None:
+        """Watch from the first sample on.
+
+        Args:
+            limits: one entry an axis.
+            T: period, s.
+            axes: the device's ports, for the sentences.
+        """
+        self._axes, self._T = tuple(axes), T
+        self._displacement, self._speed = limits.displacement, limits.speed
+        self._saturation = Saturation(limits.force)
+        self._before: Floats | None = None
+        self._told: Floats | None = None  # x'(k), where it is not x(k)
+        self._ratio, self._rises, self._within = 1.0, 0, 0
+        self.let_go, self.why = 0, ""
+
+    @property
+    def clipped(self) -> int:
+        """Ticks whose force was clipped here."""
+        return self._saturation.ticks
+
+    @property
+    def holds(self) -> bool:
+        """Whether the device exerts force."""
+        return self._ratio > 0.0
+
+    def tell(self, x: Floats, periods: int = 1) -> Floats:
+        """x'(k), m, for the displacement x(k), m: ``x`` itself as long as the device has never let go.
+
+        ``periods`` have passed since the sample before: more than one where a tick was late.
+        """
+        before = self._before or x
+        breach = self.breach(x, periods)
+        if breach is None and self._told is None:
+            return x
+        told, ratio = self._told or before, self._ratio
+        moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(told, x, before, strict=True)]
+        self._told = kept = self._within_limits(moved, told, self._T * periods)
+        if breach is None and kept != moved:
+            breach = f"{self._axes[0]} would be told beyond its limits, from where it had let go; it lets go once more"
+        self._follow(breach)
+        return kept
+
+    def breach(self, x: Floats, periods: int = 1) -> str | None:
+        """What is wrong with the displacement x(k), m, in one sentence; None if it is within its limits.
+
+        The first sample has no speed: a device may be switched on anywhere within its reach. ``x`` is kept for then.
+        """
+        before, self._before = self._before or x, x
+        T = self._T * periods
+        for axis, (at, last) in enumerate(zip(x, before, strict=True)):
+            if not abs(at) <= self._displacement[axis]:
+                return self._sentence(axis, "displacement", at, self._displacement[axis], "m")
+            if not abs(at - last) <= T * self._speed[axis]:
+                return self._sentence(axis, "speed", (at - last) / T, self._speed[axis], "m/s")
+        return None
+
+    def clip(self, f: Floats) -> Floats:
+        """The force to apply for f_v(k), N: within the limits of every axis, and counted if it was not."""
+        held = self._saturation.clip(f)
+        return held if self._ratio == 1.0 else [self._ratio * force for force in held]
+
+    def _within_limits(self, moved: Floats, told: Floats, T: float) -> Floats:
+        """``moved``, or as much of the way there from ``told`` as is within the limits."""
+        kept = []
+        for to, at, reach, speed in zip(moved, told, self._displacement, self._speed, strict=True):
+            kept.append(max(-reach, min(reach, max(at - T * speed, min(at + T * speed, to)))))
+        return kept
+
+    def _follow(self, breach: str | None) -> None:
+        """Choose s(k)."""
+        if breach is not None:
+            if self._ratio > 0.0:
+                self.let_go += 1
+                self.why = breach
+            self._ratio, self._rises, self._within = 0.0, 0, 0
+            return
+        self._within += 1
+        if self._within > RETURN and self._rises < RETURN:
+            self._rises += 1
+            self._ratio = 1.0 if self._rises == RETURN else math.sin(0.5 * math.pi * self._rises / RETURN) ** 2
+
+    def _sentence(self, axis: int, quantity: str, found: float, limit: float, unit: str) -> str:
+        return (
+            f"found a {quantity} of {found:.6g} {unit} at {self._axes[axis]}; expected at most {limit:g} {unit}, its "
+            "limit; see what moved it, or raise the limit in the session file"
+        )
+
+
+def _finite(by: float) -> float:
+    return by if math.isfinite(by) else 0.0

@@ -15,20 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, DeviceBundle
-from manyhands.nodes.control import NOT_AT_ALL, ControlLine
-from manyhands.nodes.device.account import Account
-from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.exchange import Heard, Joint, await_all
-from manyhands.nodes.greeting import establish
-from manyhands.nodes.life import Life
-from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.log import Event
-from manyhands.nodes.patience import LISTEN_TICKS, patience
+from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.telemetry import DeviceTelemetry
+from manyhands.nodes.lifetime import Life
+from manyhands.nodes.log import LogEvent
+from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.reunion import follow
+from manyhands.nodes.rejoin import follow
+from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
+from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
 from manyhands.protocol.messages import Absent, Force, Report, Rung, Sample, Start
 from manyhands.protocol.transport import Link
@@ -43,11 +41,11 @@ class DeviceNode:
         self._common, self._driver, self._rungs = common, driver, bundle.rungs
         self._core = DeviceCore(bundle.level, bundle.K, common.period)
         self._guard = Guard(bundle.limits, common.period, common.ports)
-        self._realtime, self._patience = RealtimeClock(), patience(common)
+        self._realtime, self._patience = RealtimeClock(), timeouts(common)
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self._joints: list[Joint] = []
-        self._account = Account(common, from_seconds(common.tau), driver.figures)
+        self._joints: list[PeerLink] = []
+        self._account = DeviceTelemetry(common, from_seconds(common.tau), driver.figures)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -89,7 +87,7 @@ class DeviceNode:
             told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
             if guard.let_go != let_go:
-                control.log.note(Event.BREACH, tick=tick, reason=guard.why)
+                control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             for joint in joints:
                 if joint.tick != tick:
                     joint.send(Sample, tick, sampled, told_x)
@@ -99,7 +97,7 @@ class DeviceNode:
             for joint in joints:
                 # who runs free waits once, to the end of the period
                 heard = joint.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
-                if heard is not Heard.SIGNAL:
+                if heard is not Received.SIGNAL:
                     told = self._await_forces(joint, heard, f, told_x, tick, sampled, life, control)
                     break
             if life.stopping:
@@ -137,11 +135,11 @@ class DeviceNode:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
         return self._account.report(self._core, self._guard, self._joints, self._rung)
 
-    def astray(self, joint: Joint, told: int, awaited: int) -> bool:
+    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
         """Zero force of a later tick: the session has gone on without this device."""
         return told > awaited and joint.zero
 
-    def aside(self, joint: Joint, message: Rung | Absent) -> bool:
+    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
         """The coupling has changed to another rung: the zero force that follows is its first."""
         if isinstance(message, Rung) and message.rung < len(self._rungs):
             self._next_rung = message.rung
@@ -158,8 +156,8 @@ class DeviceNode:
 
     def _await_forces(
         self,
-        last: Joint,
-        heard: Heard,
+        last: PeerLink,
+        heard: Received,
         f: Floats,
         x: Floats,
         tick: int,
@@ -177,15 +175,15 @@ class DeviceNode:
         asked = self._realtime.now()
         due = None if patience.stale is None else Instant(sampled + (self._period if self._free else patience.stale))
 
-        def react(joint: Joint, heard: Heard, tick: int) -> int:
-            if heard is Heard.TURNED:
+        def react(joint: PeerLink, heard: Received, tick: int) -> int:
+            if heard is Received.TURNED:
                 tick = joint.tick = joint.told
                 joint.put(f, [0.0] * len(joint.peer.ports))
                 for other in joints:  # a coupling that has answered the earlier tick is asked about this one
                     if other.tick != tick:
                         other.say(Absent(self._common.name))  # from the ticks in between
                         other.send(Sample, tick, sampled, x)
-            elif heard is Heard.MET:
+            elif heard is Received.MET:
                 joint.send(Sample, tick, sampled, x)
             return tick
 

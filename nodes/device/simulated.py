@@ -1,17 +1,149 @@
-"""The simulated driver: a mass held by a simulated hand, whose intention is a function of time."""
+"""A held device in its own time, one exactly discretised period after the other, and a driver around it.
+
+One call of :meth:`PlantDriver.sample` is one period of the device's own time, however long the tick took by the clock:
+a run in real time then has the very numbers of the simulation, and lateness is a figure in the report rather than a
+disturbance of the experiment.
+
+The simulated driver: a mass held by a simulated hand, whose intention is a function of time.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-from manyhands.design.device import HeldDevice
-from manyhands.nodes.bundle_sources import SimulatedHand
+import numpy as np
+
+from manyhands.design.models.device import HeldDevice, held_device
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.arithmetic import Floats, dot, linear_map
+from manyhands.nodes.bundle import SimulatedHand
 from manyhands.nodes.device.intent import Intent, intent_from
-from manyhands.nodes.device.plant import Intention, Plant, PlantDriver, device_of
+
+
+class Intention(NamedTuple):
+    """What the hand intends over one period: a force (N) and a velocity (m/s), one entry an axis, both held."""
+
+    force: Floats
+    velocity: Floats
+
+
+class Plant:
+    """A :class:`HeldDevice`, sampled; it keeps no state of its own."""
+
+    def __init__(self, device: HeldDevice, T: float) -> None:
+        """``T``: period, s."""
+        sampled = device.sampled(T)
+        self.axes, self.order = device.axes, sampled.order
+        self._step = linear_map(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
+        self._damping: Floats = device.damping.tolist()
+        self._mass: Floats = device.mass.tolist()
+        self._T = T
+
+    def holding(self, x: Floats, v: Floats) -> Floats:
+        """The state in which the device is at x (m) with v (m/s), and the hand at rest on it, its spring slack."""
+        return [*x, *v, *[0.0] * (self.order - 2 * self.axes)]
+
+    def after(self, before: Floats, f: Floats, intention: Intention) -> tuple[Floats, float]:
+        """The state a period after ``before`` under the force f (N), and the intention's work over it (J)."""
+        m, T = self.axes, self._T
+        total = [held + own for held, own in zip(f, intention.force, strict=True)]
+        goal = intention.velocity
+        after = self._step(before + total + goal)
+        moved = [x - last for x, last in zip(after[:m], before[:m], strict=True)]
+        work = dot(intention.force, moved)
+        if any(goal):
+            faster = [v - last for v, last in zip(after[m : 2 * m], before[m : 2 * m], strict=True)]
+            lost = zip(total, self._damping, moved, self._mass, faster, strict=True)
+            work -= dot(goal, [force * T - b * dx - mass * dv for force, b, dx, mass, dv in lost])
+        return after, work
+
+
+class PlantDriver(ABC):
+    """A :class:`manyhands.nodes.device.drivers.Driver` around a plant; what the hand intends, its kinds say."""
+
+    def __init__(self, plant: Plant) -> None:
+        """Start at rest in x = 0."""
+        m = self._m = plant.axes
+        self._plant = plant
+        self._zero: Floats = [0.0] * m
+        self._state: Floats = plant.holding(self._zero, self._zero)
+        self._tick = 0
+        self._work = 0.0
+        self._f = self._zero
+        self._intention: Intention | None = None  # over the period that has begun, once it is known
+        self._next: tuple[Floats, float] | None = (self._state, 0.0)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return self._m
+
+    def sample(self, tick: int) -> Floats:
+        """The displacement at the instant kT, m: where the force applied last has brought the device."""
+        self._state, self._work = self._next if self._next is not None else self._advanced()
+        self._tick, self._next, self._intention = tick, None, None
+        return self._state[: self._m]
+
+    def apply(self, f: Sequence[float]) -> None:
+        """Hold f (N) over the period that begins."""
+        self._f, self._next = list(map(float, f)), None  # a float of numpy is slow in the products
+
+    def release(self) -> None:
+        """Hold zero force."""
+        self.apply(self._zero)
+
+    def idle(self) -> None:
+        """Compute where the force leads, before the next sample is due: there it costs the loop no latency."""
+        self._next = self._advanced()
+
+    def intended_work(self) -> float:
+        """Work of the intention over the last period, J."""
+        return self._work
+
+    def figures(self) -> Mapping[str, float]:
+        """Nothing to tell."""
+        return {}
+
+    def close(self) -> None:
+        """Hold zero force; nothing else is held."""
+        self.release()
+
+    def _advanced(self) -> tuple[Floats, float]:
+        """State and work of the intention at the end of the period, under the force that is held."""
+        if self._intention is None:
+            self._intention = self._intend(self._tick)
+        return self._plant.after(self._state, self._f, self._intention)
+
+    @abstractmethod
+    def _intend(self, tick: int) -> Intention:
+        """What the hand intends over the period from ``tick`` on; asked once a period."""
+
+
+def device_of(hand: SimulatedHand) -> HeldDevice:
+    """The device that a bundle describes, in its hand.
+
+    Raises:
+        ValueError: a mass is not positive.
+    """
+    return held_device(
+        list(hand.mass), list(hand.damping), hand.operator, list(hand.hand_damping), list(hand.hand_stiffness)
+    )
+
+
+def bare_device_of(hand: SimulatedHand) -> HeldDevice:
+    """The same device when the hand is open: the mass of both, and the device's own damping.
+
+    Raises:
+        ValueError: a mass is not positive.
+    """
+    m = hand.axes
+    return held_device(list(hand.mass), list(hand.damping), StateSpace.static(np.zeros((m, m))), [0.0] * m, [0.0] * m)
 
 
 class SimulatedDriver(PlantDriver):
-    """A :class:`manyhands.nodes.device.driver.Driver` around a :class:`HeldDevice`."""
+    """A :class:`manyhands.nodes.device.drivers.Driver` around a :class:`HeldDevice`."""
 
     def __init__(self, device: HeldDevice, force: Sequence[Intent], motion: Sequence[Intent], T: float) -> None:
         """Start at rest in x = 0.

@@ -1,26 +1,107 @@
 """What a device keeps of its ticks: times, breaches of what the certificate assumes, traces, and what it tells of them.
 
 All is filled in place: nothing of telemetry's size is allocated in a tick.
+
+Why a tick was late: the device's own work, a partner's answer, or a processor that was not to be had.
+
+A tick is late when its force is applied after the next tick was due. The time from kT, when it was due, to then is
+all spent on one of three accounts, known from stamps that the loop takes anyway:
+
+    kT ... ready      own          what the tick before left to do (telemetry, mostly) went on beyond kT
+       ... sampled    descheduled  the alarm had rung, and the thread did not run
+       ... sent       own          sampling and sending
+       ... received   partner      waiting for the forces
+       ... applied    own          applying
+
+**The cause is the greatest of the three accounts**; of equal ones the first of own, descheduled, partner. It is the
+cause that a remedy should begin with, not the only one: a tick can be late by three small delays.
+
+What cannot be told apart from within: an answer that came in time while this thread was not woken is the partner's;
+a partner that was itself descheduled, or waits for another, is a partner (its own report tells more); a processor that
+the kernel or a hypervisor took while the thread did its own work counts as that work.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
 
 import numpy as np
 
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common
-from manyhands.nodes.control import ControlLine
-from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.guard import Guard
-from manyhands.nodes.device.lateness import Lateness
-from manyhands.nodes.distribution import Distribution
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.peer_link import PeerLink
+from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.telemetry import Distribution
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Report, Telemetry
+
+
+class LateCause(StrEnum):
+    """On what the greatest part of a late tick was spent."""
+
+    OWN = "own"
+    DESCHEDULED = "descheduled"
+    PARTNER = "partner"
+
+
+def cause(
+    due: Instant, ready: Instant, sampled: Instant, sent: Instant, received: Instant, applied: Instant
+) -> LateCause:
+    """The cause of one late tick; its instants are in this order, only ``ready`` may come before ``due``.
+
+    Args:
+        due: kT.
+        ready: when the loop had nothing left to do but to wait for kT.
+        sampled: when it had woken and sampled x(k).
+        sent: when x(k) was sent to every coupling.
+        received: when the last force was there.
+        applied: when f_v(k) was applied.
+    """
+    began = max(due, ready)
+    own = (began - due) + (sent - sampled) + (applied - received)
+    descheduled = sampled - began
+    greatest = max(own, descheduled, received - sent)
+    if own == greatest:
+        return LateCause.OWN
+    return LateCause.DESCHEDULED if descheduled == greatest else LateCause.PARTNER
+
+
+class LatenessCounter:
+    """Counts late ticks by their cause.
+
+    Attributes:
+        counts: late ticks by cause.
+    """
+
+    __slots__ = ("_period", "counts")
+
+    def __init__(self, period: Duration) -> None:
+        """No tick has been late yet; ``period``: T."""
+        self.counts = dict.fromkeys(LateCause, 0)
+        self._period = period
+
+    def judge(
+        self, due: Instant, ready: Instant, sampled: Instant, sent: Instant, received: Instant, applied: Instant
+    ) -> LateCause | None:
+        """Count the tick if it was late; the arguments are those of :func:`cause`.
+
+        Returns:
+            Its cause; None for a tick that was in time.
+        """
+        if applied <= due + self._period:
+            return None
+        found = cause(due, ready, sampled, sent, received, applied)
+        self.counts[found] += 1
+        return found
+
+    def figures(self) -> dict[str, int]:
+        """Late ticks by cause, under the names of the report: ``late_own`` and so on."""
+        return {f"late_{name.value}": count for name, count in self.counts.items()}
+
 
 PERIOD_TOLERANCE = 0.25
 """Part of a period by which two samples may be more or less than a period apart before that is told as a breach."""
@@ -29,7 +110,7 @@ Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
 """Of a tick: when it was due, when the loop was ready, and when it had sampled, sent, received and applied."""
 
 
-class Account:
+class DeviceTelemetry:
     """The figures of one device.
 
     Attributes:
@@ -48,7 +129,7 @@ class Account:
         period = self._period = from_seconds(common.period)
         self._shortest = Duration(round(period * (1.0 - PERIOD_TOLERANCE)))
         self._longest = Duration(round(period * (1.0 + PERIOD_TOLERANCE)))
-        self._lateness = Lateness(period)
+        self._lateness = LatenessCounter(period)
         self._tau, self._true_period = Distribution(), Distribution()
         self._tau_worst = 0
         m, rows = len(common.ports), common.telemetry_ticks
@@ -97,18 +178,18 @@ class Account:
         self._events.release(tick)
         self._sampled = None
 
-    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
         """The session is at a later tick: what was kept is told first, for rows follow each other."""
         self.publish_rest(control, core, guard, joints)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
         """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, core, guard, joints)
 
-    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[Joint]) -> None:
+    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
         """Telemetry of the ticks since the last, if there are any."""
         rows = self._filled
         if rows == 0:
@@ -142,7 +223,7 @@ class Account:
         control.publish(Telemetry(self.ticks, figures, traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
 
-    def report(self, core: DeviceCore, guard: Guard, joints: Sequence[Joint], rung: int) -> Report:
+    def report(self, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink], rung: int) -> Report:
         """The device's last word."""
         return Report(
             self.ticks,

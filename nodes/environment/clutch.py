@@ -38,8 +38,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.arithmetic import Floats, dot
 from manyhands.nodes.environment.energy import Energy
-from manyhands.nodes.linear_map import Floats, dot
 
 Vector = NDArray[np.float64]
 Blocks: TypeAlias = Sequence[slice | Sequence[int] | NDArray[np.intp]]
@@ -58,7 +58,7 @@ LET_GO: Final = 1e-6
 """Euclidean norm of the offset that may be given up in one tick, m: less than a hand or a sensor tells."""
 
 
-class Phase(Enum):
+class ClutchPhase(Enum):
     """Where a clutch is."""
 
     COUPLED = "coupled"  # s = 1, rises to it, or lags to work an offset off
@@ -67,7 +67,7 @@ class Phase(Enum):
     JOINING = "joining"  # s = 0, and the p of the next tick becomes the reference
 
 
-class Event(Enum):
+class ClutchEvent(Enum):
     """What happens to a clutch."""
 
     FREEZE = "freeze"
@@ -77,22 +77,22 @@ class Event(Enum):
     FALLEN = "fallen"  # the ratio has reached 0
 
 
-NEXT: Final[Mapping[tuple[Phase, Event], Phase]] = MappingProxyType(
+NEXT: Final[Mapping[tuple[ClutchPhase, ClutchEvent], ClutchPhase]] = MappingProxyType(
     {
-        (Phase.COUPLED, Event.FREEZE): Phase.FROZEN,
-        (Phase.COUPLED, Event.ENGAGE): Phase.COUPLED,
-        (Phase.COUPLED, Event.DISENGAGE): Phase.LEAVING,
-        (Phase.LEAVING, Event.FREEZE): Phase.FROZEN,
-        (Phase.LEAVING, Event.ENGAGE): Phase.COUPLED,
-        (Phase.LEAVING, Event.DISENGAGE): Phase.LEAVING,
-        (Phase.LEAVING, Event.FALLEN): Phase.FROZEN,
-        (Phase.FROZEN, Event.FREEZE): Phase.FROZEN,
-        (Phase.FROZEN, Event.ENGAGE): Phase.JOINING,
-        (Phase.FROZEN, Event.DISENGAGE): Phase.FROZEN,
-        (Phase.JOINING, Event.FREEZE): Phase.FROZEN,
-        (Phase.JOINING, Event.ENGAGE): Phase.JOINING,
-        (Phase.JOINING, Event.DISENGAGE): Phase.FROZEN,
-        (Phase.JOINING, Event.REFERRED): Phase.COUPLED,
+        (ClutchPhase.COUPLED, ClutchEvent.FREEZE): ClutchPhase.FROZEN,
+        (ClutchPhase.COUPLED, ClutchEvent.ENGAGE): ClutchPhase.COUPLED,
+        (ClutchPhase.COUPLED, ClutchEvent.DISENGAGE): ClutchPhase.LEAVING,
+        (ClutchPhase.LEAVING, ClutchEvent.FREEZE): ClutchPhase.FROZEN,
+        (ClutchPhase.LEAVING, ClutchEvent.ENGAGE): ClutchPhase.COUPLED,
+        (ClutchPhase.LEAVING, ClutchEvent.DISENGAGE): ClutchPhase.LEAVING,
+        (ClutchPhase.LEAVING, ClutchEvent.FALLEN): ClutchPhase.FROZEN,
+        (ClutchPhase.FROZEN, ClutchEvent.FREEZE): ClutchPhase.FROZEN,
+        (ClutchPhase.FROZEN, ClutchEvent.ENGAGE): ClutchPhase.JOINING,
+        (ClutchPhase.FROZEN, ClutchEvent.DISENGAGE): ClutchPhase.FROZEN,
+        (ClutchPhase.JOINING, ClutchEvent.FREEZE): ClutchPhase.FROZEN,
+        (ClutchPhase.JOINING, ClutchEvent.ENGAGE): ClutchPhase.JOINING,
+        (ClutchPhase.JOINING, ClutchEvent.DISENGAGE): ClutchPhase.FROZEN,
+        (ClutchPhase.JOINING, ClutchEvent.REFERRED): ClutchPhase.COUPLED,
     }
 )
 """Every transition; the pairs that are missing cannot occur."""
@@ -143,7 +143,7 @@ class Clutch:
             ramp: ticks from s = 0 to s = 1.
         """
         self.ports, self._ramp = list(ports), ramp
-        self.phase, self.ratio, self.settled = Phase.COUPLED, 1.0, True
+        self.phase, self.ratio, self.settled = ClutchPhase.COUPLED, 1.0, True
         self._at = self._most = float(ramp)  # j and the greatest one allowed, ticks
         self._p: Floats = [0.0] * len(ports)
         self._x_c = self._x_e = self.reference = self._p
@@ -160,13 +160,13 @@ class Clutch:
         self._p = self._x_c = self._x_e = self.reference = x_e
         self._last, self.fresh = 1.0, False
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: ClutchEvent) -> None:
         """Change the phase; a settled clutch that is to leave 1 is settled no more."""
         self.phase = NEXT[self.phase, event]
-        if self.phase is Phase.FROZEN:
+        if self.phase is ClutchPhase.FROZEN:
             self._at = self.ratio = 0.0
             self.reference, self.ready = self._x_e, False
-        if self.settled and self.phase is not Phase.COUPLED:
+        if self.settled and self.phase is not ClutchPhase.COUPLED:
             self.settled, self.fresh = False, True
 
     def restrain(self, ratio: float) -> None:
@@ -183,23 +183,23 @@ class Clutch:
             f_e: the force at the tool of the tick before, N.
         """
         self.ready = False
-        if self.phase is Phase.FROZEN:
+        if self.phase is ClutchPhase.FROZEN:
             self.reference = self._x_e
             return
-        if self.phase is Phase.JOINING:
+        if self.phase is ClutchPhase.JOINING:
             self._p = p  # with no force x_c(k) is p(k)
             self.reference = self._x_e
-            self.handle(Event.REFERRED)
+            self.handle(ClutchEvent.REFERRED)
             return
         offset = _difference(self._x_e, self._x_c)
-        goal = 0.0 if self.phase is Phase.LEAVING else self._goal(offset, _difference(p, self._p), f_e)
+        goal = 0.0 if self.phase is ClutchPhase.LEAVING else self._goal(offset, _difference(p, self._p), f_e)
         self._p = p
         self._at = min(self._at + max(-1.0, min(1.0, goal - self._at)), self._most)
         self.ratio = ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
         self.reference = [e + ratio * (to - c) for e, to, c in zip(self._x_e, p, self._x_c, strict=True)]
-        if self._at == 0.0 and self.phase is Phase.LEAVING:
-            self.handle(Event.FALLEN)
-        elif self.phase is Phase.COUPLED and self._at >= self._ramp - 1.0 and self._most >= self._ramp:
+        if self._at == 0.0 and self.phase is ClutchPhase.LEAVING:
+            self.handle(ClutchEvent.FALLEN)
+        elif self.phase is ClutchPhase.COUPLED and self._at >= self._ramp - 1.0 and self._most >= self._ramp:
             self.ready = dot(offset, offset) <= LET_GO**2 and dot(offset, f_e) <= 0.0
 
     def halt(self) -> None:
@@ -245,7 +245,7 @@ class Clutch:
         """
         ratio = self.ratio
         self._x_e = [at + ratio * by for at, by in zip(self.reference, deflection, strict=True)]
-        if self.phase is not Phase.FROZEN:
+        if self.phase is not ClutchPhase.FROZEN:
             self._x_c = [at + by for at, by in zip(self._p, deflection, strict=True)]
         self.rests, self._last = ratio == self._last == 0.0, ratio
         if self.ready and ratio == 1.0:
@@ -285,18 +285,18 @@ class Clutches:
 
     def freeze(self, block: int) -> None:
         """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
-        self.handle(self.all[block], Event.FREEZE)
+        self.handle(self.all[block], ClutchEvent.FREEZE)
 
     def engage(self, block: int) -> None:
         """Take the block's next p as its reference, with s = 0, and raise s to 1 over the ticks of a ramp after it.
 
         A block that is leaving turns round from where its ratio is; for a coupled one nothing changes.
         """
-        self.handle(self.all[block], Event.ENGAGE)
+        self.handle(self.all[block], ClutchEvent.ENGAGE)
 
     def disengage(self, block: int) -> None:
         """Lower s to 0 from where it is; then the block is frozen."""
-        self.handle(self.all[block], Event.DISENGAGE)
+        self.handle(self.all[block], ClutchEvent.DISENGAGE)
 
     def ratio(self, block: int) -> float:
         """The block's s: that of the last tick, or 0 if it has been frozen since."""
@@ -319,7 +319,7 @@ class Clutches:
         clutch = self.all[block]
         return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
 
-    def handle(self, clutch: Clutch, event: Event) -> None:
+    def handle(self, clutch: Clutch, event: ClutchEvent) -> None:
         """Something happens to one of them."""
         was_settled = clutch.settled
         clutch.handle(event)
@@ -338,7 +338,7 @@ class Clutches:
             ValueError: the block is not frozen, or the shape is another.
         """
         clutch = self.all[block]
-        if clutch.phase not in (Phase.FROZEN, Phase.JOINING):
+        if clutch.phase not in (ClutchPhase.FROZEN, ClutchPhase.JOINING):
             raise ValueError(
                 f"found block {block} at the ratio {clutch.ratio:.3g}; expected it frozen: disengage first"
             )

@@ -31,12 +31,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.statespace import StateSpace
-from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, Event, ports_of, ports_of_blocks
-from manyhands.nodes.environment.energy import BOUND_TICKS, Budget, Energy
-from manyhands.nodes.ledger import Ledger
-from manyhands.nodes.linear_map import Floats, LinearMap, Rows, dot, linear_map, solve
-from manyhands.nodes.passivity_controller import PassivityController
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.arithmetic import Floats, LinearMap, Rows, dot, linear_map, solve
+from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
+from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
+from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
 
@@ -67,7 +66,7 @@ class EnvironmentCore:
         blocks: Blocks | None = None,
         ramp: int = RAMP,
         masses: int = 0,
-        budgets: Sequence[Budget] | None = None,
+        budgets: Sequence[EnergyBudget] | None = None,
         storage: Vector | None = None,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
@@ -227,7 +226,7 @@ class EnvironmentCore:
             self.ill_posed += 1
             for clutches in (tuple(self._unsettled), self.clutches.all):
                 for clutch in clutches:
-                    self.clutches.handle(clutch, Event.FREEZE)
+                    self.clutches.handle(clutch, ClutchEvent.FREEZE)
                 self.clutches.seize(self._x_e)
                 f_J = self._at_clutches(p)
                 if f_J is not None:

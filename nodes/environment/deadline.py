@@ -12,7 +12,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Final, NamedTuple
 
-from manyhands.nodes.patience import Patience
+from manyhands.nodes.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant
 
 _NOBODY_WAITS: Final = Instant(2**62)
@@ -52,7 +52,7 @@ class Deadline:
 
     __slots__ = ("_began", "_due", "_first", "_patience", "_period", "listened")
 
-    def __init__(self, patience: Patience, period: Duration, due: Instant, began: Instant) -> None:
+    def __init__(self, patience: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
         """Begin to wait; nobody is there yet.
 
         Args:

@@ -34,7 +34,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from manyhands.nodes.linear_map import Floats
+from manyhands.nodes.arithmetic import Floats
 
 MEMORY: Final = 0.5
 """Time constant of forgetting, s: longer than a period of a hand that shakes something at 3 Hz."""
@@ -56,7 +56,7 @@ MOST_PAIRS: Final = 16
 
 
 @dataclass(frozen=True)
-class Budget:
+class EnergyBudget:
     """What a party may put into the others.
 
     Attributes:
@@ -93,7 +93,7 @@ class Energy:
     """
 
     def __init__(
-        self, blocks: Sequence[Sequence[int]], budgets: Sequence[Budget] | None, T: float, known: bool = False
+        self, blocks: Sequence[Sequence[int]], budgets: Sequence[EnergyBudget] | None, T: float, known: bool = False
     ) -> None:
         """All accounts at 0, all buckets full.
 
@@ -104,7 +104,7 @@ class Energy:
             known: whether the energy that the world stores is known, and told by :meth:`bound`.
         """
         n = len(blocks)
-        free = Budget(1e300, 1e300, 1e300)  # of a bucket that is never empty
+        free = EnergyBudget(1e300, 1e300, 1e300)  # of a bucket that is never empty
         self._blocks = [tuple(block) for block in blocks]
         self._plain = self._blocks == [(i,) for i in range(n)]
         keep = 1.0 if known else 1.0 - T / MEMORY

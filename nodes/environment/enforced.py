@@ -1,7 +1,7 @@
 """The environment's tick where its forces come from a model of which nothing is known, or that is not to be relied on.
 
 At every tick the model says the forces f_m that it wants, and where its promise is *enforced* the passivity controller
-(:mod:`manyhands.nodes.passivity_controller`) decides how much of them is exerted:
+(:mod:`manyhands.nodes.passivity`) decides how much of them is exerted:
 
     f_e = part f_m + (1 - part) h,     x_e = r + S D_V S f_e,     h = (S D_V S)^{-1} (x_e(k-1) - r),
 
@@ -13,23 +13,26 @@ tool rests whatever the force is, and h does not matter. Two kinds of models are
   tick before: explicit, so that nothing has to be known about it to close the algebraic loop;
 - matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, and the controller a safety
   net that never acts.
+
+Which core an environment's bundle asks for: E as it is proved, or a model or E under a controller.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
-from manyhands.nodes.environment.energy import Budget, Energy
-from manyhands.nodes.environment.model import AskedModel
-from manyhands.nodes.ledger import Ledger
-from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.passivity_controller import PassivityController
+from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.energy import Energy, EnergyBudget
+from manyhands.nodes.environment.model import AskedModel, make_model
+from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
 
@@ -146,7 +149,7 @@ class EnforcedCore:
         enforce: bool,
         blocks: Blocks | None = None,
         ramp: int = RAMP,
-        budgets: Sequence[Budget] | None = None,
+        budgets: Sequence[EnergyBudget] | None = None,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -288,3 +291,42 @@ class EnforcedCore:
         if not self._unsettled:
             self._compliance = self._D_V
         return r
+
+
+Core: TypeAlias = EnvironmentCore | EnforcedCore
+"""What reacts to the tools of all users."""
+
+
+def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
+    """The core of an environment, at rest; a model that the bundle names is imported and made here.
+
+    Args:
+        bundle: the environment's part of the session.
+        D_V: the couplings' feedthrough, m x m, m/N, as told at the handshake.
+        blocks: the ports of each coupling; None for one block of all ports.
+
+    Raises:
+        ModelError: the model cannot be made.
+        ValueError: as the cores themselves.
+    """
+    common, E = bundle.common, bundle.E
+    law: ForceLaw
+    if bundle.model is not None:
+        model = make_model(bundle.model, common.ports, common.period)
+        law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
+    elif E is None:
+        raise ValueError("found an environment without matrices and without a model; expected one of the two")
+    elif bundle.enforce:
+        law = LinearLaw(E, len(bundle.masses))
+    else:
+        return EnvironmentCore(
+            E,
+            D_V,
+            bundle.Phi_E,
+            common.period,
+            blocks,
+            masses=len(bundle.masses),
+            budgets=bundle.budgets,
+            storage=bundle.storage,
+        )
+    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets)

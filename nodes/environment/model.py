@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.life import Stopped
+from manyhands.nodes.lifetime import Stopped
 
 Vector = NDArray[np.float64]
 

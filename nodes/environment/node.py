@@ -1,7 +1,11 @@
 """The environment's process: p of every coupling in, f_v of its own ports to each out.
 
-In a tick it waits for those couplings that are awaited (:mod:`manyhands.nodes.environment.places`), solves, answers.
-As long as everybody is there that is one receive and one send for each, and nothing else.
+In a tick it waits for those couplings that are awaited (:mod:`manyhands.nodes.environment.membership`), solves,
+answers. As long as everybody is there that is one receive and one send for each, and nothing else.
+
+What the environment keeps of its ticks: where tools and masses were, its ledger, and when it tells of them.
+
+Rows hold the lists that the core has made anyway; what costs is done once in ``telemetry_ticks`` ticks.
 """
 
 from __future__ import annotations
@@ -11,25 +15,82 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import EnvironmentBundle
-from manyhands.nodes.control import NOT_AT_ALL, ControlLine
-from manyhands.nodes.environment.account import Account
-from manyhands.nodes.environment.attendance import Seat
-from manyhands.nodes.environment.cores import Core, environment_core
+from manyhands.nodes.arithmetic import Floats, feedthrough_digest
+from manyhands.nodes.bundle import Common, EnvironmentBundle
 from manyhands.nodes.environment.deadline import Deadline, Step
+from manyhands.nodes.environment.enforced import Core, environment_core
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
-from manyhands.nodes.environment.places import Place, Places
-from manyhands.nodes.exchange import Heard, Joint
-from manyhands.nodes.feedthrough import feedthrough_digest
-from manyhands.nodes.greeting import bounds_by_peer, establish
-from manyhands.nodes.life import Life
-from manyhands.nodes.linear_map import Floats
-from manyhands.nodes.patience import LISTEN_TICKS, patience
+from manyhands.nodes.environment.membership import Member, Members, Membership
+from manyhands.nodes.lifetime import Life
+from manyhands.nodes.peer_link import PeerLink, Received, bounds_by_peer, establish
 from manyhands.nodes.realtime import way_giver
+from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
+from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
-from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Tool, Values
+from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
+
+
+class EnvironmentTelemetry:
+    """The traces of the environment.
+
+    Attributes:
+        ticks: the tick after the latest.
+    """
+
+    def __init__(self, common: Common) -> None:
+        rows = common.telemetry_ticks
+        self._tools: list[Floats] = [[]] * rows
+        self._masses: list[Floats] = [[]] * rows
+        self._energy = [0.0] * rows
+        self._filled, self._rows, self._every = 0, common.telemetry_first, rows
+        self.ticks = 0
+
+    def tick(self, tick: int, core: Core) -> None:
+        """``core`` has settled ``tick``."""
+        row, ledger = self._filled, core.ledger
+        self._tools[row], self._masses[row] = core.tools, core.masses
+        self._energy[row] = 0.0 if ledger is None else ledger.total
+        self._filled = row + 1
+        self.ticks = tick + 1
+
+    @property
+    def due(self) -> bool:
+        """Whether there are as many rows as a telemetry has."""
+        return self._filled == self._rows
+
+    def publish(
+        self,
+        control: ControlLine,
+        core: Core,
+        figures: Mapping[str, float],
+        late: Mapping[str, list[int]],
+        events: TickEvents,
+    ) -> bool:
+        """Telemetry of the ticks since the last; whether there are any.
+
+        Args:
+            control: the line to the supervisor.
+            core: the environment.
+            figures: what is told besides.
+            late: by coupling, the ticks since the last telemetry in which it was late.
+            events: what happened since the last telemetry.
+        """
+        rows, self._filled, self._rows = self._filled, 0, self._every
+        if rows == 0:
+            return False
+        traces = {
+            names.TOOL_POSITION: np.array(self._tools[:rows]),
+            **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
+            **names.ledger_trace(core.ledger, self._energy[:rows]),
+            **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
+        }
+        happened = events.take(self.ticks - rows, self.ticks)
+        control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
+        return True
+
 
 _TURN = from_seconds(0.001)  # for one of them, when several are waited for
 _GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits before it asks again
@@ -41,16 +102,16 @@ class EnvironmentNode:
     def __init__(self, bundle: EnvironmentBundle) -> None:
         """Make the node; its core waits for the couplings' feedthrough."""
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._patience = RealtimeClock(), patience(bundle.common)
+        self._clock, self._patience = RealtimeClock(), timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
         self._due = 0  # when the devices sample the present tick
-        self._joints: list[Joint] = []
+        self._joints: list[PeerLink] = []
         self._feedthrough: dict[str, Values] = {}
         self._core: Core | None = None
-        self._places: Places | None = None
-        self._account = Account(bundle.common)
+        self._places: Members | None = None
+        self._account = EnvironmentTelemetry(bundle.common)
         self._frozen_ticks = 0
-        self._passed: tuple[Place, ...] = ()  # who was waited for in this tick before all others were read
+        self._passed: tuple[Member, ...] = ()  # who was waited for in this tick before all others were read
         covered = from_seconds(bundle.longest_tau or bundle.common.period)  # where nothing is covered, nothing is lost
         self._late = LateArrivals(len(bundle.common.peers), self._period, allowance(self._period, covered))
 
@@ -91,7 +152,7 @@ class EnvironmentNode:
             raise ValueError("the environment was started before its handshakes")
         bundle = self._bundle
         rungs, independent = bundle.feedthrough_rungs, bundle.independent
-        places = self._places = Places(self._joints, core, rungs, life, start.tick > 0, independent)
+        places = self._places = Members(self._joints, core, rungs, life, start.tick > 0, independent)
         places.last, places.log = start.ticks, control.log
         places.know(self._feedthrough, bundle.feedthrough)
         clock, account, late = self._clock, self._account, self._late
@@ -141,10 +202,10 @@ class EnvironmentNode:
         if tick == start.ticks and not places.all_seated:
             self._say_goodbye(places, p, tick)
 
-    def _say_goodbye(self, places: Places, p: Floats, tick: int) -> None:
+    def _say_goodbye(self, places: Members, p: Floats, tick: int) -> None:
         """The session is over: who is frozen is told so, if it asks soon, and ends with the others."""
         end = self._clock.now() + _GOODBYE
-        behind = [place for place in places.all if place.attendance.seat is not Seat.SEATED and place.joint.here]
+        behind = [place for place in places.all if place.attendance.seat is not Membership.SEATED and place.joint.here]
         for place in behind:
             place.joint.send_zero(Reaction, tick - 1)
         while behind and self._clock.now() < end:
@@ -152,17 +213,17 @@ class EnvironmentNode:
                 places.hear(place, p, tick, _TURN)
                 place.joint.send_zero(Reaction, tick - 1)
 
-    def _all_heard(self, places: Places, p: Floats, tick: int) -> bool:
+    def _all_heard(self, places: Members, p: Floats, tick: int) -> bool:
         """The ordinary tick: everybody's signal, one after the other; False as soon as one does not come."""
         turn, clock = self._patience.turn, self._clock
         for place in places.order:
-            if places.hear(place, p, tick, turn) is not Heard.SIGNAL:
+            if places.hear(place, p, tick, turn) is not Received.SIGNAL:
                 self._pass_over(place, places, p, tick)
                 return False
             place.arrived = clock.now()
         return True
 
-    def _pass_over(self, absent: Place, places: Places, p: Floats, tick: int) -> None:
+    def _pass_over(self, absent: Member, places: Members, p: Floats, tick: int) -> None:
         """One does not come: read the others, who count as there since its turn came, and it last from now on.
 
         Where it was the first, nobody knows since when the others are there; they are not known to have waited.
@@ -172,15 +233,17 @@ class EnvironmentNode:
             self._due = max(self._due, self._clock.now())
         since = places.order[at - 1].arrived if at else Instant(self._due)
         for place in places.order[at + 1 :]:
-            if places.hear(place, p, tick, NOT_AT_ALL) is Heard.SIGNAL:
+            if places.hear(place, p, tick, NOT_AT_ALL) is Received.SIGNAL:
                 place.arrived = since
         places.read_last(absent)
         self._passed = (absent,)
 
-    def _judge(self, places: Places, tick: int, crossed: bool) -> None:
+    def _judge(self, places: Members, tick: int, crossed: bool) -> None:
         """Somebody came late: charge who did, freeze who does so again and again, and read the latest last."""
         late = self._late
-        arrivals = [(place.arrived, place.index) for place in places.order if place.attendance.seat is Seat.SEATED]
+        arrivals = [
+            (place.arrived, place.index) for place in places.order if place.attendance.seat is Membership.SEATED
+        ]
         if not arrivals:
             return
         arrivals.sort(key=lambda arrival: arrival[0])  # of equal instants, the one that was read first
@@ -193,7 +256,7 @@ class EnvironmentNode:
         places.order.sort(key=lambda place: max(least, late.added[place.index]))
 
     def _wait(
-        self, places: Places, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
+        self, places: Members, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
     ) -> int | None:
         """Wait for the awaited, listen to the others, give up who is silent while others are there.
 
@@ -253,7 +316,7 @@ class EnvironmentNode:
                             places.obey(word, control, tick)
         return None
 
-    def _listen(self, places: Places, p: Floats, tick: int, missing: Sequence[Place], since: Instant | None) -> bool:
+    def _listen(self, places: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
         """Listen once to everybody whose signal of ``tick`` is not there, to those who are missing first.
 
         Args:
@@ -271,7 +334,7 @@ class EnvironmentNode:
             joint = place.joint
             if not joint.reachable or (joint.tick == tick and joint.here):
                 continue  # a coupling that has sent its signal and is lost since may be on its way back
-            if places.hear(place, p, tick, turn) is Heard.SIGNAL:
+            if places.hear(place, p, tick, turn) is Received.SIGNAL:
                 # after the turn of another coupling it counts as there since that turn began
                 place.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
             turn, anybody = NOT_AT_ALL, True
@@ -295,11 +358,11 @@ class EnvironmentNode:
             {},
         )
 
-    def _lateness(self, places: Places | None) -> dict[str, names.Lateness]:
+    def _lateness(self, places: Members | None) -> dict[str, names.CouplingLateness]:
         """By coupling, of those that made the others wait."""
         late, all_ = self._late, () if places is None else places.all
         return {
-            place.joint.peer.name: names.Lateness(
+            place.joint.peer.name: names.CouplingLateness(
                 late.ticks[place.index], late.waited[place.index] / 1e3, place.frozen_late
             )
             for place in all_
@@ -316,7 +379,7 @@ class EnvironmentNode:
             **names.energy_figures(core.energy, [joint.peer.name for joint in self._joints]),
         }
 
-    def _publish(self, control: ControlLine, core: Core, places: Places) -> None:
+    def _publish(self, control: ControlLine, core: Core, places: Members) -> None:
         lateness = self._lateness(places)
         figures = {
             names.FROZEN: float(places.frozen),

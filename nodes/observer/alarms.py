@@ -33,7 +33,7 @@ LEDGER_ROUNDING: Final = 1e-9
 """What the sums of a long session may be wrong by, J."""
 
 
-class Level(StrEnum):
+class AlarmLevel(StrEnum):
     """How grave an alarm is; the graver the later."""
 
     NOTE = "note"  # it happened, and the session withstood it
@@ -55,7 +55,7 @@ class Alarm:
     """
 
     key: str
-    level: Level
+    level: AlarmLevel
     text: str
     advice: str
     since: Instant
@@ -63,11 +63,11 @@ class Alarm:
 
 
 @dataclass(frozen=True)
-class Cause:
+class AlarmCause:
     """What is so now, and would raise an alarm; ``lasting`` if it cannot be undone."""
 
     key: str
-    level: Level
+    level: AlarmLevel
     text: str
     advice: str
     lasting: bool = False
@@ -83,10 +83,10 @@ _NODE_TEXT: Final = {
     Health.SILENT: "nothing has been heard of it for a while",
     Health.LATE: "more of its ticks are late than a machine has now and then",
 }
-_NODE_LEVEL: Final = {Health.AWAY: Level.FAULT, Health.SILENT: Level.FAULT, Health.LATE: Level.WARNING}
+_NODE_LEVEL: Final = {Health.AWAY: AlarmLevel.FAULT, Health.SILENT: AlarmLevel.FAULT, Health.LATE: AlarmLevel.WARNING}
 
 
-def causes(scene: Scene, now: Instant) -> Iterator[Cause]:
+def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     """Everything that is so in this scene, the gravest not necessarily first."""
     yield from _told(scene)
     for node in scene.nodes.values():
@@ -94,45 +94,47 @@ def causes(scene: Scene, now: Instant) -> Iterator[Cause]:
         yield from _ledger(node)
         yield from _tau(node, scene)
     if scene.frozen:
-        yield Cause(
+        yield AlarmCause(
             "frozen",
-            Level.WARNING,
+            AlarmLevel.WARNING,
             f"{scene.frozen} of the session's couplings {'is' if scene.frozen == 1 else 'are'} frozen",
             "Their users take no part until they are heard in time again; the others go on, still certified.",
         )
     for name, late in scene.frozen_late.items():
         advice = "See what its user's machine or network does; design for a longer tau where that is all it can do."
-        yield Cause(f"{name} late", Level.WARNING, late.sentence(name), advice, True)
+        yield AlarmCause(f"{name} late", AlarmLevel.WARNING, late.sentence(name), advice, True)
     yield from _unheard(scene, now)
 
 
-def _told(scene: Scene) -> Iterator[Cause]:
+def _told(scene: Scene) -> Iterator[AlarmCause]:
     said = scene.condition
     if said is None:
         return
     for text in said.faults:
-        yield Cause(f"fault: {text}", Level.FAULT, text, "The session ends of it; see its report and logs.", True)
+        yield AlarmCause(
+            f"fault: {text}", AlarmLevel.FAULT, text, "The session ends of it; see its report and logs.", True
+        )
     for text in said.notices:
         advice = "An assumption of the certificate was broken: what it proves is about a session without this."
-        yield Cause(f"notice: {text}", Level.WARNING, text, advice, True)
+        yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
     for text in said.incidents:
-        yield Cause(f"incident: {text}", Level.NOTE, text, "Nothing: the session withstood it.", True)
+        yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session withstood it.", True)
 
 
-def _of_node(node: NodeScene) -> Iterator[Cause]:
+def _of_node(node: NodeScene) -> Iterator[AlarmCause]:
     level = _NODE_LEVEL.get(node.health)
     if level is None or node.state == "leaving":
         return
     text = _NODE_TEXT.get(node.health, node.state)
-    yield Cause(f"{node.name} {node.health}", level, f"{node.name}: {text}", _NODE_ADVICE[node.health])
+    yield AlarmCause(f"{node.name} {node.health}", level, f"{node.name}: {text}", _NODE_ADVICE[node.health])
 
 
-def _ledger(node: NodeScene) -> Iterator[Cause]:
+def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
     margin = node.figures.get(names.LEDGER_MARGIN, 0.0)
     if margin < LEDGER_BOUND - LEDGER_ROUNDING:
-        yield Cause(
+        yield AlarmCause(
             f"{node.name} ledger",
-            Level.FAULT,
+            AlarmLevel.FAULT,
             f"{node.name}: its ledger fell to {margin:.3g} J, below its bound of {LEDGER_BOUND:g} J",
             "It broke its promise of passivity: let go of it, and see whether it is as passive as declared (osp).",
         )
@@ -155,33 +157,33 @@ def covered_tau(scene: Scene, device: str) -> float:
     return min((taus[max(0, min(rung, len(taus) - 1))] for rung in rungs), default=certificate.tau)
 
 
-def _tau(node: NodeScene, scene: Scene) -> Iterator[Cause]:
+def _tau(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
     certificate = scene.about.certificate
     if node.role is not Role.DEVICE or certificate is None or scene.about.clock != "realtime":
         return
     worst, covered = node.figures.get(names.TAU_WORST, 0.0), covered_tau(scene, node.name) * 1e6
     if worst > covered:
-        yield Cause(
+        yield AlarmCause(
             f"{node.name} tau",
-            Level.WARNING,
+            AlarmLevel.WARNING,
             f"{node.name}: its force came later than the {covered:.4g} us that the certificate covers",
             "Run manyhands doctor; design for a longer tau, or with a ladder and faults: breach: soften.",
         )
 
 
-def _unheard(scene: Scene, now: Instant) -> Iterator[Cause]:
+def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     heard = [node.heard for node in scene.nodes.values() if node.heard is not None]
     over = scene.condition is not None and scene.condition.phase in ("ending", "over")
     if heard and not over and now - max(heard) > UNHEARD:
-        yield Cause(
+        yield AlarmCause(
             "unheard",
-            Level.FAULT,
+            AlarmLevel.FAULT,
             "nothing has been heard of the whole session for a while",
             "What is drawn is old: see whether its supervisor is stopped or the machine is overloaded.",
         )
 
 
-_GRAVITY: Final = {level: place for place, level in enumerate(Level)}
+_GRAVITY: Final = {level: place for place, level in enumerate(AlarmLevel)}
 
 
 class Alarms:

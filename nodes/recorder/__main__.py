@@ -3,10 +3,9 @@
 import sys
 from pathlib import Path
 
-from manyhands.nodes.life import Life, Stopped
+from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK
-from manyhands.nodes.recorder.node import record, to_pipe
-from manyhands.nodes.recorder.plan import Plan, PlanError
+from manyhands.nodes.recorder.node import Plan, PlanError, record, to_pipe
 from manyhands.protocol.clock import RealtimeClock
 
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from manyhands import __version__
 from manyhands.nodes.json_number import json_number
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topics_of
 from manyhands.protocol.messages import Condition, Role
-from manyhands.protocol.topics import CONDITION, TELEMETRY, Columns, Topic, topics_of
 
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"

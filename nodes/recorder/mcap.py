@@ -3,13 +3,17 @@
 The records are those of https://mcap.dev/spec, most of them as the library ``mcap`` writes them. Its writer makes an
 object of each message and writes it field by field, which takes longer than all else that a recorder does: here the
 messages of one trace are laid out together, with their indexes.
+
+The recording on the disk: pieces are appended whole, or the file stays as it was before.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -32,6 +36,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
+
+from manyhands.design.files import open_beside
 
 COMPRESSION: Final = "zstd"
 LEVEL: Final = 1  # higher ones take twice the time and more, for a tenth of the bytes
@@ -256,3 +262,48 @@ def _record(record: McapRecord) -> bytes:
     record.write(builder)
     out: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap annotates arguments alone
     return out
+
+
+class RecordingFile:
+    """A file that takes the place of an older one when it has its beginning, and grows from then on.
+
+    Every piece is on the disk (fdatasync) when :meth:`append` returns: what a power failure takes is what came after.
+    """
+
+    def __init__(self, path: Path, beginning: bytes) -> None:
+        """Begin the file.
+
+        Raises:
+            OSError: it cannot be written; an older one of that name is still there.
+        """
+        partial, self._file = open_beside(path)
+        self._fd = self._file.fileno()
+        self._length = 0
+        try:
+            self.append(beginning)
+            os.replace(partial, path)
+        except BaseException:
+            self.close()
+            partial.unlink(missing_ok=True)
+            raise
+
+    def append(self, piece: bytes) -> None:
+        """Add a piece, whole or not at all.
+
+        Raises:
+            OSError: there is no room, or the disk fails.
+        """
+        try:
+            rest = memoryview(piece)
+            while rest:
+                rest = rest[os.write(self._fd, rest) :]
+            os.fdatasync(self._fd)
+        except OSError:
+            os.ftruncate(self._fd, self._length)  # needs no room
+            os.lseek(self._fd, self._length, os.SEEK_SET)
+            raise
+        self._length += len(piece)
+
+    def close(self) -> None:
+        """Close it."""
+        self._file.close()  # nothing is buffered in it

@@ -4,26 +4,195 @@ Writing and syncing take as long as the disk takes, milliseconds or seconds: tha
 supervisor keeps what it has not taken in yet, within bounds, and hears of every frame that was. The recorder ends when
 it is told that the session is over, when it cannot write any more, or when the supervisor is gone; the file then has
 all that was taken in before, unless it was killed, which costs less than a second.
+
+What a recorder is given to start with: where to write, what of, and where its supervisor finds it.
+
+What a recorder says to its supervisor: a line of JSON each, on a pipe of their own.
+
+    {"ready": ENDPOINT}               the file is begun; this is where to send observations
+    {"taken": N}                      so many frames in all have been taken in: there is room for others
+    {"stopped": TEXT, "tick": K}      nothing more can be written; the file is readable up to tick K
+    {"closed": {...}, "tick": K}      the file is whole; ticks missing by device
+
+A recorder and its supervisor are of one version and one machine: this is not part of the protocol.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, TypeAlias
 
-from manyhands.nodes.life import Life
+from manyhands.design.files import open_new
+from manyhands.nodes.lifetime import Life
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.file import RecordingFile
-from manyhands.nodes.recorder.plan import Plan
-from manyhands.nodes.recorder.status import Closed, Ready, Status, Stopped, Taken, encode
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
+
+
+class PlanError(Exception):
+    """A plan cannot be read; names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A recorder's plan.
+
+    Attributes:
+        file: the recording, absolute.
+        directory: the run's own directory, mode 0700, where the recorder binds its socket.
+        recorded: what it will be told.
+        attachments: files that go into the recording, contents by name; texts.
+        started: when the recording was, ns since 1970.
+    """
+
+    file: Path
+    directory: Path
+    recorded: Recorded
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    started: int = 0
+
+    def save(self, path: Path) -> None:
+        """Write it for its owner's eyes only (mode 0600).
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        plain = {
+            "file": str(self.file),
+            "directory": str(self.directory),
+            "recorded": self.recorded.as_metadata(),
+            "attachments": {name: data.decode() for name, data in self.attachments.items()},
+            "started": self.started,
+        }
+        with open_new(path, mode=0o600) as file:
+            file.write(json.dumps(plain).encode())
+
+    @classmethod
+    def load(cls, path: Path) -> Plan:
+        """Read it.
+
+        Raises:
+            PlanError: not readable, or no plan.
+        """
+        try:
+            data = json.loads(path.read_text())
+            return cls(
+                Path(data["file"]),
+                Path(data["directory"]),
+                Recorded.from_metadata(data["recorded"]),
+                {name: text.encode() for name, text in data["attachments"].items()},
+                int(data["started"]),
+            )
+        except OSError as error:
+            raise PlanError(f"{path}: cannot be read: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise PlanError(f"{path}: not a recorder's plan: {type(error).__name__}: {error}") from error
+
+
+MAX_LINE_BYTES: Final = 1024 * 1024
+"""Longest line: it may name every device."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The file is begun; observations are expected at ``endpoint``."""
+
+    endpoint: str
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How many frames have been taken in since the beginning."""
+
+    frames: int
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """Nothing more can be written, and why; the file is readable up to ``tick``."""
+
+    text: str
+    tick: int
+
+
+@dataclass(frozen=True)
+class Closed:
+    """The file is whole up to ``tick``; ``missing``: ticks never told, by device, those devices that miss some."""
+
+    missing: Mapping[str, int]
+    tick: int
+
+
+Status: TypeAlias = Ready | Taken | Stopped | Closed
+
+
+def encode(status: Status) -> bytes:
+    """The line of a status."""
+    plain: dict[str, object]
+    match status:
+        case Ready(endpoint):
+            plain = {"ready": endpoint}
+        case Taken(frames):
+            plain = {"taken": frames}
+        case Stopped(text, tick):
+            plain = {"stopped": text, "tick": tick}
+        case Closed(missing, tick):
+            plain = {"closed": dict(missing), "tick": tick}
+    return json.dumps(plain).encode() + b"\n"
+
+
+class Lines:
+    """Puts the pieces that a pipe delivers together again.
+
+    Attributes:
+        nonsense: lines that were no status.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.nonsense = 0
+
+    def feed(self, piece: bytes) -> Iterator[Status]:
+        """The statuses that are complete with ``piece``."""
+        *whole, self._rest = (self._rest + piece).split(b"\n")
+        if len(self._rest) > MAX_LINE_BYTES:
+            self._rest = b""
+            self.nonsense += 1
+        for line in whole:
+            status = _decode(line)
+            if status is None:
+                self.nonsense += 1
+            else:
+                yield status
+
+
+def _decode(line: bytes) -> Status | None:
+    try:
+        match json.loads(line):
+            case {"ready": str(endpoint)}:
+                return Ready(endpoint)
+            case {"taken": int(frames)}:
+                return Taken(frames)
+            case {"stopped": str(text), "tick": int(tick)}:
+                return Stopped(text, tick)
+            case {"closed": dict(missing), "tick": int(tick)} if all(type(n) is int for n in missing.values()):
+                return Closed(missing, tick)
+            case _:
+                return None
+    except (ValueError, RecursionError):
+        return None
+
 
 FLUSH_EVERY: Final = from_seconds(0.5)
 """So that a recorder that is killed costs no second, what was under way to it included."""

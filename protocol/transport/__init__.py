@@ -3,7 +3,7 @@
 A :class:`Link` joins exactly two nodes and carries one frame each way a tick; the :class:`Hub` is the
 supervisor's end of a star, told apart by identity. Sending never blocks: a loop that paces a hand cannot
 wait for a slow reader, so a full queue is an answer (``False``), not a delay. All implementations pass the
-same tests (``tests/protocol/test_transport.py``). A link or a hub is used by one thread.
+same tests (``tests/protocol/transport/test_transport.py``). A link or a hub is used by one thread.
 """
 
 from collections.abc import Collection, Mapping, Sequence

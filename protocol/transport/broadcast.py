@@ -2,7 +2,7 @@
 
 ZeroMQ's PUB and SUB, one way. A visitor comes and goes as it likes and says nothing; one that does not read misses what
 finds no room in its queue, and nobody waits for it. What is shown is all there is: whoever may see less is an observer
-with keys (:mod:`manyhands.launch.audience`), not a visitor.
+with keys (:mod:`manyhands.launch.run.broadcast`), not a visitor.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import milliseconds, require_path, require_sendable
 from manyhands.protocol.transport.descriptors import require_room
-from manyhands.protocol.transport.sockets import failed
+from manyhands.protocol.transport.zeromq import failed
 
 GALLERY: Final = "gallery"
 """The socket's name in its session's directory."""
@@ -23,7 +23,7 @@ GALLERY: Final = "gallery"
 _FAREWELL_MS: Final = 200  # how long the last word may take to visitors; one that is stopped makes it that long
 
 
-class Gallery:
+class Broadcast:
     """The end that speaks."""
 
     def __init__(self, directory: Path) -> None:

@@ -31,7 +31,7 @@ def grip_path(directory: Path, device: str) -> Path:
     return path
 
 
-class GripInlet:
+class PointerInlet:
     """The device's end.
 
     Attributes:
@@ -79,7 +79,7 @@ class GripInlet:
         self._socket.close()
 
 
-class GripOutlet:
+class PointerOutlet:
     """The end of whoever speaks for a person's hand."""
 
     def __init__(self, directory: Path, device: str) -> None:

@@ -13,7 +13,7 @@ import signal
 from types import FrameType
 
 from manyhands.launch import output
-from manyhands.launch.exits import EXIT_INTERRUPTED
+from manyhands.launch.files import EXIT_INTERRUPTED
 
 
 def _leave(_signum: int, _frame: FrameType | None) -> None:

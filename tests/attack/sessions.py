@@ -13,18 +13,19 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.certificate import content
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.environment import (
+from manyhands.design.errors import DesignError
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import (
+    DeclaredEnvironment,
     DelayedNetwork,
     Environment,
     NetworkBox,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
-from manyhands.design.errors import DesignError
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
     DeviceLevel,
@@ -34,10 +35,7 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
-from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.design.synthesis import design
-from manyhands.design.weighted_loop import Transparency
-from manyhands.design.weights import Filter
 
 Data = dict[str, Any]
 Generator = np.random.Generator
@@ -120,10 +118,10 @@ def network(rng: Generator, m: int, osp: float, T: float, stiffest: float | None
     wide = stiffest is None and rng.random() < 0.4
     top = math.log10(stiffest) if stiffest is not None else 5.0
 
-    def link(a: str, b: str) -> Link:
+    def link(a: str, b: str) -> NetworkLink:
         k = spread(rng, -6.0, 15.0) if wide else spread(rng, top - 4.0, top)
         c = spread(rng, -6.0, 9.0) if wide else k * T * spread(rng, -3.0, 1.0)
-        return Link((a, b), k * float(rng.random() < 0.9), c * float(rng.random() < 0.8))
+        return NetworkLink((a, b), k * float(rng.random() < 0.9), c * float(rng.random() < 0.8))
 
     links = []
     for i, end in enumerate([*ends, *(str(e) for e in rng.choice(ends, size=rng.integers(0, 3)))]):
@@ -255,7 +253,7 @@ def of_intervals(rng: Generator) -> Data | None:
     T, osp, m = _scales(rng)
     low = network(rng, m, osp, T)
     f = [1.0 + float(x) for x in rng.exponential(2.0, 3)]
-    links = tuple(Link(a.ends, f[0] * a.stiffness, f[1] * a.damping) for a in low.links)
+    links = tuple(NetworkLink(a.ends, f[0] * a.stiffness, f[1] * a.damping) for a in low.links)
     high = Network(low.ports, tuple((name, f[2] * M) for name, M in low.masses), links)
     loop = loop_of(rng, NetworkBox(low, high), T, osp, late(rng, T))
     return designed(loop, spring_damper(rng, loop))

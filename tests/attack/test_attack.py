@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from flint import ctx
 
-from manyhands.design.environment import Environment, StateSpaceEnvironment, TransferEnvironment
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted, Wish
 from manyhands.design.proof.ladder import prove_ladder
-from manyhands.design.statespace import StateSpace
 from tests.attack.arithmetic import BITS
 from tests.attack.campaign import Tally, accepted, session
 from tests.attack.forgeries import CHANGES, sealed

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from manyhands.design.contract import Levels
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.environment import Environment
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.operators import RationalMatrix
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import Levels
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import Environment
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.operators import RationalMatrix
+from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.design.statespace import Matrix, StateSpace
 
 DECENTRALISED = Partition(("cx", "cy", "cz"), ((0,), (1,), (2,)))
 CENTRALISED = Partition(("c",), ((0, 1, 2),))
@@ -33,10 +32,10 @@ class Problems:
         ("dx", "dy", "dz"),
         (("hub", 3.0),),
         (
-            Link(("dx", "hub"), 3800.0, 0.1),
-            Link(("dy", "hub"), 3500.0, 0.2),
-            Link(("dz", "hub"), 3300.0, 0.3),
-            Link(("hub", GROUND), 2600.0, 0.5),
+            NetworkLink(("dx", "hub"), 3800.0, 0.1),
+            NetworkLink(("dy", "hub"), 3500.0, 0.2),
+            NetworkLink(("dz", "hub"), 3300.0, 0.3),
+            NetworkLink(("hub", GROUND), 2600.0, 0.5),
         ),
     )
     decentralised = DECENTRALISED
@@ -148,11 +147,11 @@ class Problems:
         )
         springs = st.one_of(st.just(0.0), st.floats(1.0, 1e4))
         dampers = st.one_of(st.just(0.0), st.floats(0.01, 10.0))
-        links = [Link((ends[a], ends[b]), draw(springs), draw(dampers)) for a, b in pairs]
+        links = [NetworkLink((ends[a], ends[b]), draw(springs), draw(dampers)) for a, b in pairs]
         if tied:
             for i in range(m + n):
                 other = draw(st.sampled_from([end for end in ends if end != ends[i]]))
-                links.append(Link((ends[i], other), draw(st.floats(1.0, 1e4)), draw(st.floats(0.01, 10.0))))
+                links.append(NetworkLink((ends[i], other), draw(st.floats(1.0, 1e4)), draw(st.floats(0.01, 10.0))))
         return Network(ports, masses, tuple(links))
 
     @staticmethod

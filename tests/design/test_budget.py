@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from manyhands.design.budget import colgate_limit, environment_share, needed_share, stiffest
-from manyhands.design.contract import loop_inequality
-from manyhands.design.delay import device_share, greatest_share, least_gain
-from manyhands.design.environment import DelayedNetwork, StateSpaceEnvironment
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.levels.contract import loop_inequality
+from manyhands.design.levels.device import device_share, greatest_share, least_gain
+from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 T = 1e-3
 DELAYS = st.floats(0.0, 1.0)
@@ -153,7 +153,9 @@ def test_an_environment_that_is_passive_at_no_level() -> None:
 
 def test_a_mode_that_never_decays_takes_everything() -> None:
     """A free mass behind a damper, a tick late."""
-    free = Network(("p",), (("m", 1.0), ("n", 1.0)), (Link(("p", "m"), 50.0, 1.0), Link(("n", GROUND), 0.0, 0.0)))
+    free = Network(
+        ("p",), (("m", 1.0), ("n", 1.0)), (NetworkLink(("p", "m"), 50.0, 1.0), NetworkLink(("n", GROUND), 0.0, 0.0))
+    )
     assert environment_share(free, np.eye(1), T) == 0.0
     rotor = StateSpace(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.ones((2, 1)), np.ones((1, 2)), np.array([[5.0]]))
     assert environment_share(StateSpaceEnvironment(("p",), rotor), np.eye(1), T) == float("inf")

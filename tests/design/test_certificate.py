@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 
 from manyhands.design.certificate import MAX_FILE_BYTES, Certificate, content, identity, load, save, seal, to_json
 from manyhands.design.errors import CertificateError
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.synthesis import design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
-from ..cases import cases
+from ..support.cases import cases
 
 
 def aim(objective: str = "loop-shaping") -> Transparency:

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import Certificate
-from manyhands.design.certificate_parts import describe_request
-from manyhands.design.differences import asked_text, differences, unrecorded
-from manyhands.design.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
-from manyhands.design.network import Link, Network
+from manyhands.design.certificate import Certificate, asked_text, describe_request, differences, unrecorded
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.network import Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
     HapticLoop,
@@ -21,10 +21,7 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
-from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
 NOT_GIVEN = "the coupling is not the one that the session gives"
 NOT_ASKED = "design.coupling differs: the certificate has given, the session asks for "
@@ -36,7 +33,7 @@ def aim(objective: str = "loop-shaping", corner: float = 125.0) -> Transparency:
 
 
 def softer(network: Network, factor: float = 0.9) -> Network:
-    links = tuple(Link(link.ends, factor * link.stiffness, link.damping) for link in network.links)
+    links = tuple(NetworkLink(link.ends, factor * link.stiffness, link.damping) for link in network.links)
     return Network(network.ports, network.masses, links)
 
 

@@ -7,23 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import content, load, save, seal, to_json
-from manyhands.design.certificate_parts import describe_request
-from manyhands.design.contract import ENERGY
-from manyhands.design.environment import (
-    DelayedNetwork,
-    NetworkBox,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.certificate import content, describe_request, load, save, seal, to_json
+from manyhands.design.levels.contract import ENERGY
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, SpringDamperGiven
 from manyhands.design.proof import prove
-from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
 
 def aim(objective: str = "loop-shaping") -> Transparency:
@@ -59,9 +52,12 @@ def kinds(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
     high = Network(
         low.ports,
         tuple((name, 2.0 * mass) for name, mass in low.masses),
-        tuple(Link(link.ends, 1.5 * link.stiffness, link.damping) if i else link for i, link in enumerate(low.links)),
+        tuple(
+            NetworkLink(link.ends, 1.5 * link.stiffness, link.damping) if i else link
+            for i, link in enumerate(low.links)
+        ),
     )
-    drifting = Network(low.ports, (("free", 1.0),), tuple(Link((port, "free"), 0.0, 0.5) for port in low.ports))
+    drifting = Network(low.ports, (("free", 1.0),), tuple(NetworkLink((port, "free"), 0.0, 0.5) for port in low.ports))
     rational = tuple(tuple((((3.0, 2.0, 400.0) if i == j else (50.0,)), (1.0,)) for j in range(3)) for i in range(3))
     proper = tuple(
         tuple(((100.0, 9000.0), (1.0, 100.0)) if i == j else ((0.0,), (1.0,)) for j in range(3)) for i in range(3)
@@ -72,7 +68,7 @@ def kinds(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
 
     return {
         "network": (loop, soft),
-        "no mass": (on(Network(low.ports, (), tuple(Link((p, GROUND), 500.0, 0.1) for p in low.ports))), soft),
+        "no mass": (on(Network(low.ports, (), tuple(NetworkLink((p, GROUND), 500.0, 0.1) for p in low.ports))), soft),
         "drifting": (on(drifting), soft),
         "box": (on(NetworkBox(low, high)), soft),
         "late": (on(DelayedNetwork(low, 2), strong), SpringDamperGiven(problems.uniform(1.4e4, 0.5))),

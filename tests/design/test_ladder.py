@@ -13,20 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import Certificate, content
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.environment import DelayedNetwork
 from manyhands.design.errors import Infeasible
 from manyhands.design.ladder import MOST_PORTS, Ladder, automatic_delays, design_ladder
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.problem import (
-    DeviceLevel,
-    HapticLoop,
-    LinearWanted,
-    SpringDamperGiven,
-    SpringDamperWanted,
-    Wish,
-)
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DelayedNetwork
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.problem import DeviceLevel, HapticLoop, LinearWanted, SpringDamperGiven, SpringDamperWanted, Wish
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.proof.ladder import prove_ladder
 from manyhands.design.synthesis import design
@@ -39,9 +31,9 @@ PAIRED = Partition(("c", "d"), ((2, 0), (1,)))
 def late(partition: Partition, stiffness: float = 600.0, osp: float = 1.37) -> HapticLoop:
     """Three hands at a ring of masses that answers a tick late, and so lacks passivity."""
     ports = ("p0", "p1", "p2")
-    links = [Link((port, f"m{i}"), stiffness, 0.1) for i, port in enumerate(ports)]
-    links += [Link((f"m{i}", f"m{(i + 1) % 3}"), stiffness / 2.0, 0.2) for i in range(3)]
-    network = Network(ports, tuple((f"m{i}", 0.5) for i in range(3)), (*links, Link(("m0", GROUND), 200.0, 0.5)))
+    links = [NetworkLink((port, f"m{i}"), stiffness, 0.1) for i, port in enumerate(ports)]
+    links += [NetworkLink((f"m{i}", f"m{(i + 1) % 3}"), stiffness / 2.0, 0.2) for i in range(3)]
+    network = Network(ports, tuple((f"m{i}", 0.5) for i in range(3)), (*links, NetworkLink(("m0", GROUND), 200.0, 0.5)))
     devices = tuple(DeviceLevel(f"d{i}", (i,), np.array([[osp * (1.0 + 0.1 * i)]])) for i in range(3))
     return HapticLoop("late", T, ports, devices, partition, DelayedNetwork(network, 1))
 
@@ -144,8 +136,7 @@ def test_a_linear_coupling_is_softened_by_springs_and_dampers(problems) -> None:
 
 
 def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:
-    from manyhands.design.weighted_loop import Transparency
-    from manyhands.design.weights import Filter
+    from manyhands.design.models.weights import Filter, Transparency
 
     low_pass = Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), T)
     aim = Transparency("loop-shaping", low_pass, Filter((1.0,), (1.0,)))
@@ -199,7 +190,7 @@ def test_the_delays_that_nobody_stated(problems) -> None:
         ports,
         tuple(DeviceLevel(port, (i,), np.eye(1)) for i, port in enumerate(ports)),
         Partition(ports, tuple((i,) for i in range(len(ports)))),
-        Network(ports, (), tuple(Link((port, GROUND), 100.0, 0.1) for port in ports)),
+        Network(ports, (), tuple(NetworkLink((port, GROUND), 100.0, 0.1) for port in ports)),
     )
     assert automatic_delays(many) == (T,)
 
@@ -317,7 +308,7 @@ def test_a_level_that_joins_blocks_is_for_changing_together_unless_it_is_passive
 def test_rungs_that_divide_a_device_differently_are_not_mixed() -> None:
     """Each rung keeps to the device's joint level; a block of one beside a block of the other would exceed it."""
     osp = np.array([[1.0, 0.9], [0.9, 1.0]])
-    walls = Network(("p0", "p1"), (), tuple(Link((port, GROUND), 1e6, 0.0) for port in ("p0", "p1")))
+    walls = Network(("p0", "p1"), (), tuple(NetworkLink((port, GROUND), 1e6, 0.0) for port in ("p0", "p1")))
     device = (DeviceLevel("d", (0, 1), osp),)
     partition = Partition(("a", "b"), ((0,), (1,)))
 

@@ -10,9 +10,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from manyhands.design import peak_gain as module
-from manyhands.design.coupling import SpringDamper
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.peak_gain import output_bounds, peak_gain
-from manyhands.design.statespace import StateSpace
 
 
 def impulse_response(system: StateSpace, ticks: int) -> np.ndarray:

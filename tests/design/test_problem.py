@@ -6,11 +6,10 @@ from flint import fmpq, fmpq_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import DeviceLevel, HapticLoop, Wish
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
 FULL = np.array([[1.5, 0.3], [0.3, 1.2]])
 
@@ -18,7 +17,7 @@ FULL = np.array([[1.5, 0.3], [0.3, 1.2]])
 def three_ports(partition: Partition) -> HapticLoop:
     """A two-axis device with a full level, and a one-axis one between its axes."""
     ports = ("a.0", "b.0", "a.1")
-    network = Network(ports, (), tuple(Link((port, GROUND), 1000.0, 0.5) for port in ports))
+    network = Network(ports, (), tuple(NetworkLink((port, GROUND), 1000.0, 0.5) for port in ports))
     devices = (DeviceLevel("a", (0, 2), FULL), DeviceLevel("b", (1,), np.array([[0.7]])))
     return HapticLoop("test", 1e-3, ports, devices, partition, network)
 

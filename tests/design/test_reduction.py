@@ -14,16 +14,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import Certificate, content
-from manyhands.design.contract import loop_inequality
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import loop_inequality
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import (
+    DeclaredEnvironment,
+    DelayedNetwork,
+    NetworkBox,
+    StateSpaceEnvironment,
+    TransferEnvironment,
+)
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import CouplingRequest, DeviceLevel, HapticLoop, LinearGiven, SpringDamperGiven
-from manyhands.design.proof import prove, sparse
+from manyhands.design.proof import exact, prove
 from manyhands.design.proof.claim import Claim, read
 from manyhands.design.proof.contract import Delta_D, Delta_V, condition_10
-from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
 from tests.support.reduction import at_any_ratio, condition_at, reduced
 
@@ -68,10 +73,19 @@ def kinds(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
         "network": (loop, soft),
         "linear, inside the tick late": (on(low, strong, tau=2e-4), LinearGiven(problems.blocks(loop, problems.C26))),
         "links between ports": (
-            on(Network(PORTS, (), (*(Link((p, GROUND), 500.0, 0.1) for p in PORTS), Link(("dx", "dz"), 300.0, 0.2)))),
+            on(
+                Network(
+                    PORTS,
+                    (),
+                    (*(NetworkLink((p, GROUND), 500.0, 0.1) for p in PORTS), NetworkLink(("dx", "dz"), 300.0, 0.2)),
+                )
+            ),
             soft,
         ),
-        "drifting": (on(Network(PORTS, (("free", 1.0),), tuple(Link((p, "free"), 0.0, 0.5) for p in PORTS))), soft),
+        "drifting": (
+            on(Network(PORTS, (("free", 1.0),), tuple(NetworkLink((p, "free"), 0.0, 0.5) for p in PORTS))),
+            soft,
+        ),
         "box": (on(NetworkBox(low, dataclasses.replace(low, links=wide))), soft),
         "late": (on(DelayedNetwork(low, 2), strong), SpringDamperGiven(problems.uniform(1.4e4, 0.5))),
         "hold": (on(oscillators("zoh", 0), strong), soft),
@@ -218,11 +232,11 @@ def test_10_holds_at_any_ratios(designed: dict[str, Certificate], data: st.DataO
     by_port = {port: s[block.name] for block in claim.blocks for port in block.ports}
     expected: dict[tuple[int, int], fmpq] = {}
     for (i, j), value in condition_10(claim).items():
-        sparse.add_entry(expected, i, j, by_port[i % m] * value * by_port[j % m])
+        exact.add_entry(expected, i, j, by_port[i % m] * value * by_port[j % m])
     for (i, j), value in Delta_D(claim).items():
-        sparse.add_entry(expected, i, j, (1 - by_port[i] * by_port[j]) * claim.share * value)
+        exact.add_entry(expected, i, j, (1 - by_port[i] * by_port[j]) * claim.share * value)
     for (i, j), value in Delta_V(claim).items():
-        sparse.add_entry(expected, m + i, m + j, (1 - by_port[i] * by_port[j]) * value)
+        exact.add_entry(expected, m + i, m + j, (1 - by_port[i] * by_port[j]) * value)
     at = condition_at(claim, s)
     assert at == expected
     finding = at_any_ratio(claim)
@@ -230,8 +244,8 @@ def test_10_holds_at_any_ratios(designed: dict[str, Certificate], data: st.DataO
     # no smaller than the bound, less what floats took from it
     bound = fmpq(*(finding.value * (1.0 - 1e-9)).as_integer_ratio())
     for i in range(2 * m):
-        sparse.add_entry(at, i, i, -bound)
-    assert sparse.definite_by_groups(at, 2 * m, strict=False).holds
+        exact.add_entry(at, i, i, -bound)
+    assert exact.definite_by_groups(at, 2 * m, strict=False).holds
 
 
 @pytest.mark.parametrize("what", ["Phi_E", "Delta_V", "share", "structure"])

@@ -15,18 +15,18 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import content, from_content, identity
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.device import held_device, zero_order_hold
-from manyhands.design.environment import DelayedNetwork, Environment, NetworkBox, StateSpaceEnvironment
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.network import Link, Network
-from manyhands.design.operators import RationalMatrix
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.device import held_device, zero_order_hold
+from manyhands.design.models.environment import DelayedNetwork, Environment, NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.network import Network, NetworkLink
+from manyhands.design.models.operators import RationalMatrix
+from manyhands.design.models.statespace import Matrix, StateSpace, parallel_blocks
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
-from manyhands.design.statespace import Matrix, StateSpace, parallel_blocks
 from manyhands.design.synthesis import design
 
-from ..cases import cases
+from ..support.cases import cases
 
 CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", cases(60, 300)))
 HANDS = 4  # hands and forgeries are cheap, designs are not
@@ -49,7 +49,7 @@ def random_network(rng: np.random.Generator, m: int, n: int) -> Network:
     for i, end in enumerate([*ends, *rng.choice(ends, size=rng.integers(0, 4)).tolist()]):
         other = rng.choice([e for e in [*ends, "ground"] if e != end])
         k, b = 10.0 ** rng.uniform(0.0, 5.0), 10.0 ** rng.uniform(-2.5, 0.5)
-        links.append(Link((str(end), str(other)), float(k), float(b if i % 3 else 0.1 * b)))
+        links.append(NetworkLink((str(end), str(other)), float(k), float(b if i % 3 else 0.1 * b)))
     return Network(ports, masses, tuple(links))
 
 
@@ -59,13 +59,13 @@ def random_environment(rng: np.random.Generator, network: Network, T: float, lea
     if kind in ("late", "matrices"):
         stiffest = max(link.stiffness for link in network.links)
         factor = float(10.0 ** rng.uniform(-1.0, 0.2)) * least / (T * stiffest)
-        links = tuple(Link(a.ends, factor * a.stiffness, factor * a.damping) for a in network.links)
+        links = tuple(NetworkLink(a.ends, factor * a.stiffness, factor * a.damping) for a in network.links)
         network = Network(network.ports, tuple((name, factor * M) for name, M in network.masses), links)
     if kind == "late":
         return DelayedNetwork(network, int(rng.integers(1, 3)))
     if kind == "box":
         factors = [1.0 + float(f) for f in rng.exponential(1.0, 2)]
-        links = tuple(Link(a.ends, factors[0] * a.stiffness, factors[1] * a.damping) for a in network.links)
+        links = tuple(NetworkLink(a.ends, factors[0] * a.stiffness, factors[1] * a.damping) for a in network.links)
         return NetworkBox(network, Network(network.ports, tuple((n, 4.0 * M) for n, M in network.masses), links))
     if kind == "matrices":
         E = network.environment(T)
@@ -223,7 +223,7 @@ def member(rng: np.random.Generator, environment: Environment) -> Environment:
         low.ports,
         tuple((name, pick(a, b)) for (name, a), (_, b) in zip(low.masses, high.masses, strict=True)),
         tuple(
-            Link(a.ends, pick(a.stiffness, b.stiffness), pick(a.damping, b.damping))
+            NetworkLink(a.ends, pick(a.stiffness, b.stiffness), pick(a.damping, b.damping))
             for a, b in zip(low.links, high.links, strict=True)
         ),
     )
@@ -314,7 +314,7 @@ def test_the_stability_test_can_fail(problems) -> None:
                 A, B = np.array([[0.0, 1.0], [0.0, -b / 0.005]]), np.array([[0.0], [1.0 / 0.005]])
                 G = late_device(A, B, np.array([[1.0, 0.0]]), T, tau)
             V = problems.uniform(part * limit, 0.0, 1).realisation(T)
-            wall = Network(("p",), (), (Link(("p", "ground"), 1e9, 0.0),)).environment(T)
+            wall = Network(("p",), (), (NetworkLink(("p", "ground"), 1e9, 0.0),)).environment(T)
             radii[part] = np.abs(np.linalg.eigvals(problems.closed_loop(G, V, wall))).max()
         assert radii[0.9] <= 1.0 + 1e-9, (tau, radii)
         assert radii[1.4] > 1.0, (tau, radii)

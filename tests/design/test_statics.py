@@ -11,14 +11,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import content, identity
-from manyhands.design.certificate_parts import describe_environment, read_system
-from manyhands.design.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.certificate import content, describe_environment, identity, read_system
 from manyhands.design.errors import Infeasible
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop, LinearGiven, SpringDamperWanted, Wish
 from manyhands.design.proof import prove
-from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import design
 
 CASES = 200  # of each side

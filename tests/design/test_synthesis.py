@@ -5,14 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manyhands.design import search, synthesis
+from manyhands.design import synthesis
 from manyhands.design.certificate import content
-from manyhands.design.complementarity import Interrupted
-from manyhands.design.contract import ENERGY, Levels
-from manyhands.design.environment import DelayedNetwork, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.errors import Infeasible, NotConverged, SolverFailure
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import ENERGY, Levels
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     DeviceLevel,
     HapticLoop,
@@ -24,10 +25,8 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.proof import prove
-from manyhands.design.statespace import StateSpace
 from manyhands.design.synthesis import Designed, design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
+from manyhands.design.theorem4 import Interrupted
 
 
 def proved(designed: Designed) -> bool:
@@ -100,7 +99,7 @@ def test_a_cap_before_anything_is_found(problems, monkeypatch: pytest.MonkeyPatc
     def nothing(*_: object, **__: object) -> None:
         raise NotConverged("stopped after 2 iterations")
 
-    monkeypatch.setattr(search, "design_spring_damper", nothing)
+    monkeypatch.setattr(synthesis, "design_spring_damper", nothing)
     with pytest.raises(NotConverged, match="stopped after 2 iterations"):
         design(problems.example_1(), SpringDamperWanted(Wish(iterations=2, algorithm="complementarity")))
 
@@ -162,7 +161,7 @@ def test_no_coupling_cannot_be_certified(problems) -> None:
 
 
 def one_port(environment, osp: float = 1.37) -> HapticLoop:
-    network = Network(("dx",), (), (Link(("dx", GROUND), 1000.0, 0.0),))
+    network = Network(("dx",), (), (NetworkLink(("dx", GROUND), 1000.0, 0.0),))
     devices = (DeviceLevel("dx", (0,), np.array([[osp]])),)
     return HapticLoop("test", 1e-3, ("dx",), devices, Partition(("c",), ((0,),)), environment or network)
 
@@ -181,7 +180,7 @@ def test_an_ill_posed_algebraic_loop_is_refused() -> None:
     [
         (StateSpaceEnvironment(("dx",), StateSpace.static([[-50.0]])), r"entry \(dx, dx\) is -50\.0 N/m"),
         (TransferEnvironment(("dx",), ((((-100.0,), (1.0, -50.0)),),)), "not stable"),
-        (DelayedNetwork(Network(("dx",), (), (Link(("dx", GROUND), 1e4, 0.0),)), 2), "lacks passivity"),
+        (DelayedNetwork(Network(("dx",), (), (NetworkLink(("dx", GROUND), 1e4, 0.0),)), 2), "lacks passivity"),
     ],
     ids=["negative spring", "unstable", "late and stiff"],
 )
@@ -306,9 +305,9 @@ def test_levels_that_are_no_numbers_are_not_believed(problems, monkeypatch: pyte
 def chain(m: int, passive: bool = True, osp: float = 1.0) -> HapticLoop:
     """m hands, a mass each, the masses in a chain."""
     ports = tuple(f"p{i}" for i in range(m))
-    links = [Link((port, f"m{i}"), 2000.0 + i, 0.3) for i, port in enumerate(ports)]
-    links += [Link((f"m{i}", f"m{i + 1}"), 500.0, 0.2) for i in range(m - 1)]
-    links += [Link(("m0", GROUND), 300.0, 0.2)]
+    links = [NetworkLink((port, f"m{i}"), 2000.0 + i, 0.3) for i, port in enumerate(ports)]
+    links += [NetworkLink((f"m{i}", f"m{i + 1}"), 500.0, 0.2) for i in range(m - 1)]
+    links += [NetworkLink(("m0", GROUND), 300.0, 0.2)]
     network = Network(ports, tuple((f"m{i}", 0.5 + i / m) for i in range(m)), tuple(links))
     devices = tuple(DeviceLevel(port, (i,), np.array([[osp + i / m]])) for i, port in enumerate(ports))
     partition = Partition(ports, tuple((i,) for i in range(m)))
@@ -333,7 +332,7 @@ def test_several_ports_late_by_a_matrix() -> None:
 
 def test_a_wish_that_nothing_searches_is_the_callers_mistake(problems) -> None:
     with pytest.raises(TypeError, match="a class of couplings"):
-        search.search(problems.example_1(), NoCoupling())
+        synthesis.search(problems.example_1(), NoCoupling())
 
 
 @pytest.mark.parametrize("objective", ["feasible", "stiffest", "loop-shaping", "closed-loop"])

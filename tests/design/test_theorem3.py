@@ -7,16 +7,14 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from manyhands.design import theorem3
-from manyhands.design.contract import Levels
-from manyhands.design.coupling import CouplingBlock, SpringDamper
-from manyhands.design.environment_level import best_level
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import Levels
+from manyhands.design.levels.environment import best_level
+from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.problem import HapticLoop
-from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.design.theorem3 import certify_given, devices
-from manyhands.design.theorem3_program import joint_levels
+from manyhands.design.theorem3 import certify_given, devices, joint_levels
 
 NO_SHRINKING = [Phase.generate]  # shrinking semidefinite programs takes minutes
 
@@ -235,7 +233,7 @@ def test_a_second_order_block_that_is_not_passive_is_refused_with_its_frequency(
 
 
 def two_ports(problems, blocks: tuple[tuple[int, ...], ...], osp: list[float], stiffness: float = 1000.0) -> HapticLoop:
-    network = Network(("x", "y"), (), tuple(Link((port, GROUND), stiffness, 1.0) for port in "xy"))
+    network = Network(("x", "y"), (), tuple(NetworkLink((port, GROUND), stiffness, 1.0) for port in "xy"))
     return problems.loop(network, Partition(tuple("ab"[: len(blocks)]), blocks), osp, 1e-3)
 
 

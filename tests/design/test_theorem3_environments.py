@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manyhands.design import riccati, theorem3, theorem3_program
-from manyhands.design.contract import ENERGY, Levels
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.environment import DelayedNetwork, NetworkBox
+from manyhands.design import theorem3
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.levels import environment
+from manyhands.design.levels.contract import ENERGY, Levels
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperGiven
 from manyhands.design.solver import solve
-from manyhands.design.statespace import Matrix
 from manyhands.design.synthesis import design
 from manyhands.design.theorem3 import certify_given, devices
 
@@ -25,7 +25,7 @@ def certified(loop: HapticLoop, coupling: SpringDamper) -> Levels:
 
 def test_a_heavy_mass_behind_a_damper_leaves_room_to_prove(problems) -> None:
     """The dissipation that proves it is Phi_E itself, of which the best t leaves next to nothing."""
-    network = Network(("p0",), (("m", 2.5),), (Link(("p0", "m"), 0.0, 1.0),))
+    network = Network(("p0",), (("m", 2.5),), (NetworkLink(("p0", "m"), 0.0, 1.0),))
     loop = problems.loop(network, Partition(("c",), ((0,),)), [0.0546875], 2.5e-4)
     certificate = design(loop, SpringDamperGiven(problems.uniform(9.949, 1.48e-3, 1))).certificate
     assert certificate.margins["(10)"] > 0.0
@@ -35,18 +35,18 @@ def test_a_heavy_mass_behind_a_damper_leaves_room_to_prove(problems) -> None:
     ("masses", "links", "drifts"),
     [
         ((), (), False),
-        ((), (Link(("p0", GROUND), 0.0, 2.0),), False),
-        ((), (Link(("p0", GROUND), 500.0, 0.0),), False),
+        ((), (NetworkLink(("p0", GROUND), 0.0, 2.0),), False),
+        ((), (NetworkLink(("p0", GROUND), 500.0, 0.0),), False),
         ((("m", 1.0),), (), False),  # no port feels it
-        ((("m", 1.0),), (Link(("p0", "m"), 0.0, 1.0),), True),
-        ((("m", 2.0),), (Link(("p0", GROUND), 4635.0, 1.8), Link(("m", "p0"), 5.1, 0.0)), False),
-        ((("m", 10.0),), (Link(("p0", "m"), 0.5, 0.0),), False),
-        ((("m", 1.0), ("n", 2.0)), (Link(("p0", "m"), 0.0, 1.0), Link(("m", "n"), 90.0, 0.0)), True),
+        ((("m", 1.0),), (NetworkLink(("p0", "m"), 0.0, 1.0),), True),
+        ((("m", 2.0),), (NetworkLink(("p0", GROUND), 4635.0, 1.8), NetworkLink(("m", "p0"), 5.1, 0.0)), False),
+        ((("m", 10.0),), (NetworkLink(("p0", "m"), 0.5, 0.0),), False),
+        ((("m", 1.0), ("n", 2.0)), (NetworkLink(("p0", "m"), 0.0, 1.0), NetworkLink(("m", "n"), 90.0, 0.0)), True),
     ],
     ids=["nothing", "damper", "spring", "far mass", "damped mass", "slow undamped mass", "slower still", "two adrift"],
 )
 def test_every_kind_of_environment(problems, masses, links, drifts: bool) -> None:
-    network = Network(("p0", "p1"), masses, (*links, Link(("p1", GROUND), 100.0, 0.1)))
+    network = Network(("p0", "p1"), masses, (*links, NetworkLink(("p1", GROUND), 100.0, 0.1)))
     loop = problems.loop(network, Partition(("a", "b"), ((1,), (0,))), [1.37, 0.4], 2.5e-4)
     certificate = design(loop, SpringDamperGiven(problems.uniform(300.0, 0.05, 2))).certificate
     levels = certificate.levels
@@ -120,7 +120,7 @@ def test_intervals_are_proved_by_energy_at_every_corner(problems) -> None:
     high = Network(
         low.ports,
         (("hub", 9.0),),
-        tuple(Link(link.ends, 2.0 * link.stiffness, 3.0 * link.damping) for link in low.links),
+        tuple(NetworkLink(link.ends, 2.0 * link.stiffness, 3.0 * link.damping) for link in low.links),
     )
     loop = dataclasses.replace(problems.example_1(), environment=NetworkBox(low, high))
     levels = certified(loop, problems.C26)
@@ -131,13 +131,15 @@ def test_intervals_are_proved_by_energy_at_every_corner(problems) -> None:
     for _ in range(20):
         mass, *factors = rng.integers(0, 2, 9).tolist()  # corners of the box
         links = tuple(
-            Link(a.ends, (b if factors[i] else a).stiffness, (b if factors[4 + i] else a).damping)
+            NetworkLink(a.ends, (b if factors[i] else a).stiffness, (b if factors[4 + i] else a).damping)
             for i, (a, b) in enumerate(zip(low.links, high.links, strict=True))
         )
         members.append(Network(low.ports, (high if mass else low).masses, links))
     assert min(problems.dissipation(loop, levels.Phi_E, member) for member in members) > -1e-9
     # and not of every network: a softer one dissipates less
-    soft = Network(low.ports, low.masses, tuple(Link(a.ends, 0.01 * a.stiffness, 0.01 * a.damping) for a in low.links))
+    soft = Network(
+        low.ports, low.masses, tuple(NetworkLink(a.ends, 0.01 * a.stiffness, 0.01 * a.damping) for a in low.links)
+    )
     assert problems.dissipation(loop, levels.Phi_E, soft) < 0.0
 
 
@@ -162,7 +164,7 @@ def test_a_solver_that_stumbles_at_the_edge_is_asked_for_less(problems, monkeypa
             raise SolverFailure("stumbled")
         return solve(program, what)
 
-    monkeypatch.setattr(theorem3_program, "solve", stumbling)
+    monkeypatch.setattr(theorem3, "solve", stumbling)
     loop = problems.example_1(problems.centralised)
     blocks = problems.blocks(loop, problems.C27)
     stumbles = {2}  # the first program succeeds, the second fails at its first try
@@ -181,7 +183,7 @@ def late_loop(problems) -> HapticLoop:
 
 def test_a_level_too_near_the_edge_for_a_storage_is_eased(problems, monkeypatch: pytest.MonkeyPatch) -> None:
     """As little of the margin as leaves room: 1e-6, 1e-5, ... of it."""
-    honest, tries = riccati.storage, []
+    honest, tries = environment.storage, []
 
     def stumbling(*arguments: object) -> Matrix:
         tries.append(arguments[2])
@@ -191,7 +193,7 @@ def test_a_level_too_near_the_edge_for_a_storage_is_eased(problems, monkeypatch:
 
     loop, coupling = late_loop(problems), problems.uniform(5500.0, 0.1)
     best = problems.margin(loop, certified(loop, coupling))
-    monkeypatch.setattr(riccati, "storage", stumbling)
+    monkeypatch.setattr(environment, "storage", stumbling)
     assert problems.margin(loop, certified(loop, coupling)) == pytest.approx((1.0 - 1e-3) * best, rel=1e-5)
     assert len(tries) == 4
 
@@ -200,7 +202,7 @@ def test_a_search_that_fails_leaves_a_network_its_energy(problems, monkeypatch: 
     def failing(*_: object) -> Matrix:
         raise SolverFailure("stumbled")
 
-    monkeypatch.setattr(riccati, "storage", failing)
+    monkeypatch.setattr(environment, "storage", failing)
     loop = problems.example_1()
     levels = certified(loop, problems.C26)
     assert levels.P_E == ENERGY
@@ -222,7 +224,7 @@ def test_modes_too_slow_for_a_solver_are_certified() -> None:
         ports=("p0",),
         devices=(DeviceLevel("d0", (0,), np.array([[0.05]])),),
         partition=Partition(("c0",), ((0,),)),
-        environment=Network(("p0",), masses, tuple(Link((a, b), k, c) for a, b, k, c in links)),
+        environment=Network(("p0",), masses, tuple(NetworkLink((a, b), k, c) for a, b, k, c in links)),
     )
     coupling = SpringDamper(np.array([[8.31658742]]), np.array([[0.00139397]]))
     certificate = design(loop, SpringDamperGiven(coupling)).certificate  # which proves what it returns

@@ -6,17 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manyhands.design.complementarity import TOLERANCE, Interrupted, StoppedShort
-from manyhands.design.contract import loop_inequality
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.environment import DelayedNetwork
 from manyhands.design.errors import Infeasible
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import loop_inequality
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DelayedNetwork
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.design.statespace import Matrix, symmetric_part
 from manyhands.design.theorem3 import certify_given, devices
-from manyhands.design.theorem4 import BlockUnknowns, design_spring_damper
+from manyhands.design.theorem4 import TOLERANCE, BlockUnknowns, Interrupted, StoppedShort, design_spring_damper
 
 
 def storage_of(K_s: Matrix, J: Matrix, K: Matrix, T: float) -> Matrix:
@@ -99,7 +97,11 @@ def test_a_device_of_two_axes_with_a_full_level(problems, blocks) -> None:
     network = Network(
         ("d.x", "d.y"),
         (("ball", 0.4),),
-        (Link(("d.x", "ball"), 900.0, 0.2), Link(("d.y", "ball"), 500.0, 0.0), Link(("ball", GROUND), 50.0, 0.1)),
+        (
+            NetworkLink(("d.x", "ball"), 900.0, 0.2),
+            NetworkLink(("d.y", "ball"), 500.0, 0.0),
+            NetworkLink(("ball", GROUND), 50.0, 0.1),
+        ),
     )
     device = DeviceLevel("d", (0, 1), np.array([[1.5, 0.3], [0.3, 1.2]]))
     partition = Partition(tuple("ab"[: len(blocks)]), blocks)
@@ -118,9 +120,9 @@ def test_devices_of_unlike_levels(problems) -> None:
 @pytest.mark.parametrize(
     ("masses", "links"),
     [
-        ((), (Link(("p0", GROUND), 0.0, 2.0),)),
-        ((("m", 1.0),), (Link(("p0", "m"), 0.0, 1.0),)),
-        ((("m", 10.0),), (Link(("p0", GROUND), 4600.0, 1.8), Link(("m", "p0"), 0.5, 0.0))),
+        ((), (NetworkLink(("p0", GROUND), 0.0, 2.0),)),
+        ((("m", 1.0),), (NetworkLink(("p0", "m"), 0.0, 1.0),)),
+        ((("m", 10.0),), (NetworkLink(("p0", GROUND), 4600.0, 1.8), NetworkLink(("m", "p0"), 0.5, 0.0))),
     ],
     ids=["stateless", "floating", "slow undamped mass"],
 )
@@ -131,7 +133,7 @@ def test_environments_at_the_edge(problems, masses, links) -> None:
 
 def spring_late(problems, stiffness: float) -> HapticLoop:
     """One device against a spring to ground whose force is a tick late: Phi_E >= stiffness T / 2."""
-    network = DelayedNetwork(Network(("p0",), (), (Link(("p0", GROUND), stiffness, 0.0),)), 1)
+    network = DelayedNetwork(Network(("p0",), (), (NetworkLink(("p0", GROUND), stiffness, 0.0),)), 1)
     device = DeviceLevel("d", (0,), np.array([[1.37]]))
     return HapticLoop("late", problems.T, ("p0",), (device,), Partition(("c",), ((0,),)), network)
 

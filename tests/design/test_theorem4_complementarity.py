@@ -6,11 +6,11 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from manyhands.design import complementarity
-from manyhands.design.complementarity import TOLERANCE, Interrupted, Pair, Relaxed, StoppedShort, complement
+from manyhands.design import theorem4
 from manyhands.design.errors import NotConverged, SolverFailure
+from manyhands.design.models.statespace import Matrix
 from manyhands.design.solver import ProgramInfeasible, value
-from manyhands.design.statespace import Matrix
+from manyhands.design.theorem4 import TOLERANCE, Interrupted, Pair, Relaxed, StoppedShort, complement
 
 
 def output_feedback(A: Matrix, B: Matrix, C: Matrix, radius: float = 1.0) -> Relaxed[Matrix]:
@@ -119,7 +119,7 @@ def test_ctrl_c_before_anything_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
     def interrupted(_problem: object, _what: str) -> float:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(complementarity, "solve", interrupted)
+    monkeypatch.setattr(theorem4, "solve", interrupted)
     with pytest.raises(Interrupted, match="before the first feasible point") as error:
         complement(hopeless())
     assert error.value.best is None
@@ -136,14 +136,14 @@ def test_an_exit_passes_through() -> None:
 
 @pytest.mark.parametrize("failure", [SolverFailure("gave up"), ProgramInfeasible("x")])
 def test_a_solver_that_stumbles_on_the_way(monkeypatch: pytest.MonkeyPatch, failure: Exception) -> None:
-    honest = complementarity.solve
+    honest = theorem4.solve
 
     def stumbling(problem: cp.Problem, what: str) -> float:
         if what.endswith("iteration 2"):
             raise failure
         return honest(problem, what)
 
-    monkeypatch.setattr(complementarity, "solve", stumbling)
+    monkeypatch.setattr(theorem4, "solve", stumbling)
     with pytest.raises(StoppedShort, match=re.escape("no solution in iteration 2, after 1 iterations")) as error:
         complement(hopeless())
     assert error.value.best is not None

@@ -8,19 +8,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from manyhands.design.complementarity import TOLERANCE, StoppedShort
-from manyhands.design.contract import loop_inequality
-from manyhands.design.environment import DelayedNetwork
 from manyhands.design.errors import Infeasible, TooLarge
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.passivity import storage_inequality
+from manyhands.design.levels.contract import loop_inequality
+from manyhands.design.models.coupling import Partition, transformed_coupling
+from manyhands.design.models.environment import DelayedNetwork
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.passivity.storage import storage_inequality
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.design.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.design.theorem3 import certify_given, devices
-from manyhands.design.theorem4 import BlockUnknowns
-from manyhands.design.theorem4_linear import MOST_STATES, LinearCoupling, design_linear, linear_unknowns, recover_linear
-from manyhands.design.transformation import transformed_coupling
+from manyhands.design.theorem4 import (
+    MOST_STATES,
+    TOLERANCE,
+    BlockUnknowns,
+    LinearCoupling,
+    StoppedShort,
+    design_linear,
+    linear_unknowns,
+    recover_linear,
+)
 
 
 def margin(loop: HapticLoop, coupling: LinearCoupling) -> float:
@@ -86,7 +92,11 @@ def test_a_device_whose_level_joins_its_axes(problems) -> None:
     network = Network(
         ("d.x", "d.y"),
         (("ball", 0.4),),
-        (Link(("d.x", "ball"), 900.0, 0.2), Link(("d.y", "ball"), 500.0, 0.0), Link(("ball", GROUND), 50.0, 0.1)),
+        (
+            NetworkLink(("d.x", "ball"), 900.0, 0.2),
+            NetworkLink(("d.y", "ball"), 500.0, 0.0),
+            NetworkLink(("ball", GROUND), 50.0, 0.1),
+        ),
     )
     device = DeviceLevel("d", (0, 1), np.array([[1.5, 0.3], [0.3, 1.2]]))
     loop = HapticLoop("planar", 1e-3, network.ports, (device,), Partition(("a",), ((1, 0),)), network)
@@ -104,7 +114,7 @@ def test_devices_of_unlike_levels(problems) -> None:
 
 def test_an_environment_that_is_not_passive(problems) -> None:
     """A spring whose force is a tick late needs Phi_E >= 1: (10) then asks for a level above 3.7 of the coupling."""
-    spring = DelayedNetwork(Network(("p0",), (), (Link(("p0", GROUND), 2000.0, 0.0),)), 1)
+    spring = DelayedNetwork(Network(("p0",), (), (NetworkLink(("p0", GROUND), 2000.0, 0.0),)), 1)
     loop = HapticLoop(
         "late",
         problems.T,
@@ -126,7 +136,7 @@ def test_an_environment_that_no_coupling_helps(problems) -> None:
 
 def test_a_delay_inside_the_tick(problems) -> None:
     """Static compliances exceed K = kappa T Delta_D^-1, and the coupling is certified for the delay."""
-    network = Network(("p", "q"), (), (Link(("p", "q"), 500.0, 0.2), Link(("q", GROUND), 800.0, 0.1)))
+    network = Network(("p", "q"), (), (NetworkLink(("p", "q"), 500.0, 0.2), NetworkLink(("q", GROUND), 800.0, 0.1)))
     loop = problems.loop(network, Partition(("a", "b"), ((0,), (1,))), [1.0, 2.0], problems.T)
     loop = replace(loop, tau=0.3 * problems.T)
     device = devices(loop)[0]

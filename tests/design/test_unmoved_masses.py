@@ -16,10 +16,12 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import content, identity
-from manyhands.design.environment import DelayedNetwork
 from manyhands.design.errors import DesignError, Infeasible
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import DelayedNetwork
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
     DeviceLevel,
@@ -31,10 +33,7 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.proof import prove
-from manyhands.design.statespace import Matrix, StateSpace
 from manyhands.design.synthesis import design
-from manyhands.design.weighted_loop import Transparency
-from manyhands.design.weights import Filter
 
 SESSIONS = int(os.environ.get("MANYHANDS_UNMOVED_SESSIONS", "20"))  # of each class
 NEAR_K = 1e-3  # V of the other code's static spring is this part above the loop gain K
@@ -164,17 +163,19 @@ def random_network(rng: np.random.Generator, m: int, n: int, idle: int) -> Netwo
     moved = [*(f"p{i}" for i in range(m)), *(f"m{i}" for i in range(n))]
     unmoved = [f"u{i}" for i in range(idle)]
 
-    def link(a: str, b: str) -> Link:
+    def link(a: str, b: str) -> NetworkLink:
         stiffness, damping = 10.0 ** rng.uniform(0.0, 4.0), 10.0 ** rng.uniform(-2.5, 1.0)
         kind = rng.choice(["both", "both", "spring", "damper"])
-        return Link((a, b), 0.0 if kind == "damper" else float(stiffness), 0.0 if kind == "spring" else float(damping))
+        return NetworkLink(
+            (a, b), 0.0 if kind == "damper" else float(stiffness), 0.0 if kind == "spring" else float(damping)
+        )
 
     links = []
     for group, each in ((moved, 1), (unmoved, int(rng.integers(0, 3)))):
         for end in group * each:
             links.append(link(end, str(rng.choice([other for other in [*group, GROUND] if other != end]))))
     if idle and rng.random() < 0.3:
-        links.append(Link((unmoved[0], str(rng.choice(moved))), 0.0, 0.0))
+        links.append(NetworkLink((unmoved[0], str(rng.choice(moved))), 0.0, 0.0))
     masses = [(name, float(10.0 ** rng.uniform(-2.0, 1.0))) for name in [*moved[m:], *unmoved]]
     shuffled = [masses[i] for i in rng.permutation(len(masses))]
     return Network(tuple(moved[:m]), tuple(shuffled), tuple(links[i] for i in rng.permutation(len(links))))
@@ -225,7 +226,7 @@ def sessions(linear: bool) -> Iterator[Session]:
             greatest = max(link.damping / T + link.stiffness for link in network.links)
             factor = float(10.0 ** rng.uniform(-1.5, 0.3)) * Delta / (T * greatest)
             masses = tuple((name, factor * mass) for name, mass in network.masses)
-            links = tuple(Link(a.ends, factor * a.stiffness, factor * a.damping) for a in network.links)
+            links = tuple(NetworkLink(a.ends, factor * a.stiffness, factor * a.damping) for a in network.links)
             network = Network(network.ports, masses, links)
         environment = DelayedNetwork(network, delay) if delay else network
         loop = replace(loop, environment=environment)
@@ -257,7 +258,7 @@ def test_what_an_lmi_of_other_code_finds_feasible_is_certified(linear: bool) -> 
 
 
 def one_port(
-    links: tuple[Link, ...], masses: tuple[tuple[str, float], ...], delay: int, osp: float = 1.0
+    links: tuple[NetworkLink, ...], masses: tuple[tuple[str, float], ...], delay: int, osp: float = 1.0
 ) -> HapticLoop:
     network = Network(("p",), masses, links)
     environment = DelayedNetwork(network, delay) if delay else network
@@ -265,19 +266,19 @@ def one_port(
     return HapticLoop("test", 1e-3, ("p",), (DeviceLevel("d", (0,), np.array([[osp]])),), partition, environment)
 
 
-SPRING = Link(("p", GROUND), 300.0, 0.0)
+SPRING = NetworkLink(("p", GROUND), 300.0, 0.0)
 UNMOVED = {
     "adrift": (),
-    "held": (Link(("u", GROUND), 50.0, 0.1),),
-    "linked by nothing": (Link(("u", "p"), 0.0, 0.0),),
-    "held, and linked by nothing": (Link(("p", "u"), 0.0, 0.0), Link(("u", GROUND), 50.0, 0.0)),
+    "held": (NetworkLink(("u", GROUND), 50.0, 0.1),),
+    "linked by nothing": (NetworkLink(("u", "p"), 0.0, 0.0),),
+    "held, and linked by nothing": (NetworkLink(("p", "u"), 0.0, 0.0), NetworkLink(("u", GROUND), 50.0, 0.0)),
 }
 
 
 @pytest.mark.parametrize("delay", [0, 2])
 @pytest.mark.parametrize("links", UNMOVED.values(), ids=UNMOVED)
 @pytest.mark.parametrize("wanted", [SpringDamperWanted(), LinearWanted((1,))], ids=["spring-damper", "linear"])
-def test_an_unmoved_mass_changes_nothing(wanted: CouplingRequest, links: tuple[Link, ...], delay: int) -> None:
+def test_an_unmoved_mass_changes_nothing(wanted: CouplingRequest, links: tuple[NetworkLink, ...], delay: int) -> None:
     with_it = design(one_port((SPRING, *links), (("u", 1.0),), delay), wanted).certificate
     without = design(one_port((SPRING,), (), delay), wanted).certificate
     assert np.array_equal(with_it.levels.Phi_E, without.levels.Phi_E)
@@ -287,7 +288,7 @@ def test_an_unmoved_mass_changes_nothing(wanted: CouplingRequest, links: tuple[L
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e-9, 0.0), (0.0, 1e-9), (5.0, 0.0)])
 def test_a_mass_that_a_port_moves_a_little_is_not_left_out(stiffness: float, damping: float) -> None:
     """A certificate without the mass, whose link to the port is then given the least stiffness or damping."""
-    nothing = Link(("u", "p"), 0.0, 0.0)
+    nothing = NetworkLink(("u", "p"), 0.0, 0.0)
     certificate = design(one_port((SPRING, nothing), (("u", 1.0),), 1), SpringDamperWanted()).certificate
     data = content(certificate)
     assert all(finding.holds for finding in prove(data | {"id": identity(data)}))
@@ -299,27 +300,28 @@ def test_a_mass_that_a_port_moves_a_little_is_not_left_out(stiffness: float, dam
 
 def test_a_chain_of_unmoved_masses_moves_once_it_is_linked() -> None:
     """Through a mass, a chain passes motion on; through the ground it does not."""
-    chain = (Link(("a", "b"), 20.0, 0.1), Link(("b", GROUND), 10.0, 0.0), SPRING)
+    chain = (NetworkLink(("a", "b"), 20.0, 0.1), NetworkLink(("b", GROUND), 10.0, 0.0), SPRING)
     masses = (("a", 0.1), ("b", 0.2))
-    for joint, order in ((Link(("a", GROUND), 3.0, 0.0), 1), (Link(("p", "a"), 3.0, 0.0), 5)):
+    for joint, order in ((NetworkLink(("a", GROUND), 3.0, 0.0), 1), (NetworkLink(("p", "a"), 3.0, 0.0), 5)):
         certificate = design(one_port((*chain, joint), masses, 1), SpringDamperWanted()).certificate
         assert np.array(certificate.levels.P_E).shape == (order, order)
 
 
 def test_an_environment_that_needs_nearly_all_of_the_level_gets_a_linear_coupling() -> None:
     """k T (d - 1/2) = 0.995 Delta_D: (10) asks for Delta_V > 199 Delta_D."""
-    loop = one_port((Link(("p", GROUND), 0.995 / 0.5e-3, 0.0),), (), 1)
+    loop = one_port((NetworkLink(("p", GROUND), 0.995 / 0.5e-3, 0.0),), (), 1)
     certificate = design(loop, LinearWanted((1,))).certificate
     assert certificate.levels.Delta_V[0][0, 0] > 199.0
     with pytest.raises(Infeasible, match="the environment needs"):
-        design(one_port((Link(("p", GROUND), 1.001 / 0.5e-3, 0.0),), (), 1), LinearWanted((1,)))
+        design(one_port((NetworkLink(("p", GROUND), 1.001 / 0.5e-3, 0.0),), (), 1), LinearWanted((1,)))
 
 
 def test_transparency_of_a_late_environment_is_proved() -> None:
     """Late displacements are states that nothing feeds back: no balancing of A gives them a scale."""
     aim = Transparency("loop-shaping", Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), 1e-3), Filter.one())
     certificate = design(
-        one_port((Link(("p", GROUND), 200.0, 0.05),), (("u", 1.0),), 2), SpringDamperWanted(Wish("loop-shaping", aim))
+        one_port((NetworkLink(("p", GROUND), 200.0, 0.05),), (("u", 1.0),), 2),
+        SpringDamperWanted(Wish("loop-shaping", aim)),
     ).certificate
     assert certificate.transparency is not None
     assert all(finding.holds for finding in prove(content(certificate) | {"id": certificate.id}))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from manyhands.nodes.environment.attendance import Seat
+from manyhands.nodes.environment.membership import Membership
 
 from .process import Process
-from .world import World
+from .world import SimulatedSession
 
 LATELY: Final = 40  # notes
 
 
-def account(world: World, everything: bool = False) -> str:
+def account(world: SimulatedSession, everything: bool = False) -> str:
     """Every node with its tick, what it waits for and its links; the environment's seats; what happened before."""
     lines = [f"at {world.scheduler.now / 1e6:.3f} ms, after {world.scheduler.steps} steps:"]
     for name, state in world.conductor.states.items():
@@ -22,7 +22,7 @@ def account(world: World, everything: bool = False) -> str:
     if places is not None:
         for place in places.all:
             seat = place.attendance.seat
-            due = f", due {place.due}" if seat is Seat.EXPECTED else ""
+            due = f", due {place.due}" if seat is Membership.EXPECTED else ""
             early = f", early {place.early[0]}" if place.early else ""
             lines.append(
                 f"  seat of {place.joint.peer.name}: {seat.value}{due}{early}, not before {place.attendance._until}"
@@ -36,7 +36,7 @@ def account(world: World, everything: bool = False) -> str:
     )
 
 
-def _where(process: Process, world: World) -> str:
+def _where(process: Process, world: SimulatedSession) -> str:
     turn = process.turn
     stack = [] if turn is None else turn.stack()
     where = " < ".join(f"{function}@{tick}" for function, tick in stack) or "not in its loop"

@@ -18,12 +18,12 @@ from typing import Final
 
 import chaos_kinds
 
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 
 from .account import account
 from .faults import Faults
-from .world import World
+from .world import SimulatedSession
 
 SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
     **chaos_kinds.SESSIONS,
@@ -69,7 +69,7 @@ def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, tic
 
     With ``ticks`` the session ends by itself, and all that happens is that processes stand still for a while.
     """
-    world = World(prepared(name), clock, seed, frames, ticks)
+    world = SimulatedSession(prepared(name), clock, seed, frames, ticks)
     chaos = Faults(world, faults)
     ticks, told = 0, ""
     began = world.scheduler.now

@@ -13,11 +13,11 @@ from typing import Final
 
 from chaos_kinds import Kind, draw
 
-from manyhands.launch.conductor import Phase
+from manyhands.launch.run.states import SessionPhase
 from manyhands.protocol.clock import from_seconds
 
 from .process import Process
-from .world import World
+from .world import SimulatedSession
 
 OVERLAP: Final = 0.35
 """Of all faults, so many come while the one before is not over."""
@@ -43,7 +43,7 @@ class Faults:
         slowest: the longest from a fault to calm, ns.
     """
 
-    world: World
+    world: SimulatedSession
     count: int
     done: Counter[Kind] = field(default_factory=Counter)
     stalled: str = ""
@@ -63,7 +63,7 @@ class Faults:
     def watch(self) -> bool:
         """Look at the world; whether it is over, or given up."""
         world = self.world
-        if world.conductor.phase is Phase.OVER:
+        if world.conductor.phase is SessionPhase.OVER:
             return not world.processes
         now, steps = world.scheduler.now, world.scheduler.steps
         if now - self._since > GIVEN_UP or steps - self._steps > MOST_STEPS:
@@ -72,7 +72,7 @@ class Faults:
             return True
         if world.conductor.faults:
             return self._refuse()
-        if world.conductor.phase is not Phase.RUNNING or self._ended:
+        if world.conductor.phase is not SessionPhase.RUNNING or self._ended:
             return False
         self._watch_ticks()
         self._watch_calm()

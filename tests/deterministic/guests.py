@@ -15,8 +15,8 @@ from random import Random
 from typing import Final
 
 from manyhands.nodes.bundle import DeviceBundle, Limits
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.guard import Guard
+from manyhands.nodes.device.core import Guard
+from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode, encode

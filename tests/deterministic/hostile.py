@@ -20,15 +20,15 @@ from typing import Final
 
 import yaml
 
-from manyhands.launch.conductor import Phase
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 
 from .account import account
 from .guests import Guest, Leaving, Strategy, Timing, strategy
 from .guests import honest as fair
 from .innocence import Innocence, Wrong, watched_gates
-from .world import World
+from .world import SimulatedSession
 
 GUEST: Final = "mal"
 HONEST: Final = ("ann", "bea", "cas")
@@ -158,7 +158,7 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     measured = tolerated or plan.timing in (Timing.CREEPING, Timing.RANDOM)
     innocence = Innocence(design, None if one.honest else GUEST, not one.moving, tolerated, measured)
     guest = Guest(GUEST, plan, Random(f"guest {one.seed}"))
-    world = World(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
+    world = SimulatedSession(design, one.clock, one.seed, frames, guest=guest, witness=innocence)
     if one.honest:
         slow_start(world, Random(f"slow {one.seed}"))
     wrong: list[tuple[Wrong, str]] = []
@@ -169,10 +169,10 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
 
     def watch() -> bool:
         nonlocal reached, ended, next_leave, returns, told
-        if world.conductor.phase is Phase.OVER:
+        if world.conductor.phase is SessionPhase.OVER:
             return not world.processes
         reached = max(reached, world.tick)
-        if ended or world.conductor.phase is not Phase.RUNNING:
+        if ended or world.conductor.phase is not SessionPhase.RUNNING:
             return False
         if plan.leaving is not Leaving.STAYS and reached >= next_leave:
             process = world.processes.get(GUEST)
@@ -207,13 +207,13 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
     )
 
 
-def refused(world: World) -> bool:
+def refused(world: SimulatedSession) -> bool:
     """Whether a sample of the guest was refused: under the simulated clock the others then wait for it for ever."""
     joints = [joint for process in world.processes.values() for joint in process.joints]
     return any(joint.peer.name == GUEST and joint.gate.dropped["out_of_range"] for joint in joints)
 
 
-def slow_start(world: World, random: Random) -> None:
+def slow_start(world: SimulatedSession, random: Random) -> None:
     """Somebody is slow at first, as who still reads its program from a disk is."""
     process = world.processes[random.choice(list(world.processes))]
     turn = process.turn

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from enum import StrEnum
 from typing import Any, Final
 
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.topology import topology
-from manyhands.nodes import exchange
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.topology import topology
+from manyhands.nodes import peer_link as peer_link_module
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
@@ -20,7 +20,7 @@ from manyhands.protocol.gate import DRIFT, MOST_PERIODS, Bounds, Gate
 from manyhands.protocol.messages import Role, SignalMessage, Telemetry
 
 from .scheduler import Scheduler
-from .world import World
+from .world import SimulatedSession
 
 TRANSIENT: Final = 2 * BURST
 """Late ticks of an honest device, at most, that each coupling of a guest may cause before it is frozen.
@@ -144,7 +144,7 @@ class Innocence:
                 f"{self.received - allowed:.3g} J beyond {self._power:g} W by tick {tick}, at the others' ports"
             )
 
-    def verdict(self, world: World, returns: int) -> list[tuple[Wrong, str]]:
+    def verdict(self, world: SimulatedSession, returns: int) -> list[tuple[Wrong, str]]:
         """What did not hold, once the session is over; ``returns``: how often the guest came back."""
         found: list[tuple[Wrong, str]] = []
         places = world.places
@@ -191,7 +191,7 @@ class Innocence:
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
         return found
 
-    def _told_by(self, world: World) -> bool:
+    def _told_by(self, world: SimulatedSession) -> bool:
         """Whether it was so long ago that the environment has told of it."""
         return self._acted >= 0 and world.tick - self._acted > TELEMETRY
 
@@ -245,8 +245,8 @@ def watched_gates(scheduler: Scheduler, simulated: bool, wrong: list[tuple[Wrong
 
     period = from_seconds(1e-3)
     told: list[bool] = []
-    before, exchange.Gate = exchange.Gate, WatchedGate  # type: ignore[misc]
+    before, peer_link_module.Gate = peer_link_module.Gate, WatchedGate  # type: ignore[misc]
     try:
         yield
     finally:
-        exchange.Gate = before  # type: ignore[misc]
+        peer_link_module.Gate = before  # type: ignore[misc]

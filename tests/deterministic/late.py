@@ -7,17 +7,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from manyhands.launch.conductor import Phase
-from manyhands.launch.preparation import Prepared
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import Driver
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Telemetry
 
 from .scheduler import VirtualClock
-from .world import World
+from .world import SimulatedSession
 
 PERIOD = 1_000_000  # ns
 
@@ -41,7 +41,7 @@ class Late:
         return self._driver.sample(tick)
 
 
-class Session(World):
+class Session(SimulatedSession):
     """A session in real time of so many ticks, and all that its nodes told.
 
     Attributes:
@@ -71,7 +71,7 @@ class Session(World):
             return late
 
         super().__init__(prepared, "realtime", seed, ticks=ticks, moved=moved)
-        self.scheduler.watch = lambda: self.conductor.phase is Phase.OVER and not self.processes
+        self.scheduler.watch = lambda: self.conductor.phase is SessionPhase.OVER and not self.processes
         self.scheduler.run()
         self.scheduler.join()
 
@@ -84,7 +84,7 @@ class Session(World):
             out[told.tick - len(tau) : told.tick] = tau
         return out
 
-    def lateness(self, coupling: str) -> names.Lateness | None:
+    def lateness(self, coupling: str) -> names.CouplingLateness | None:
         """What the environment says in the end that a coupling made the others wait."""
         report = self.conductor.reports["environment"]
         return names.lateness_of(coupling, report.counts, report.figures)

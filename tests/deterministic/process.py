@@ -7,18 +7,16 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
-from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.account import Account
-from manyhands.nodes.environment.cores import Core
-from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.life import Sight, Stopped
-from manyhands.nodes.log import Event, Log, Value
+from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
+from manyhands.nodes.lifetime import Sight, Stopped
+from manyhands.nodes.log import Log, LogEvent, Value
+from manyhands.nodes.peer_link import PeerLink
 from manyhands.nodes.process import Member, Node, _ended
+from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant, SimulatedClock
 from manyhands.protocol.messages import Telemetry
 from manyhands.protocol.transport import Link
@@ -31,7 +29,7 @@ Note = Callable[[str], None]
 
 
 class VirtualLife:
-    """A :class:`manyhands.nodes.life.Life` that no signal reaches but the world's."""
+    """A :class:`manyhands.nodes.lifetime.Life` that no signal reaches but the world's."""
 
     def __init__(self) -> None:
         self.stopping = self.orphaned = False
@@ -66,13 +64,21 @@ class NotedLog(Log):
         super().__init__(None, "s", name, clock)
         self._name, self._note = name, note
 
-    def note(self, event: Event, **data: Value) -> None:
+    def note(self, event: LogEvent, **data: Value) -> None:
         """Tell of what happens in the loop; how it began is the world's own to tell."""
-        if event in (Event.FROZEN, Event.RETURNED, Event.LOST, Event.JUMPED, Event.STALE, Event.BREACH, Event.FAULT):
+        if event in (
+            LogEvent.FROZEN,
+            LogEvent.RETURNED,
+            LogEvent.LOST,
+            LogEvent.JUMPED,
+            LogEvent.STALE,
+            LogEvent.BREACH,
+            LogEvent.FAULT,
+        ):
             self._note(f"{self._name}: {event.value} {' '.join(f'{key}={value}' for key, value in data.items())}")
 
 
-class Line(ControlLine):
+class SimulatedLine(ControlLine):
     """A line to the supervisor that says a process id of its own."""
 
     pid = 0
@@ -117,7 +123,7 @@ class Witness(Protocol):
         ...
 
 
-class WitnessedAccount(Account):
+class WitnessedAccount(EnvironmentTelemetry):
     """An environment's account whose every tick is seen."""
 
     def __init__(self, common: Common, witness: Witness, node: EnvironmentNode) -> None:
@@ -181,7 +187,7 @@ class Process:
         clock = VirtualClock(self._scheduler)
         self.node = node = self._made(clock)
         common = self._bundle.common
-        line = Line(self._transport, common, NotedLog(self.name, clock, self._note))
+        line = SimulatedLine(self._transport, common, NotedLog(self.name, clock, self._note))
         line.pid = self.pid
         line.silent = self._guest is not None and not self._guest.strategy.telemetry
         # nothing is asked of this machine's kernel
@@ -200,7 +206,7 @@ class Process:
         self._transport.die(chance)
 
     @property
-    def joints(self) -> Sequence[Joint]:
+    def joints(self) -> Sequence[PeerLink]:
         """Its links, once it has shaken hands."""
         node = self.node
         if isinstance(node, CouplingNode):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from chaos_kinds import FOLDER, RESTLESS
 
-from manyhands.launch import policy
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.run import breaches
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
@@ -118,7 +118,7 @@ def rungs(session: Session, coupling: str) -> Iterable[int]:
 
 
 def test_a_coupling_climbs_again_when_the_cause_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(policy, "CALM", 0.3)
+    monkeypatch.setattr(breaches, "CALM", 0.3)
     session = sound(Session(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
     for device in ("dx", "dy", "dz"):  # 0.3 ms and what is its own: more than rung 0 covers, less than rung 1
         assert list(rungs(session, f"c{device[1:]}")) == [1, 0]

@@ -11,31 +11,30 @@ from typing import Final
 
 from chaos_kinds import PROMISE
 
-from manyhands.launch.assumptions import Assumptions
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import (
-    Conductor,
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.breaches import Assumptions, EnergyIncidents, ShiftCoupling
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.states import (
     Instruction,
     Kill,
     KillProcess,
     NodeState,
-    Phase,
-    Release,
+    ReleaseName,
     Send,
+    SessionPhase,
     StartProcess,
     Terminate,
 )
-from manyhands.launch.energy_incidents import EnergyIncidents
-from manyhands.launch.policy import ShiftCoupling
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.environment.membership import Members
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.environment.places import Places
-from manyhands.nodes.life import Stopped
+from manyhands.nodes.lifetime import Stopped
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -54,7 +53,7 @@ SEEN: Final = (50_000, 2_000_000)  # ns from a process's end to when the supervi
 AWAY: Final = (20_000_000, 200_000_000)  # ns from a guest's end to its coming back
 
 
-class World:
+class SimulatedSession:
     """The session.
 
     Attributes:
@@ -95,7 +94,7 @@ class World:
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
-        self._bundles = cut(prepared, Run(clock, None, "wire://hub"))
+        self._bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self._guest, self._witness = guest, witness
         self._energy = EnergyIncidents(self.graph, prepared.session.period)
@@ -155,7 +154,7 @@ class World:
         return process.node if process is not None and isinstance(process.node, EnvironmentNode) else None
 
     @property
-    def places(self) -> Places | None:
+    def places(self) -> Members | None:
         """The environment's, once it is in its loop."""
         return None if self.environment is None else self.environment._places
 
@@ -168,7 +167,7 @@ class World:
     def whole(self) -> bool:
         """Whether everybody takes part."""
         places, states = self.places, self.conductor.states
-        if self.conductor.phase is not Phase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
+        if self.conductor.phase is not SessionPhase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
             return False
         if places is None or not places.all_seated or len(self.processes) < len(states):
             return False
@@ -188,7 +187,7 @@ class World:
         self.processes[name] = process
         self.assumptions.forget(name)
         self._energy.forget(name)
-        if self.conductor.phase is Phase.RUNNING and guest is None:
+        if self.conductor.phase is SessionPhase.RUNNING and guest is None:
             self.conductor.started(name, pid)
             self.restarts += 1
         delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
@@ -207,9 +206,9 @@ class World:
 
     def _see_end(self, name: str, code: int) -> None:
         if name in self.conductor.remote:  # nobody sees it end
-            if self.conductor.phase is Phase.RUNNING:
+            if self.conductor.phase is SessionPhase.RUNNING:
                 self._obey(self.conductor.silent(name, self.scheduler.now))
-            if self.conductor.phase is Phase.RUNNING:
+            if self.conductor.phase is SessionPhase.RUNNING:
                 self.scheduler.after(self.random.randint(*AWAY), lambda: self._come_back(name))
             return
         self.note(f"the supervisor sees the end of {name} ({code})")
@@ -217,7 +216,7 @@ class World:
 
     def _come_back(self, name: str) -> None:
         """A guest joins again."""
-        if self.conductor.phase is Phase.RUNNING:
+        if self.conductor.phase is SessionPhase.RUNNING:
             self.note(f"{name} joins again")
             self._start(name)
 
@@ -230,12 +229,12 @@ class World:
 
     def _look(self) -> None:
         self._obey(self.conductor.look(self.scheduler.now))
-        if self.conductor.phase is not Phase.ENDING:
+        if self.conductor.phase is not SessionPhase.ENDING:
             self._ending = self.scheduler.now
         elif self.scheduler.now - self._ending >= ENDING_TIME:
             self._ending = self.scheduler.now
             self._obey(self.conductor.too_late())
-        if self.conductor.phase is not Phase.OVER:
+        if self.conductor.phase is not SessionPhase.OVER:
             self.scheduler.after(LOOK, self._look)
 
     def _hear(self, sender: str, frame: bytes) -> None:
@@ -267,7 +266,7 @@ class World:
                 case Send(node, message):
                     self.note(f"the supervisor tells {node}: {str(message)[:80]}")
                     self._wires.tell(node, encode(message))
-                case Release(name):
+                case ReleaseName(name):
                     self._wires.release(name)
                 case StartProcess(node):
                     self.note(f"{node} is started")

@@ -14,21 +14,21 @@ from draws import Draws
 from forger import Forger
 
 import manyhands.launch
-from manyhands.launch.conductor import (
-    Conductor,
+from manyhands.launch.plan.topology import Topology, topology
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.states import (
     Instruction,
     Kill,
     KillProcess,
     NodeState,
-    Phase,
-    Release,
+    ReleaseName,
     Send,
+    SessionPhase,
     StartProcess,
     Terminate,
 )
-from manyhands.launch.restarts import RestartBudget
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import Topology, topology
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import ForeignHello, Received, decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -85,7 +85,7 @@ EVENTS: Final = (
     "shift",
     "stop",
 )
-PHASES: Final = (Phase.STARTING, Phase.RUNNING, Phase.ENDING, Phase.OVER)
+PHASES: Final = (SessionPhase.STARTING, SessionPhase.RUNNING, SessionPhase.ENDING, SessionPhase.OVER)
 EXITS: Final = (0, 1, 2, 4, 255, *range(-64, 0))
 NOW: Final = (0, 1, 10**15, 2**62)
 MOST_FAULTS: Final = 3 * len(NODES) + 2
@@ -105,7 +105,7 @@ def play(draws: Draws) -> None:
     watch = Watch(*REMOTE[draws.choice(tuple(REMOTE))])
     for _ in range(MOST_EVENTS):
         # a supervisor that has seen the last process end listens no more
-        if not draws.more or watch.conductor.phase is Phase.OVER:
+        if not draws.more or watch.conductor.phase is SessionPhase.OVER:
             return
         match draws.choice(EVENTS):
             case "good hello":
@@ -234,11 +234,11 @@ class Watch:
                 case KillProcess(node):
                     assert node in self._processes, f"{node} has no process to kill"
                     assert self.begun, f"{node} was killed during the start"
-                case Release(node) if node in self.conductor.remote and self.begun:
+                case ReleaseName(node) if node in self.conductor.remote and self.begun:
                     self._forget(node)
         assert self.conductor.states.keys() == set(NODES)
         over = all(state is NodeState.ENDED for state in self.conductor.states.values())
-        assert (self.conductor.phase is Phase.OVER) == over
+        assert (self.conductor.phase is SessionPhase.OVER) == over
         assert not (over and self._processes), f"over, and {self._processes} still run"
         assert len(self.conductor.faults) <= MOST_FAULTS, f"{len(self.conductor.faults)} faults are kept"
         self._only_forward()
@@ -259,12 +259,12 @@ class Watch:
             kept.discard(node)
         self.absent[node].clear()
 
-    _phase: Phase = Phase.STARTING
+    _phase: SessionPhase = SessionPhase.STARTING
 
     def _only_forward(self) -> None:
         phase = self.conductor.phase
         assert PHASES.index(phase) >= PHASES.index(self._phase), f"from {self._phase} back to {phase}"
-        assert phase is not Phase.RUNNING or self.begun
+        assert phase is not SessionPhase.RUNNING or self.begun
         self._phase = phase
 
     def _said(self, node: str, message: Message) -> None:
@@ -311,7 +311,7 @@ class Watch:
             assert out == [], f"{observer} brought about {out} with {received!r}"
             return
         *said, last = out
-        assert last == Release(observer)
+        assert last == ReleaseName(observer)
         messages = [one.message for one in said if isinstance(one, Send) and one.node == observer]
         assert len(messages) == len(said)
         if _belongs(observer, received):

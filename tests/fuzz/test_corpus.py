@@ -12,7 +12,7 @@ from draws import Dictation, Draws, Misdictated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ..cases import cases
+from ..support.cases import cases
 
 FILES = sorted(path for harness in seeds.CHECKS for path in (seeds.CORPUS / harness).iterdir())
 MOST_FILES, MOST_BYTES = 340, 340 * 1024

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.design.environment import DelayedNetwork, Environment, StateSpaceEnvironment
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import DelayedNetwork, Environment, StateSpaceEnvironment
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.design.statespace import StateSpace
 from manyhands.launch.budget import PERIODS, budget, budget_object, plot_budget, print_budget
 from manyhands.launch.files import TargetError
 
@@ -23,7 +23,7 @@ def loop(levels: list[float], tau: float = 0.0, environment: Environment | None 
     """One-axis devices d0, d1, ... on springs to the ground, a block each."""
     m = len(levels)
     ports = tuple(f"d{i}" for i in range(m))
-    springs = Network(ports, (), tuple(Link((port, GROUND), 1000.0, 0.1) for port in ports))
+    springs = Network(ports, (), tuple(NetworkLink((port, GROUND), 1000.0, 0.1) for port in ports))
     return HapticLoop(
         "example",
         T,
@@ -97,7 +97,7 @@ def test_many_devices_of_many_levels_stay_readable() -> None:
 
 
 def springs_late(stiffness: float) -> DelayedNetwork:
-    return DelayedNetwork(Network(("d0",), (), (Link(("d0", GROUND), stiffness, 0.0),)), 1)
+    return DelayedNetwork(Network(("d0",), (), (NetworkLink(("d0", GROUND), stiffness, 0.0),)), 1)
 
 
 def test_a_world_that_is_late_takes_its_share() -> None:

@@ -10,13 +10,11 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.launch import design_plots, responses
-from manyhands.launch.design_plots import plot_design
-from manyhands.launch.responses import closed_loop, coupling_response, frequencies, response
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.launch import design_plots
+from manyhands.launch.design_plots import closed_loop, coupling_response, frequencies, plot_design, response
 
 T = 1e-3
 DELTA_D = 1.37 * np.eye(3)
@@ -25,10 +23,10 @@ NETWORK = Network(
     PORTS,
     (("hub", 3.0),),
     (
-        Link(("dx", "hub"), 3800.0, 0.1),
-        Link(("dy", "hub"), 3500.0, 0.2),
-        Link(("dz", "hub"), 3300.0, 0.3),
-        Link(("hub", GROUND), 2600.0, 0.5),
+        NetworkLink(("dx", "hub"), 3800.0, 0.1),
+        NetworkLink(("dy", "hub"), 3500.0, 0.2),
+        NetworkLink(("dz", "hub"), 3300.0, 0.3),
+        NetworkLink(("hub", GROUND), 2600.0, 0.5),
     ),
 )
 EACH = Partition(("cx", "cy", "cz"), ((0,), (1,), (2,)))
@@ -119,7 +117,7 @@ def test_responses_are_those_of_the_systems() -> None:
 def test_chunks_do_not_change_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     E, angles = NETWORK.environment(T), np.linspace(0.1, 3.0, 50)
     whole = response(E, angles)
-    monkeypatch.setattr(responses, "_CHUNK", 200)
+    monkeypatch.setattr(design_plots, "_CHUNK", 200)
     np.testing.assert_allclose(response(E, angles), whole, rtol=1e-13)
 
 
@@ -203,10 +201,10 @@ def test_structure_shows_blocks_and_exact_zeros(tmp_path: Path, figures: dict[st
 
 
 def test_one_port_and_many(tmp_path: Path, figures: dict[str, Figure], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(responses, "_PER_DECADE", 5)  # the same pictures, sooner
+    monkeypatch.setattr(design_plots, "_PER_DECADE", 5)  # the same pictures, sooner
     for m in (1, 41):  # named, and too many to name
         ports = tuple(f"p{i}" for i in range(m))
-        network = Network(ports, (), tuple(Link((port, GROUND), 500.0, 0.1) for port in ports))
+        network = Network(ports, (), tuple(NetworkLink((port, GROUND), 500.0, 0.1) for port in ports))
         paths = draw(
             tmp_path,
             SpringDamper(600.0 * np.eye(m), 0.1 * np.eye(m)),

@@ -17,8 +17,8 @@ from manyhands.design.files import open_new, replacing
 from manyhands.launch.cli import app
 from manyhands.launch.files import TargetError, claimed, require_target
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.report import save_json
-from manyhands.nodes.recorder.file import RecordingFile
+from manyhands.launch.run.outcome import save_json
+from manyhands.nodes.recorder.mcap import RecordingFile
 
 ROOT = Path(__file__).parents[2]
 RUN = Recording("s", "id", 0.001, ("a",), np.zeros((3, 1)), np.zeros((3, 1)))
@@ -106,13 +106,12 @@ WRITING = re.compile(
 BY_OTHER_MEANS = {
     "design/files.py": "what all others write with",
     "launch/files.py": "locks, which are never written through and never replaced",
-    "launch/keys.py": "keys, with protocol/key_files.py in a folder that its owner alone may write to",
+    "launch/plan/keys.py": "keys, with protocol/keys.py in a folder that its owner alone may write to",
     "protocol/keys.py": "likewise",
-    "protocol/key_files.py": "likewise",
     "nodes/log.py": "logs are continued; never through a link",
-    "nodes/recorder/file.py": "a recording takes its place when it has its beginning, and grows",
-    "launch/processes.py": "in the run's own directory, mode 0700",
-    "launch/recordings/prepared.py": "likewise",
+    "nodes/recorder/mcap.py": "a recording takes its place when it has its beginning, and grows",
+    "launch/run/processes.py": "in the run's own directory, mode 0700",
+    "launch/recordings/audit.py": "likewise",
     "nodes/observer/node.py": "/dev/null",
 }
 

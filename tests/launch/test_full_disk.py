@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.report import save_json
-from manyhands.launch.run_directory import run_directory
+from manyhands.launch.run.directory import run_directory
+from manyhands.launch.run.outcome import save_json
 
 
 @contextmanager

@@ -27,14 +27,14 @@ from manyhands.design.certificate import load as load_certificate
 from manyhands.design.errors import CertificateError
 from manyhands.design.files import open_regular, read_regular
 from manyhands.launch.cli import app
-from manyhands.launch.display import say
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run
-from manyhands.launch.recordings.saved import read_saved
+from manyhands.launch.recordings.tables import read_saved
+from manyhands.launch.run.display import say
 from manyhands.launch.session import SessionError, load_session
-from manyhands.launch.session import source as session_source
+from manyhands.launch.session import yaml as session_source
 from manyhands.launch.view.security import ViewError, read_token
 from manyhands.nodes.bundle import BundleError, DeviceBundle
 from manyhands.nodes.bundle import load as load_bundle
@@ -43,7 +43,7 @@ from manyhands.protocol.codec import encode
 from manyhands.protocol.keys import KeyFileError, PublicKeys, load_private, new_pair, save_private
 from manyhands.protocol.messages import Observation, Role
 
-from .recordings_made import ALONE, ATTACHED, RECORDED, STARTED, observation, recording
+from ..support.small_recordings import ALONE, ATTACHED, RECORDED, STARTED, observation, recording
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -315,7 +315,8 @@ def test_what_a_terminal_obeys_is_not_said() -> None:
 
 
 def test_a_key_is_not_read_through_a_link_or_from_a_pipe(tmp_path: Path) -> None:
-    """A link in the folder of private keys, or in the place of that folder, is refused (tests/launch/test_keys.py)."""
+    """A link in the folder of private keys, or in the place of that folder, is refused
+    (tests/launch/plan/test_keys.py)."""
     pair = new_pair()
     save_private(pair, "s", "dx", tmp_path / "dx.key")
     (tmp_path / "link.key").symlink_to(tmp_path / "dx.key")

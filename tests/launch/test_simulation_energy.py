@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch.columns import MOST_SHOWN, energy_line
-from manyhands.launch.energy_incidents import QUIET, EnergyIncidents
-from manyhands.launch.port_bounds import budgets
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.report import node_entry
+from manyhands.launch.design_report import print_report
+from manyhands.launch.plan.bundles import budgets
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.breaches import QUIET, EnergyIncidents
+from manyhands.launch.run.display import MOST_SHOWN, energy_line
+from manyhands.launch.run.outcome import node_entry
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.summary import print_report
-from manyhands.launch.topology import topology
-from manyhands.nodes.environment.black_box import EnforcedCore
 from manyhands.nodes.environment.core import EnvironmentCore
-from manyhands.nodes.environment.energy import Budget
+from manyhands.nodes.environment.energy import EnergyBudget
+from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.protocol.messages import Report, Role, Telemetry
 
 EXAMPLE = Path(__file__).parents[2] / "launch" / "sessions" / "example1.yaml"
@@ -116,9 +116,9 @@ def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
         "devices.dy.limits={power: 3, energy: 4}",
     ]
     assert budgets(load_session(EXAMPLE, limits)) == (
-        Budget(16.0, 3.2, 3.2),
-        Budget(3.0, 4.0, 10.0),
-        Budget(40.0, 100.0, 10.0),
+        EnergyBudget(16.0, 3.2, 3.2),
+        EnergyBudget(3.0, 4.0, 10.0),
+        EnergyBudget(40.0, 100.0, 10.0),
     )
 
 

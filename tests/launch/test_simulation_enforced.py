@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.launch.bundles import Run, cut
+from manyhands.design.models.environment import DeclaredEnvironment
 from manyhands.launch.cli import app
-from manyhands.launch.loop import haptic_loop
-from manyhands.launch.preparation import NotCertified, prepare, read_certificate
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import NotCertified, haptic_loop, prepare, read_certificate
 from manyhands.launch.session import PythonEnvironment, Session, SessionError, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
-from manyhands.nodes.environment.black_box import EnforcedCore
+from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelError, ModelFailure
 
 MODULE = "models_of_these_tests"
@@ -78,7 +77,7 @@ def importable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def environment_bundle(session: Session, uncertified: bool = False) -> EnvironmentBundle:
-    bundle = cut(prepare(session, uncertified=uncertified), Run(SIMULATED, None, ""))["environment"]
+    bundle = cut(prepare(session, uncertified=uncertified), RunPlan(SIMULATED, None, ""))["environment"]
     assert isinstance(bundle, EnvironmentBundle)
     return bundle
 
@@ -137,7 +136,7 @@ def test_nothing_is_imported_before_the_environment_runs(file: Path) -> None:
     prepared = prepare(load_session(file))
     assert prepared.certificate is not None
     assert prepared.certificate.loop.enforced == ("environment",)
-    bundles = cut(prepared, Run(SIMULATED, None, ""))
+    bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
     assert MODULE not in sys.modules
     for name, bundle in bundles.items():
         assert (MODULE in repr(bundle)) == (name == "environment")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle, EnvironmentBundle, load, save
 
@@ -24,7 +24,7 @@ def prepared() -> Prepared:
 
 
 def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", tmp_path, "ipc:///nowhere"))
+    bundles = cut(prepared, RunPlan("simulated", tmp_path, "ipc:///nowhere"))
     for name, kind in (("dx", DeviceBundle), ("cy", CouplingBundle), ("environment", EnvironmentBundle)):
         path = tmp_path / f"{name}.bundle"
         save(bundles[name], path)
@@ -41,7 +41,7 @@ def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_p
 
     Of the blocks the environment has D_V alone, for the rungs at which they stay as they are.
     """
-    bundles = cut(prepared, Run("simulated", tmp_path, "ipc:///nowhere"))
+    bundles = cut(prepared, RunPlan("simulated", tmp_path, "ipc:///nowhere"))
     texts = {}
     for name, bundle in bundles.items():
         save(bundle, tmp_path / name)
@@ -71,7 +71,7 @@ def test_what_is_no_bundle_is_refused_by_name(text: str, tmp_path: Path) -> None
 
 def test_an_uncertified_run_promises_nothing(tmp_path: Path) -> None:
     session = load_session(SESSIONS / "example1-uncoupled.yaml")
-    bundles = cut(prepare(session, uncertified=True), Run("simulated", tmp_path, ""))
+    bundles = cut(prepare(session, uncertified=True), RunPlan("simulated", tmp_path, ""))
     coupling, environment = bundles["cx"], bundles["environment"]
     assert isinstance(coupling, CouplingBundle)
     assert isinstance(environment, EnvironmentBundle)

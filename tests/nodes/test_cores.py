@@ -7,15 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.network import Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.network import Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.environment.core import EnvironmentCore
 
-from .cores import react
+from ..support.reaction import react
 
 T = 1e-3
 PARTITION = Partition(("a", "b"), ((0, 2), (1,)))  # blocks that are not contiguous
@@ -24,8 +23,8 @@ UNLIMITED = (np.inf,) * 3  # N
 
 
 def network(stiffness: float, damping: float, mass: float) -> Network:
-    links = [Link((port, "hub"), stiffness * (i + 1), damping) for i, port in enumerate(PORTS)]
-    return Network(PORTS, (("hub", mass),), (*links, Link(("hub", "ground"), stiffness, damping)))
+    links = [NetworkLink((port, "hub"), stiffness * (i + 1), damping) for i, port in enumerate(PORTS)]
+    return Network(PORTS, (("hub", mass),), (*links, NetworkLink(("hub", "ground"), stiffness, damping)))
 
 
 def coupling(stiffness: float, damping: float, cross: float) -> SpringDamper:
@@ -121,7 +120,7 @@ def test_passive_parties_keep_their_ledgers_above_zero_for_any_signal() -> None:
     J = Delta_D - stiffness * T / 2.0
     level = Delta_D / J * (J + 0.1) / J * Delta_D - Delta_D  # the class's greatest level, a limit
     core = CouplingCore(block, K, np.array([[0.99 * level]]), T, UNLIMITED[:1])
-    E = Network(("p",), (("m", 1.0),), (Link(("p", "m"), 3000.0, 0.1),)).environment(T)
+    E = Network(("p",), (("m", 1.0),), (NetworkLink(("p", "m"), 3000.0, 0.1),)).environment(T)
     environment = EnvironmentCore(E, block.D, np.zeros((1, 1)), T)
     for _ in range(2000):
         f = np.array(environment.react(core.free_position(rng.normal(0.0, 1e-3, 1).tolist())))

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.log import LEVELS, MAX_VALUE, QUEUE_EVENTS, Event, Level, Log, log_path
+from manyhands.nodes.log import LEVELS, MAX_VALUE, QUEUE_EVENTS, Log, LogEvent, LogLevel, log_path
 from manyhands.protocol.clock import Instant, SimulatedClock
 
 WALL = 1_767_323_045_678_901_234  # 2026-01-02 03:04:05.678901234 UTC
@@ -46,7 +46,7 @@ def files_no_longer_than(length: int) -> Iterator[None]:
 
 def test_a_line_says_when_where_what_and_how_grave(tmp_path: Path) -> None:
     one = log(tmp_path / "dx.jsonl")
-    one.note(Event.FROZEN, peer="cx", tick=7, ratio=math.nan, why=None, forced=True)
+    one.note(LogEvent.FROZEN, peer="cx", tick=7, ratio=math.nan, why=None, forced=True)
     assert (tmp_path / "dx.jsonl").read_text() == ""  # a tick writes nothing
     one.close()
     assert lines(tmp_path / "dx.jsonl") == [
@@ -73,7 +73,7 @@ def test_whatever_is_noted_becomes_one_line(tmp_path: Path, data: dict[str, str 
     path = tmp_path / "any.jsonl"
     path.unlink(missing_ok=True)
     one = log(path)
-    one.note(Event.INCIDENT, **{f"_{name}": value for name, value in data.items()})
+    one.note(LogEvent.INCIDENT, **{f"_{name}": value for name, value in data.items()})
     one.close()
     (line,) = lines(path)
     assert line["event"] == "incident"
@@ -90,7 +90,7 @@ def test_whatever_is_noted_becomes_one_line(tmp_path: Path, data: dict[str, str 
 
 def test_an_event_cannot_pass_itself_off_as_another_nodes(tmp_path: Path) -> None:
     one = log(tmp_path / "dx.jsonl")
-    one.note(Event.NOTICE, **{"node": "dy", "level": "info", "text": "x"})
+    one.note(LogEvent.NOTICE, **{"node": "dy", "level": "info", "text": "x"})
     one.close()
     (line,) = lines(tmp_path / "dx.jsonl")
     assert (line["node"], line["level"], line["text"]) == ("dx", "warning", "x")
@@ -99,28 +99,28 @@ def test_an_event_cannot_pass_itself_off_as_another_nodes(tmp_path: Path) -> Non
 def test_the_queue_is_bounded_and_what_it_cannot_take_is_counted(tmp_path: Path) -> None:
     one = log(tmp_path / "dx.jsonl", most_bytes=10**6)
     for tick in range(QUEUE_EVENTS + 5):
-        one.note(Event.STALE, tick=tick)
+        one.note(LogEvent.STALE, tick=tick)
     one.flush()
-    one.note(Event.END, reason="done")
+    one.note(LogEvent.END, reason="done")
     one.close()
     found = lines(tmp_path / "dx.jsonl")
     assert [line["tick"] for line in found[:-1]] == list(range(QUEUE_EVENTS))
     assert found[-1]["dropped"] == 5
 
 
-@given(st.lists(st.tuples(st.sampled_from(Event), st.integers(0, 400)), max_size=60), st.integers(500, 3000))
+@given(st.lists(st.tuples(st.sampled_from(LogEvent), st.integers(0, 400)), max_size=60), st.integers(500, 3000))
 def test_no_log_gets_longer_than_it_may_and_its_end_is_told(
-    tmp_path: Path, noted: list[tuple[Event, int]], most: int
+    tmp_path: Path, noted: list[tuple[LogEvent, int]], most: int
 ) -> None:
     path = tmp_path / "long.jsonl"
     path.unlink(missing_ok=True)
     one = log(path, most)
-    kept = [event for event, _ in noted if event not in (Event.END, Event.TRUNCATED)]
+    kept = [event for event, _ in noted if event not in (LogEvent.END, LogEvent.TRUNCATED)]
     for event, length in noted:
-        if event not in (Event.END, Event.TRUNCATED):
+        if event not in (LogEvent.END, LogEvent.TRUNCATED):
             one.note(event, text="x" * length)
             one.flush()
-    one.note(Event.END, reason="done")
+    one.note(LogEvent.END, reason="done")
     one.close()
     found = lines(path)
     assert found[-1]["event"] == "end"
@@ -135,8 +135,8 @@ def test_a_node_started_anew_goes_on_in_the_same_file_and_within_its_length(tmp_
     path = tmp_path / "dx.jsonl"
     for _ in range(2):
         one = log(path, most_bytes=400)
-        one.note(Event.START, text="x" * 100)
-        one.note(Event.START, text="x" * 100)
+        one.note(LogEvent.START, text="x" * 100)
+        one.note(LogEvent.START, text="x" * 100)
         one.close()
     assert [line["event"] for line in lines(path)] == ["start", "truncated", "truncated"]
 
@@ -144,17 +144,17 @@ def test_a_node_started_anew_goes_on_in_the_same_file_and_within_its_length(tmp_
 @pytest.mark.parametrize("room", [0, 1, 150, 250])
 def test_a_full_disk_is_counted_and_leaves_no_half_line(tmp_path: Path, room: int) -> None:
     one = log(tmp_path / "dx.jsonl")
-    one.note(Event.START)
+    one.note(LogEvent.START)
     one.flush()
     before = (tmp_path / "dx.jsonl").stat().st_size
     with files_no_longer_than(before + room):
-        one.note(Event.LOOP, text="x" * 200)
-        one.note(Event.LOOP, text="x" * 200)
+        one.note(LogEvent.LOOP, text="x" * 200)
+        one.note(LogEvent.LOOP, text="x" * 200)
         one.flush()
     assert [line["event"] for line in lines(tmp_path / "dx.jsonl")] == ["start"]
     assert one.dropped == 2
     assert one.trouble in ("File too large", "not all of a line was taken")
-    one.note(Event.END, reason="done")  # there is room again
+    one.note(LogEvent.END, reason="done")  # there is room again
     one.close()
     assert lines(tmp_path / "dx.jsonl")[-1] == {**lines(tmp_path / "dx.jsonl")[0], "event": "end", "reason": "done",
                                                 "dropped": 2}  # fmt: skip
@@ -164,21 +164,21 @@ def test_a_log_that_cannot_be_opened_or_is_not_wanted_disturbs_nobody(tmp_path: 
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     for path, trouble in ((tmp_path / "absent" / "dx.jsonl", "No such file"), (tmp_path / "link", "Too many levels")):
         one = log(path)
-        one.note(Event.START)
+        one.note(LogEvent.START)
         one.close()
         one.close()
         assert one.dropped == 1
         assert trouble in str(one.trouble)
     unwanted = log(None)
     for _ in range(2 * QUEUE_EVENTS):
-        unwanted.note(Event.START)
+        unwanted.note(LogEvent.START)
     unwanted.close()
     assert (unwanted.dropped, unwanted.trouble) == (0, None)
     assert not (tmp_path / "elsewhere").exists()
 
 
 def test_every_event_has_a_level_and_a_guest_no_log() -> None:
-    assert LEVELS.keys() == set(Event)
-    assert set(LEVELS.values()) == set(Level)
+    assert LEVELS.keys() == set(LogEvent)
+    assert set(LEVELS.values()) == set(LogLevel)
     assert log_path("", "dx") is None
     assert log_path("/run", "dx") == Path("/run/log/dx.jsonl")

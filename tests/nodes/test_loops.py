@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.topology import topology
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
@@ -37,7 +37,7 @@ Loops = Callable[[Prepared], tuple[dict[str, Node], dict[str, Any]]]
 
 def nodes_of(prepared: Prepared) -> dict[str, Node]:
     out: dict[str, Node] = {}
-    for name, bundle in cut(prepared, Run("simulated", None, "")).items():
+    for name, bundle in cut(prepared, RunPlan("simulated", None, "")).items():
         match bundle:
             case DeviceBundle():
                 out[name] = DeviceNode(bundle, driver_of(bundle))

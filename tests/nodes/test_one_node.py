@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.greeting import establish
+from manyhands.nodes.peer_link import establish
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused
@@ -42,7 +42,7 @@ def prepared() -> Prepared:
 
 @pytest.fixture(scope="module")
 def bundles(prepared: Prepared) -> dict[str, Bundle]:
-    return cut(prepared, Run("simulated", None, ""))
+    return cut(prepared, RunPlan("simulated", None, ""))
 
 
 @pytest.fixture

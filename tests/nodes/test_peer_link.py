@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.exchange import Heard, Joint, await_all, joint_of
-from manyhands.nodes.greeting import handshake_of
+from manyhands.nodes.peer_link import PeerLink, Received, await_all, handshake_of, joint_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
@@ -92,11 +91,11 @@ class Ears:
         self.told: list[tuple[int, int]] = []
         self.words: list[object] = []
 
-    def astray(self, _joint: Joint, told: int, awaited: int) -> bool:
+    def astray(self, _joint: PeerLink, told: int, awaited: int) -> bool:
         self.told.append((told, awaited))
         return self._turns
 
-    def aside(self, _joint: Joint, message: object) -> bool:
+    def aside(self, _joint: PeerLink, message: object) -> bool:
         self.words.append(message)
         return self._turns
 
@@ -106,19 +105,19 @@ class Ears:
 
 def waiting(
     frames: Iterator[tuple[int, bytes]], turns: bool = False
-) -> tuple[Callable[[], Heard], Arriving, Ears, np.ndarray, Time]:
+) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, Time]:
     """A joint whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
     time = Time()
     link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
     peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
-    joint = Joint(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
+    joint = PeerLink(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
     return lambda: joint.hear(values, TICK, PATIENCE, ears), link, ears, values, time
 
 
 def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
     wait, link, ears, values, _ = waiting(iter([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
-    assert wait() is Heard.SIGNAL
+    assert wait() is Received.SIGNAL
     assert values[0] == 0.5
     assert link.reads == MAX_STRAY_FRAMES + 1
     assert ears.failure == ""
@@ -126,7 +125,7 @@ def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
 
 def test_one_stray_more_is_a_failure_that_names_the_peer() -> None:
     wait, link, ears, values, _ = waiting(iter([(0, JUNK), (0, STALE)] * MAX_STRAY_FRAMES + [(0, HONEST)]))
-    assert wait() is Heard.NOTHING
+    assert wait() is Received.NOTHING
     assert values[0] == 0.0
     assert link.reads == MAX_STRAY_FRAMES + 1
     assert ears.failure == (
@@ -137,7 +136,7 @@ def test_one_stray_more_is_a_failure_that_names_the_peer() -> None:
 
 def test_strays_are_counted_for_one_wait_alone() -> None:
     wait, _, ears, _, _ = waiting(iter(([(0, JUNK)] * MAX_STRAY_FRAMES + [(0, HONEST)]) * 3))
-    assert [wait(), wait(), wait()] == [Heard.SIGNAL] * 3
+    assert [wait(), wait(), wait()] == [Received.SIGNAL] * 3
     assert ears.failure == ""
 
 
@@ -148,7 +147,7 @@ def test_a_trickle_of_strays_is_no_sign_of_life(stray: bytes, apart: int) -> Non
     wait, _, ears, _, time = waiting(zip(repeat(apart), repeat(stray), strict=False))
     for _ in range(4):
         begin = time.ns
-        assert wait() is Heard.NOTHING
+        assert wait() is Received.NOTHING
         assert PATIENCE <= time.ns - begin <= PATIENCE + apart
     assert ears.failure == ""
 
@@ -156,13 +155,13 @@ def test_a_trickle_of_strays_is_no_sign_of_life(stray: bytes, apart: int) -> Non
 def test_the_patience_counts_from_the_beginning() -> None:
     """One stray after 4 of 5 ms, and then nothing: silence a patience after the stray at the latest."""
     wait, _, _, _, time = waiting(iter([(4 * MS, JUNK)]))
-    assert wait() is Heard.NOTHING
+    assert wait() is Received.NOTHING
     assert time.ns <= Time().ns + 9 * MS
 
 
 def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
     wait, link, ears, _, _ = waiting((10_000, b"\xc1%d" % n) for n in count())
-    assert wait() is Heard.NOTHING
+    assert wait() is Received.NOTHING
     assert link.reads <= MAX_STRAY_FRAMES + 1
     assert ears.failure == "" or "malformed 513" in ears.failure
 
@@ -170,7 +169,7 @@ def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
 def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
     frames = [encode(Sample(TICK - 1, 0, np.array([0.5]))), encode(Sample(TICK + 4, 0, np.array([0.0]))), HONEST]
     wait, _, ears, values, _ = waiting(iter([(0, frame) for frame in frames]))
-    assert wait() is Heard.SIGNAL
+    assert wait() is Received.SIGNAL
     assert ears.told == [(TICK - 1, TICK), (TICK + 4, TICK)]
     assert values[0] == 0.5
 
@@ -178,21 +177,21 @@ def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
 @pytest.mark.parametrize("frame", [STALE, encode(Rung(1)), encode(Absent("dx"))])
 def test_a_listener_may_end_the_wait(frame: bytes) -> None:
     wait, link, ears, _, _ = waiting(iter([(0, frame), (0, HONEST)]), turns=True)
-    assert wait() is Heard.TURNED
+    assert wait() is Received.TURNED
     assert link.reads == 1
     assert (ears.told, ears.words) in (([(TICK - 1, TICK)], []), ([], [Rung(1)]), ([], [Absent("dx")]))
-    assert wait() is Heard.SIGNAL
+    assert wait() is Received.SIGNAL
 
 
 @pytest.mark.parametrize("junk", [b"\x92\x0f\x10", b"\x92\x0b\xc0", encode(Tool(TICK, 0, np.array([0.5]))), JUNK])
 def test_what_only_looks_like_a_word_is_a_stray(junk: bytes) -> None:
     wait, _, ears, _, _ = waiting(iter([(0, junk), (0, HONEST)]), turns=True)
-    assert wait() is Heard.SIGNAL
+    assert wait() is Received.SIGNAL
     assert not ears.words
     assert not ears.told
 
 
-class Held:
+class FrameLink:
     """A link whose other end is a test's: what is coming, and what was said."""
 
     def __init__(self, *coming: bytes, room: int = 10**6) -> None:
@@ -219,36 +218,36 @@ OWN = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
 HIS = LinkHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, ("dx",))
 
 
-def joined(link: Held | None, binds: bool = True) -> Joint:
-    return Joint(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
+def joined(link: FrameLink | None, binds: bool = True) -> PeerLink:
+    return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
 
 
-def heard_by(joint: Joint, ears: Ears, values: np.ndarray, tick: int = TICK) -> Heard:
+def heard_by(joint: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
     return joint.hear(values, tick, Duration(0), ears)
 
 
 class Test_a_peer_that_comes_back:
     @pytest.mark.parametrize("binds", [True, False])
     def test_is_met_and_then_heard(self, binds: bool) -> None:
-        joint, ears, values = joined(Held(HONEST), binds), Ears(), np.zeros(1)
-        assert heard_by(joint, ears, values) is Heard.SIGNAL
+        joint, ears, values = joined(FrameLink(HONEST), binds), Ears(), np.zeros(1)
+        assert heard_by(joint, ears, values) is Received.SIGNAL
         joint.lose()
         answer = [encode(HIS), encode(Welcome())] if binds else [encode(HIS)]
-        fresh = Held(*answer, encode(Sample(9, 0, np.array([0.25]))))
+        fresh = FrameLink(*answer, encode(Sample(9, 0, np.array([0.25]))))
         joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
         assert (joint.reachable, joint.here, joint.new) == (True, False, False)
-        assert heard_by(joint, ears, values, 9) is Heard.MET
+        assert heard_by(joint, ears, values, 9) is Received.MET
         assert (joint.reachable, joint.here, joint.new) == (True, True, True)
         assert joint.hello == HIS
         said = [decode(frame, MAX_CONTROL_BYTES) for frame in fresh.said]
         assert said == ([OWN] if binds else [OWN, Welcome()])
-        assert heard_by(joint, ears, values, 9) is Heard.SIGNAL
+        assert heard_by(joint, ears, values, 9) is Received.SIGNAL
         assert (values[0], joint.tick) == (0.25, 9)
 
     def test_is_told_nothing_before_hands_are_shaken(self) -> None:
-        joint = joined(Held())
+        joint = joined(FrameLink())
         joint.send(Sample, TICK, 0, np.zeros(1))
-        fresh = Held()
+        fresh = FrameLink()
         joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
         assert not joint.send(Sample, TICK, 0, np.zeros(1))
         joint.send_again()
@@ -258,21 +257,21 @@ class Test_a_peer_that_comes_back:
 
     def test_is_not_answered_for_the_one_before(self) -> None:
         """What was said last on the old link is not repeated on the new one."""
-        joint = joined(Held())
+        joint = joined(FrameLink())
         joint.send(Sample, TICK, 0, np.zeros(1))
-        fresh = Held(encode(HIS), encode(Welcome()))
+        fresh = FrameLink(encode(HIS), encode(Welcome()))
         joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.MET
+        assert heard_by(joint, Ears(), np.zeros(1)) is Received.MET
         before = list(fresh.said)
         joint.send_again()
         assert fresh.said == before
 
     def test_is_another_for_the_gate_which_goes_on_counting(self) -> None:
-        joint, ears = joined(Held(JUNK, STALE)), Ears()
+        joint, ears = joined(FrameLink(JUNK, STALE)), Ears()
         heard_by(joint, ears, np.zeros(1))
-        joint.greet(Held(encode(HIS), encode(Welcome())), handshake_of(joint))  # type: ignore[arg-type]
+        joint.greet(FrameLink(encode(HIS), encode(Welcome())), handshake_of(joint))  # type: ignore[arg-type]
         gate = joint.gate
-        assert heard_by(joint, ears, np.zeros(1)) is Heard.MET
+        assert heard_by(joint, ears, np.zeros(1)) is Received.MET
         assert joint.gate is not gate  # a step from the last signal of the one before would be no step
         assert (joint.gate.dropped["malformed"], joint.gate.dropped["old_tick"]) == (1, 1)
 
@@ -283,35 +282,35 @@ class Test_a_peer_that_comes_back:
     )
     def test_is_absent_if_it_is_not_the_one(self, wrong: Message | None) -> None:
         wrong = replace(HIS, certificate="other") if wrong is HIS else wrong
-        joint, fresh = joined(Held()), Held(JUNK if wrong is None else encode(wrong), HONEST)
+        joint, fresh = joined(FrameLink()), FrameLink(JUNK if wrong is None else encode(wrong), HONEST)
         joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+        assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
         assert not joint.reachable
         assert fresh.closed
         refused = [isinstance(decode(frame, MAX_CONTROL_BYTES), Refusal) for frame in fresh.said]
         assert any(refused) == (not isinstance(wrong, Refusal))
 
     def test_is_absent_if_it_goes_in_the_middle_of_it(self) -> None:
-        joint, fresh = joined(Held()), Held(encode(HIS), room=0)
+        joint, fresh = joined(FrameLink()), FrameLink(encode(HIS), room=0)
         joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+        assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
         assert not joint.reachable
 
     def test_closes_the_place_that_waited_for_it_if_it_is_lost_once_more(self) -> None:
-        joint, first, second = joined(Held()), Held(), Held()
+        joint, first, second = joined(FrameLink()), FrameLink(), FrameLink()
         joint.greet(first, handshake_of(joint))  # type: ignore[arg-type]
         joint.greet(second, handshake_of(joint))  # type: ignore[arg-type]
         assert (first.closed, second.closed) == (True, False)
 
 
 def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
-    link = Held(HONEST)
+    link = FrameLink(HONEST)
     joint = joined(link)
     joint.lose()
     joint.lose()
     assert link.closed
     assert (joint.reachable, joint.here) == (False, False)
-    assert heard_by(joint, Ears(), np.zeros(1)) is Heard.NOTHING
+    assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
     assert not joint.send(Sample, TICK, 0, np.zeros(1))
     joint.send_again()
     joint.send_zero(Force, TICK)
@@ -319,7 +318,7 @@ def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
 
 
 def test_the_last_signal_is_said_again_as_it_was() -> None:
-    link = Held()
+    link = FrameLink()
     joint = joined(link)
     joint.send_again()  # nothing was said yet
     joint.send(Sample, TICK, 7, np.array([0.5]))
@@ -330,7 +329,7 @@ def test_the_last_signal_is_said_again_as_it_was() -> None:
 
 
 def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
-    link = Held()
+    link = FrameLink()
     joint = joined(link)
     joint.send_zero(Force, -1)  # before the first tick nothing is over
     joint.send_zero(Force, 4)
@@ -339,21 +338,21 @@ def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
 
 @pytest.mark.parametrize(("values", "zero"), [([0.0], True), ([-0.0], True), ([5e-324], False)])
 def test_whether_a_signal_astray_is_a_zero_force(values: list[float], zero: bool) -> None:
-    joint = joined(Held(encode(Sample(TICK + 2, 0, np.array(values)))))
+    joint = joined(FrameLink(encode(Sample(TICK + 2, 0, np.array(values)))))
     heard_by(joint, Ears(), np.zeros(1))
     assert (joint.told, joint.zero) == (TICK + 2, zero)
 
 
 def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
     """It floods nobody by it, tick by tick; junk of one tick adds up over several waits, until the tick is there."""
-    joint, ears = joined(Held(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
+    joint, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
     heard_by(joint, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure  # in one wait it does
-    link, ears = Held(), Ears()
+    link, ears = FrameLink(), Ears()
     joint = joined(link)
     for _ in range(3):
         link.coming.extend([STALE] * MAX_STRAY_FRAMES)
-        assert heard_by(joint, ears, np.zeros(1)) is Heard.NOTHING
+        assert heard_by(joint, ears, np.zeros(1)) is Received.NOTHING
     assert ears.failure == ""
     for _ in range(2):
         link.coming.extend([JUNK] * (MAX_STRAY_FRAMES // 2 + 1))
@@ -382,8 +381,8 @@ frames = st.one_of(
 def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
     coming: list[bytes], turns: bool, greets: bool
 ) -> None:
-    joint, ears, values = joined(Held()), Ears(turns), np.array([7.0])
-    link = Held(*coming)
+    joint, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
+    link = FrameLink(*coming)
     if greets:
         joint.greet(link, handshake_of(joint))  # type: ignore[arg-type]
     else:
@@ -393,12 +392,12 @@ def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
         shaking = joint.handshake is not None
         heard = heard_by(joint, ears, values)
         assert len(link.coming) < left
-        if heard is Heard.SIGNAL:
+        if heard is Received.SIGNAL:
             assert (values[0], joint.tick) == (0.5, TICK)
         else:
             assert values[0] == before[0]
-        assert heard is not Heard.MET or (shaking and joint.hello == HIS)
-        assert heard is not Heard.SIGNAL or not shaking
+        assert heard is not Received.MET or (shaking and joint.hello == HIS)
+        assert heard is not Received.SIGNAL or not shaking
     assert all(count >= 0 for count in joint.gate.dropped.values())
 
 
@@ -409,10 +408,10 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
     sent: list[bytes] = []
     link.send = lambda frame: sent.append(frame) or True  # type: ignore[method-assign, func-returns-value]
-    joint = Joint(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
+    joint = PeerLink(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
     values, expected = [10.0, 11.0, 12.0, 13.0], np.array([10.0, 11.0, 12.0, 13.0])
     expected[indices] = [0.5, -1.0]
-    assert joint.hear(values, TICK, PATIENCE, Ears()) is Heard.SIGNAL
+    assert joint.hear(values, TICK, PATIENCE, Ears()) is Received.SIGNAL
     assert values == expected.tolist()
     forces = [20.0, 21.0, 22.0, 23.0]
     assert joint.send(Force, TICK, 7, forces)
@@ -422,20 +421,20 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
 class Scripted:
     """A link of which it is written what comes of it, one thing each time that it is listened to."""
 
-    def __init__(self, name: str, script: list[Heard], listened: list[str]) -> None:
+    def __init__(self, name: str, script: list[Received], listened: list[str]) -> None:
         self.name, self._script, self._listened = name, script, listened
         self.tick = -1
 
-    def hear(self, _values: object, tick: int, _patience: Duration, _listener: object) -> Heard:
+    def hear(self, _values: object, tick: int, _patience: Duration, _listener: object) -> Received:
         self._listened.append(self.name)
         heard = self._script.pop(0)
-        if heard is Heard.SIGNAL:
+        if heard is Received.SIGNAL:
             self.tick = tick
         return heard
 
 
 def awaited(
-    scripts: dict[str, list[Heard]], rounds: int, moved: Callable[[Heard, int], int] = lambda _heard, tick: tick
+    scripts: dict[str, list[Received]], rounds: int, moved: Callable[[Received, int], int] = lambda _heard, tick: tick
 ) -> tuple[int | None, str]:
     """What :func:`await_all` returns after b was listened to last, with so many rounds allowed; who was listened to."""
     listened: list[str] = []
@@ -448,15 +447,15 @@ def awaited(
 
 
 def test_all_are_awaited_in_turn_behind_the_last() -> None:
-    script = {"a": [Heard.SIGNAL], "b": [Heard.MET, Heard.SIGNAL], "c": [Heard.NOTHING, Heard.SIGNAL]}
+    script = {"a": [Received.SIGNAL], "b": [Received.MET, Received.SIGNAL], "c": [Received.NOTHING, Received.SIGNAL]}
     assert awaited(script, 9) == (7, "cabcb")
 
 
 def test_the_wait_ends_when_no_round_is_left() -> None:
-    assert awaited({"a": [Heard.SIGNAL], "b": [Heard.NOTHING], "c": [Heard.SIGNAL]}, 1) == (None, "cab")
+    assert awaited({"a": [Received.SIGNAL], "b": [Received.NOTHING], "c": [Received.SIGNAL]}, 1) == (None, "cab")
 
 
 def test_at_another_tick_all_are_awaited_anew() -> None:
-    script = {"a": [Heard.TURNED, Heard.SIGNAL], "b": [Heard.SIGNAL], "c": [Heard.SIGNAL, Heard.SIGNAL]}
-    moved = awaited(script, 9, lambda heard, tick: tick + (heard is Heard.TURNED))
+    script = {"a": [Received.TURNED, Received.SIGNAL], "b": [Received.SIGNAL], "c": [Received.SIGNAL, Received.SIGNAL]}
+    moved = awaited(script, 9, lambda heard, tick: tick + (heard is Received.TURNED))
     assert moved == (8, "cabca")

@@ -12,8 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Common, Peer
-from manyhands.nodes.exchange import Heard
-from manyhands.nodes.greeting import HANDSHAKE_TIME, bind_links, bounds_by_peer, establish, hello_to, positions
+from manyhands.nodes.peer_link import (
+    HANDSHAKE_TIME,
+    Received,
+    bind_links,
+    bounds_by_peer,
+    establish,
+    hello_to,
+    positions,
+)
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Bounds
@@ -110,7 +117,7 @@ def test_a_peer_that_is_absent_is_not_waited_for_and_has_its_joint(transport: Me
     assert [joint.here for joint in joints] == [False, True]
     assert hellos == {"right": hello(RIGHT)}
     x = np.zeros(3)
-    assert joints[1].hear(x, 0, Duration(0), None) is Heard.SIGNAL  # type: ignore[arg-type]
+    assert joints[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
     assert list(x) == [0.0, 0.5, 0.0]
 
 

@@ -12,10 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.linux import CAP_IPC_LOCK, CAP_SYS_NICE, Linux, Scheduling
 from manyhands.nodes.realtime import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
     FIFO_PRIORITY,
+    Linux,
     RealtimeWishes,
+    Scheduling,
     may_raise,
     memory_needed,
     prepare,
@@ -170,7 +173,7 @@ permitted = pytest.mark.skipif(not may_raise(), reason="real-time priorities are
 PREPARED = """
 import threading, zmq
 from pathlib import Path
-from manyhands.nodes.linux import Linux
+from manyhands.nodes.realtime import Linux
 from manyhands.nodes.realtime import RealtimeWishes, prepare, restore
 from manyhands.protocol.clock import Duration
 def policies():

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.control import NOT_AT_ALL
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.reunion import meet, part
+from manyhands.nodes.peer_link import PeerLink
+from manyhands.nodes.rejoin import meet, part
+from manyhands.nodes.supervisor_line import NOT_AT_ALL
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -22,7 +22,7 @@ DEVICE = Peer("dx", Role.DEVICE, ("x",), binds=True)
 ENVIRONMENT = Peer("environment", Role.ENVIRONMENT, ("x",), binds=False)
 
 
-class Line:
+class OfferingLine:
     """A node's line to a supervisor, over a transport that may have no place left."""
 
     def __init__(self, transport: MemoryTransport) -> None:
@@ -52,20 +52,20 @@ def transport() -> Iterator[MemoryTransport]:
 
 
 @pytest.fixture
-def line(transport: MemoryTransport) -> Line:
-    return Line(transport)
+def line(transport: MemoryTransport) -> OfferingLine:
+    return OfferingLine(transport)
 
 
 @pytest.fixture
-def joints(transport: MemoryTransport) -> list[Joint]:
+def joints(transport: MemoryTransport) -> list[PeerLink]:
     links = [transport.bind("cx-dx", "dx")[0], transport.connect(transport.bind("environment-cx", "cx")[1], "e")]
     return [
-        Joint(OWN, peer, link, Sample, slice(0, 1), RealtimeClock())
+        PeerLink(OWN, peer, link, Sample, slice(0, 1), RealtimeClock())
         for peer, link in zip((DEVICE, ENVIRONMENT), links, strict=True)
     ]
 
 
-def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[Joint], line: Line) -> None:
+def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[PeerLink], line: OfferingLine) -> None:
     before = joints[0].link
     assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
     assert joints[0].link is line.bound[0] is not before
@@ -79,7 +79,7 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[Joint],
         before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
 
 
-def test_who_connects_waits_to_be_told(joints: list[Joint], line: Line) -> None:
+def test_who_connects_waits_to_be_told(joints: list[PeerLink], line: OfferingLine) -> None:
     assert part(Absent("environment"), joints, line) is joints[1]  # type: ignore[arg-type]
     assert not joints[1].reachable
     assert not line.offers
@@ -92,7 +92,7 @@ def test_who_connects_waits_to_be_told(joints: list[Joint], line: Line) -> None:
     assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
 
 
-def test_every_absence_of_the_same_peer_has_a_place_of_its_own(joints: list[Joint], line: Line) -> None:
+def test_every_absence_of_the_same_peer_has_a_place_of_its_own(joints: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
         part(Absent("dx"), joints, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3
@@ -102,14 +102,14 @@ def test_every_absence_of_the_same_peer_has_a_place_of_its_own(joints: list[Join
             old.recv(NOT_AT_ALL)
 
 
-def test_a_peer_for_whom_there_is_no_place_stays_away(joints: list[Joint], line: Line) -> None:
+def test_a_peer_for_whom_there_is_no_place_stays_away(joints: list[PeerLink], line: OfferingLine) -> None:
     line.full = True
     assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
     assert not joints[0].reachable
     assert not line.offers
 
 
-def test_strangers_and_wrong_ends_are_nobodys_business(joints: list[Joint], line: Line) -> None:
+def test_strangers_and_wrong_ends_are_nobodys_business(joints: list[PeerLink], line: OfferingLine) -> None:
     before = [joint.link for joint in joints]
     assert part(Absent("dz"), joints, line) is None  # type: ignore[arg-type]
     meet(Return("dz", "memory://nowhere"), joints, line)  # type: ignore[arg-type]

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import ENVIRONMENT
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.environment.attendance import Seat
 from manyhands.nodes.environment.clutch import SLOWEST
+from manyhands.nodes.environment.membership import Membership
 from manyhands.protocol.messages import Absent, Report, Shift
 
-from .stage import Stage
+from ..support.threaded_session import ThreadedSession
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 1000
 HELD = 300  # the tick at which dz waits for the test
 ROUNDING = -1e-12  # J: ledgers add some thousand terms of about 1e-4 J
-SEATED_SOON = (Seat.EXPECTED, Seat.SEATED)
+SEATED_SOON = (Membership.EXPECTED, Membership.SEATED)
 CHAIN = {"dx": "cx", "cx": "cx"}
 
 
@@ -43,9 +43,9 @@ def hold_dz(name: str, line: Any) -> None:
         line.pause = HELD
 
 
-def held(prepared: Prepared, new_life: Callable[[], Any], **more: Any) -> Stage:
+def held(prepared: Prepared, new_life: Callable[[], Any], **more: Any) -> ThreadedSession:
     """A session under the simulated clock that stands still at a tick until dz is released."""
-    stage = Stage(prepared, new_life, ticks=TICKS, **more)
+    stage = ThreadedSession(prepared, new_life, ticks=TICKS, **more)
     stage.prepare = hold_dz
     return stage
 
@@ -57,7 +57,7 @@ def check(reports: dict[str, Report], ticks: int = TICKS) -> None:
         assert report.figures["ledger_min"] >= ROUNDING, name
 
 
-def check_rows(stage: Stage) -> None:
+def check_rows(stage: ThreadedSession) -> None:
     """What every node told is of ticks that follow each other, and its last row is of the tick before ``tick``."""
     for line in stage.all_lines:
         before = 0
@@ -218,7 +218,7 @@ def test_a_process_of_several_nodes_is_lost_and_comes_back(
 class Test_in_real_time:
     @pytest.mark.parametrize("who", ["dx", "cx", ENVIRONMENT])
     def test_a_node_that_is_lost_comes_back(self, prepared: Prepared, new_life: Callable[[], Any], who: str) -> None:
-        with Stage(prepared, new_life, clock=REALTIME) as stage:
+        with ThreadedSession(prepared, new_life, clock=REALTIME) as stage:
             tick = stage.reach("dy", 200)
             stage.lose(who)
             tick = stage.reach("dy", tick + 100) if who != ENVIRONMENT else tick  # the others go on
@@ -234,7 +234,7 @@ class Test_in_real_time:
     def test_a_user_that_is_silent_for_a_while_is_frozen_and_let_in_again(
         self, session: str, new_life: Callable[[], Any], request: pytest.FixtureRequest
     ) -> None:
-        stage = Stage(request.getfixturevalue(session), new_life, clock=REALTIME)
+        stage = ThreadedSession(request.getfixturevalue(session), new_life, clock=REALTIME)
 
         def pause_dx(name: str, line: Any) -> None:
             line.pause = 200 if name == "dx" else -1
@@ -242,7 +242,7 @@ class Test_in_real_time:
         stage.prepare = pause_dx
         with stage:
             stage.paused("dx")
-            stage.await_seat("cx", Seat.FROZEN)
+            stage.await_seat("cx", Membership.FROZEN)
             tick = stage.reach("dy", stage.lines["dy"].told[-1].tick + 100)  # the others go on
             stage.release("dx")
             stage.reach("dx", tick + 100)
@@ -255,7 +255,7 @@ class Test_in_real_time:
     def test_a_device_without_force_runs_free_until_it_hears_again(
         self, prepared: Prepared, new_life: Callable[[], Any]
     ) -> None:
-        stage = Stage(prepared, new_life, clock=REALTIME)
+        stage = ThreadedSession(prepared, new_life, clock=REALTIME)
 
         def pause_cx(name: str, line: Any) -> None:
             line.pause = 200 if name == "cx" else -1

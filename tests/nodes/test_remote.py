@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.invitation import invite
-from manyhands.launch.keys import Keys, ephemeral
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import invite
+from manyhands.launch.plan.keys import Keys, ephemeral
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.topology import roster
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import roster
-from manyhands.nodes import guest
+from manyhands.nodes import remote
 from manyhands.nodes.bundle import Bundle, BundleError, load
 from manyhands.nodes.process import EXIT_BAD_INPUT
 from manyhands.protocol.keys import save_private
@@ -71,7 +71,7 @@ def refusal(
     address: str = ADDRESS,
 ) -> str:
     """What a guest says that does not start."""
-    code = guest.join(name, machine / bundle, None if key is None else machine / key, address, None)
+    code = remote.join(name, machine / bundle, None if key is None else machine / key, address, None)
     out, err = capsys.readouterr()
     assert code == EXIT_BAD_INPUT
     assert out == ""
@@ -180,14 +180,14 @@ def test_whatever_stands_in_a_bundle_it_is_read_or_refused(name: str, machine: P
     """Every value replaced by one of every other kind: BundleError or a node, and nothing else on the way to either."""
     path = machine / f"{name}.bundle"
     text = path.read_text()
-    kind, make = guest.MAKERS.get(load_role(path), (guest.ObserverBundle, None))
+    kind, make = remote.MAKERS.get(load_role(path), (remote.ObserverBundle, None))
     refused = 0
     for at in places(json.loads(text)):
         for value in (None, True, -1, 10**400, 0.5, float("inf"), "x", [], [None], {}, {"a": 1}):
             path.write_text(replaced(text, at, value))
             try:
                 bundle: Bundle = load(path, kind)
-                guest._placed(bundle.common, bundle.common.name, path, ADDRESS, None)
+                remote._placed(bundle.common, bundle.common.name, path, ADDRESS, None)
                 if make is not None:
                     make(bundle)
             except (BundleError, ValueError, OverflowError):  # as join catches them
@@ -196,7 +196,7 @@ def test_whatever_stands_in_a_bundle_it_is_read_or_refused(name: str, machine: P
 
 
 def load_role(path: Path) -> Any:
-    return guest.role_of(path)
+    return remote.role_of(path)
 
 
 def test_of_others_a_guest_has_the_names_and_public_keys_of_its_peers_alone(machine: Path, keys: Keys) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 
-from manyhands.nodes import control as control_module
+from manyhands.nodes import supervisor_line as control_module
 from manyhands.nodes.bundle import Common, Peer
-from manyhands.nodes.control import ControlLine, Refused, TelemetryLost
-from manyhands.nodes.life import Sight, Stopped
+from manyhands.nodes.lifetime import Sight, Stopped
+from manyhands.nodes.supervisor_line import ControlLine, Refused, TelemetryLost
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_TEXT
@@ -51,7 +51,7 @@ def common(clock: str = "realtime", control: str = "memory://control") -> Common
     )  # fmt: skip
 
 
-class Line:
+class AnsweringLine:
     """A link whose other end answers what it is told to; time passes for a reader by None, at once."""
 
     def __init__(self) -> None:
@@ -92,11 +92,11 @@ class Line:
 class Doors:
     """A transport that makes one line, and notes how often its doors were attended to."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: AnsweringLine) -> None:
         self.line, self.attended = line, 0
         self.strangers: dict[str, int] = {}
 
-    def join(self, endpoint: str, identity: str) -> Line:
+    def join(self, endpoint: str, identity: str) -> AnsweringLine:
         assert (endpoint, identity) == ("memory://control", "dx")
         return self.line
 
@@ -121,11 +121,11 @@ class Life:
 
 
 @pytest.fixture
-def line() -> Line:
-    return Line()
+def line() -> AnsweringLine:
+    return AnsweringLine()
 
 
-def control(line: Line, **changes: object) -> ControlLine:
+def control(line: AnsweringLine, **changes: object) -> ControlLine:
     return ControlLine(Doors(line), common(**changes))  # type: ignore[arg-type]
 
 
@@ -164,19 +164,19 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
     transport.close()
 
 
-def test_a_refusal_is_told_as_it_came(line: Line) -> None:
+def test_a_refusal_is_told_as_it_came(line: AnsweringLine) -> None:
     line.say(Refusal(RefusalCode.NAME, "supervisor refused dx: because"))
     with pytest.raises(Refused, match=r"^supervisor refused dx: because$"):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
 
 
-def test_a_stop_ends_it(line: Line) -> None:
+def test_a_stop_ends_it(line: AnsweringLine) -> None:
     line.say(Welcome(), Stop("the session ends"))
     with pytest.raises(Stopped):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
 
 
-def test_what_makes_no_sense_is_counted_and_waited_past(line: Line) -> None:
+def test_what_makes_no_sense_is_counted_and_waited_past(line: AnsweringLine) -> None:
     line.coming.extend([b"", b"\xc1", bytes(100)])
     line.say(Ready(), Telemetry(1, {}, {}), Start(0, 1), Welcome(), Welcome(), Connect({"cx": "e"}))
     one = control(line)
@@ -184,14 +184,14 @@ def test_what_makes_no_sense_is_counted_and_waited_past(line: Line) -> None:
     assert one.malformed == 7
 
 
-def test_a_life_that_ends_is_noticed_while_it_waits(line: Line) -> None:
+def test_a_life_that_ends_is_noticed_while_it_waits(line: AnsweringLine) -> None:
     with pytest.raises(Stopped):
         control(line).start(Life(looks=3))  # type: ignore[arg-type]
     assert line.waits == 3
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOT_ADMITTED, Trouble.NOT_PROVED])
-def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: Line, trouble: Trouble) -> None:
+def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused) as error:
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -203,7 +203,7 @@ def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: Line, trou
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOBODY, Trouble.BROKEN_OFF])
-def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: Line, trouble: Trouble) -> None:
+def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused, match=str(trouble)):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -215,7 +215,7 @@ def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: Line, tro
 
 
 class Test_telemetry:
-    def test_what_nobody_takes_is_dropped_and_counted(self, line: Line) -> None:
+    def test_what_nobody_takes_is_dropped_and_counted(self, line: AnsweringLine) -> None:
         line.room = 2
         one = control(line, clock="realtime")
         for tick in range(5):
@@ -223,14 +223,14 @@ class Test_telemetry:
         assert one.dropped == 3
         assert line.said == [Telemetry(0, {}, {}), Telemetry(1, {}, {})]
 
-    def test_a_recording_in_simulated_time_is_whole_or_an_error(self, line: Line) -> None:
+    def test_a_recording_in_simulated_time_is_whole_or_an_error(self, line: AnsweringLine) -> None:
         line.room = 1
         one = control(line, clock="simulated")
         one.publish(Telemetry(1, {}, {}))
         with pytest.raises(TelemetryLost, match="record less"):
             one.publish(Telemetry(2, {}, {}))
 
-    def test_whoever_knocks_is_attended_to(self, line: Line) -> None:
+    def test_whoever_knocks_is_attended_to(self, line: AnsweringLine) -> None:
         doors = Doors(line)
         one = ControlLine(doors, common())  # type: ignore[arg-type]
         for tick in range(3):
@@ -261,7 +261,7 @@ class Clock:
         raise AssertionError("nothing sleeps here")
 
 
-def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: Line) -> None:
+def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: AnsweringLine) -> None:
     """One way is 25 ns both ways; all others have 75 ns more on the way back, which would make 37 of error."""
     ahead, quick = 5 * SECOND, 7
     ways = [50 if k == quick else 125 for k in range(32)]
@@ -271,7 +271,7 @@ def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: Line) -> Non
     assert len(line.said) == 32
 
 
-def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line: Line) -> None:
+def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line: AnsweringLine) -> None:
     stray = Echo(0, 10**12, 10**12)
     line.answer = lambda probe: [stray, Echo(probe.sent, probe.sent, probe.sent)]  # type: ignore[union-attr]
     one = control(line)
@@ -281,7 +281,7 @@ def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line:
 
 
 class Test_a_guest_in_its_loop:
-    def test_a_stop_is_heard_behind_other_words(self, line: Line) -> None:
+    def test_a_stop_is_heard_behind_other_words(self, line: AnsweringLine) -> None:
         one = control(line)
         line.say(Echo(0, 0, 0))
         line.coming.append(b"\xc1")
@@ -290,14 +290,14 @@ class Test_a_guest_in_its_loop:
         assert line.waits == 0
 
     @pytest.mark.parametrize("trouble", [None, *Trouble])
-    def test_only_a_loss_is_an_end(self, line: Line, trouble: Trouble | None) -> None:
+    def test_only_a_loss_is_an_end(self, line: AnsweringLine, trouble: Trouble | None) -> None:
         one = control(line)
         line.state = trouble
         expected = Sight.GONE if trouble is Trouble.LOST else Sight.PRESENT
         assert one.sight(Instant(0)) is expected
         assert one.connection() is expected
 
-    def test_it_says_every_second_that_it_is_there(self, line: Line) -> None:
+    def test_it_says_every_second_that_it_is_there(self, line: AnsweringLine) -> None:
         one = control(line)
         for tenth in range(31):
             one.sight(Instant(SECOND + tenth * SECOND // 10))
@@ -305,13 +305,13 @@ class Test_a_guest_in_its_loop:
 
 
 class Test_the_last_word:
-    def test_it_stays_until_it_was_heard(self, line: Line) -> None:
+    def test_it_stays_until_it_was_heard(self, line: AnsweringLine) -> None:
         line.say(Echo(0, 0, 0), Start(0, 0), Stop("reported"))
         control(line).report(REPORT, Life())  # type: ignore[arg-type]
         assert line.said == [REPORT]
         assert (len(line.coming), line.waits) == (0, 0)
 
-    def test_it_waits_for_room_and_is_said_once(self, line: Line) -> None:
+    def test_it_waits_for_room_and_is_said_once(self, line: AnsweringLine) -> None:
         line.room = 0
         life = Life()
 
@@ -322,18 +322,18 @@ class Test_the_last_word:
         control(line).report(REPORT, life)  # type: ignore[arg-type]
         assert line.said == [REPORT]
 
-    def test_it_gives_up_in_the_end(self, line: Line) -> None:
+    def test_it_gives_up_in_the_end(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life())  # type: ignore[arg-type]
         assert line.waits * control_module._PATIENCE == 2 * SECOND
 
-    def test_nobody_there_is_not_waited_for(self, line: Line) -> None:
+    def test_nobody_there_is_not_waited_for(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
         assert line.waits == 1
         line.state = Trouble.LOST
         control(line).fault("dx: broken", Life())  # type: ignore[arg-type]
         assert line.waits == 2
 
-    def test_a_fault_says_anything_in_a_presentable_way(self, line: Line) -> None:
+    def test_a_fault_says_anything_in_a_presentable_way(self, line: AnsweringLine) -> None:
         control(line).fault("\x1b[2J" + "x" * 10_000, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
         (fault,) = line.said
         assert isinstance(fault, Fault)
@@ -342,7 +342,7 @@ class Test_the_last_word:
 
 
 class Test_what_is_said_to_a_node_in_its_loop:
-    def test_words_are_heard_in_their_order_and_only_they(self, line: Line) -> None:
+    def test_words_are_heard_in_their_order_and_only_they(self, line: AnsweringLine) -> None:
         one = control(line)
         words = [Absent("cx"), Return("cx", "ipc:///s/cx"), Shift("cx", 2), Absent("cx")]
         line.say(words[0], Echo(0, 0, 0), words[1], Ready(), *words[2:])
@@ -351,7 +351,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert one.malformed == 2
         assert line.waits == 0
 
-    def test_it_may_wait_for_one(self, line: Line) -> None:
+    def test_it_may_wait_for_one(self, line: AnsweringLine) -> None:
         one = control(line)
         assert one.listen(Duration(5)) is None
         assert line.waits == 1
@@ -359,13 +359,13 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert one.listen(Duration(5)) == Absent("cx")
         assert line.waits == 1
 
-    def test_words_wait_while_only_its_end_is_looked_for(self, line: Line) -> None:
+    def test_words_wait_while_only_its_end_is_looked_for(self, line: AnsweringLine) -> None:
         one = control(line)
         line.say(Absent("cx"), Stop("the session ends"))
         assert one.sight(Instant(0)) is Sight.ENDING
         assert one.listen() == Absent("cx")
 
-    def test_words_nobody_obeys_take_a_bounded_room(self, line: Line) -> None:
+    def test_words_nobody_obeys_take_a_bounded_room(self, line: AnsweringLine) -> None:
         one = control(line)
         line.say(*(Shift("cx", k % 8) for k in range(1000)))
         for _ in range(1000):
@@ -375,7 +375,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert kept[-1] == Shift("cx", 999 % 8)  # the latest
         assert one.listen() is None
 
-    def test_who_is_absent_at_its_return_is_told_before_connect(self, line: Line) -> None:
+    def test_who_is_absent_at_its_return_is_told_before_connect(self, line: AnsweringLine) -> None:
         line.say(Welcome(), Absent("cx"), Absent("cy"), Connect({}))
         one = control(line)
         assert one.peers_endpoints(Life()) == {}  # type: ignore[arg-type]
@@ -387,11 +387,11 @@ class Test_what_is_said_to_a_node_in_its_loop:
 class Binding:
     """A transport of whose addresses some are taken."""
 
-    def __init__(self, line: Line, taken: frozenset[str]) -> None:
+    def __init__(self, line: AnsweringLine, taken: frozenset[str]) -> None:
         self._line, self._taken = line, taken
         self.bound: list[tuple[str, str, str]] = []
 
-    def join(self, _endpoint: str, _identity: str) -> Line:
+    def join(self, _endpoint: str, _identity: str) -> AnsweringLine:
         return self._line
 
     def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
@@ -402,7 +402,7 @@ class Binding:
 
 
 class Test_a_place_for_a_peer_that_was_lost:
-    def bound_with(self, line: Line, *taken: str, address: str = "10.0.0.1:7401", times: int = 1) -> Binding:
+    def bound_with(self, line: AnsweringLine, *taken: str, address: str = "10.0.0.1:7401", times: int = 1) -> Binding:
         doors = Binding(line, frozenset(taken))
         one = ControlLine(doors, common())  # type: ignore[arg-type]
         peer = Peer("cx", Role.COUPLING, ("dx",), binds=True, address=address)
@@ -410,19 +410,19 @@ class Test_a_place_for_a_peer_that_was_lost:
             one.bind_anew(peer)
         return doors
 
-    def test_it_has_another_name_each_time_and_the_same_address(self, line: Line) -> None:
+    def test_it_has_another_name_each_time_and_the_same_address(self, line: AnsweringLine) -> None:
         doors = self.bound_with(line, times=2)
         assert doors.bound == [("dx-cx.1", "cx", "10.0.0.1:7401"), ("dx-cx.2", "cx", "10.0.0.1:7401")]
 
-    def test_where_its_port_is_taken_any_of_that_address_will_do(self, line: Line) -> None:
+    def test_where_its_port_is_taken_any_of_that_address_will_do(self, line: AnsweringLine) -> None:
         doors = self.bound_with(line, "10.0.0.1:7401", times=2)
         assert doors.bound == [("dx-cx.1.any", "cx", "10.0.0.1:*"), ("dx-cx.2.any", "cx", "10.0.0.1:*")]
 
     @pytest.mark.parametrize("address", ["", "10.0.0.1:7401"])
-    def test_where_there_is_none_that_is_told(self, line: Line, address: str) -> None:
+    def test_where_there_is_none_that_is_told(self, line: AnsweringLine, address: str) -> None:
         with pytest.raises(TransportError):
             self.bound_with(line, address, "10.0.0.1:*", address=address)
 
-    def test_it_is_offered(self, line: Line) -> None:
+    def test_it_is_offered(self, line: AnsweringLine) -> None:
         control(line).offer("cx", "ipc:///s/dx-cx.1")
         assert line.said == [Offer("cx", "ipc:///s/dx-cx.1")]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.protocol.clock_offset import Exchange, offset_of
+from manyhands.protocol.clock import Exchange, offset_of
 
 times = st.integers(0, 2**62)
 delays = st.integers(0, 10**12)

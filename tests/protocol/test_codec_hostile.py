@@ -51,7 +51,7 @@ from manyhands.protocol.messages import (
 )
 from tests.support.gates import admit
 
-from ..cases import cases
+from ..support.cases import cases
 
 LIMIT = limits.MAX_CONTROL_BYTES
 V = PROTOCOL_VERSION

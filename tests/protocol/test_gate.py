@@ -12,14 +12,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from manyhands.protocol.clock import Duration, Instant
-from manyhands.protocol.codec import LAYOUTS, decode, encode
+from manyhands.protocol.codec import LAYOUTS, LONGEST, decode, encode, read_head, type_of
 from manyhands.protocol.gate import DRIFT, DROP_REASONS, MOST_PERIODS, ROUNDING, Bounds, Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
-from manyhands.protocol.signal_head import LONGEST, read_head, type_of
 from tests.support.gates import admit
 
-from ..cases import cases
+from ..support.cases import cases
 
 TICK = 10
 PAIR = np.array([1.0, 2.0])

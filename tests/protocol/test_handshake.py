@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.protocol.codec import ForeignHello, Malformed, Received, decode, encode
-from manyhands.protocol.handshake import (
-    TRANSITIONS,
-    Event,
-    Expected,
-    LinkHandshake,
-    State,
-    check_node_hello,
-)
+from manyhands.protocol.handshake import TRANSITIONS, Expected, HandshakeEvent, LinkHandshake, State, check_node_hello
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
@@ -184,7 +177,7 @@ def test_noise_instead_of_a_welcome_is_refused(noise: Received) -> None:
 
 def test_every_live_state_has_an_answer_to_every_event() -> None:
     live = {state for state, _ in TRANSITIONS}
-    assert set(TRANSITIONS) == {(state, event) for state in live for event in Event}
+    assert set(TRANSITIONS) == {(state, event) for state in live for event in HandshakeEvent}
     assert set(State) - live == {State.ESTABLISHED, State.REFUSED, State.REFUSED_BY_PEER}
 
 

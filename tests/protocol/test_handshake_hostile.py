@@ -40,7 +40,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
-from ..cases import cases
+from ..support.cases import cases
 
 D_V = ((0.1, 0.0), (0.0, 0.2))
 OTHER_D_V = ((0.3, 0.0), (0.0, 0.4))

@@ -10,13 +10,7 @@ import pytest
 
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock, SimulatedClock
 from manyhands.protocol.codec import decode, encode
-from manyhands.protocol.handshake import (
-    Expected,
-    HandshakeRefused,
-    HandshakeTimeout,
-    LinkHandshake,
-    shake_hands,
-)
+from manyhands.protocol.handshake import Expected, HandshakeRefused, HandshakeTimeout, LinkHandshake, shake_hands
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Role, Tool
 from manyhands.protocol.transport import Link

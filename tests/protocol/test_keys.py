@@ -19,7 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from zmq.utils import z85
 
-from manyhands.protocol.key_files import problem_of_file, problem_of_folder
 from manyhands.protocol.keys import (
     KEY_LENGTH,
     MAX_KEYS,
@@ -31,12 +30,14 @@ from manyhands.protocol.keys import (
     is_key,
     load_private,
     new_pair,
+    problem_of_file,
+    problem_of_folder,
     ring_of,
     save_private,
 )
 from manyhands.protocol.limits import MAX_NAME
 
-from ..cases import cases
+from ..support.cases import cases
 
 NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=MAX_NAME)
 

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from manyhands.protocol import limits, messages
-from manyhands.protocol.admission import Expected, check_link_hello, check_node_hello
-from manyhands.protocol.channels import CHANNELS
-from manyhands.protocol.clock_offset import Exchange
+from manyhands.protocol.channels import CHANNELS, TOPICS
+from manyhands.protocol.clock import Exchange
 from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
-from manyhands.protocol.handshake import TRANSITIONS
+from manyhands.protocol.handshake import TRANSITIONS, Expected, check_link_hello, check_node_hello
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
-from manyhands.protocol.topics import TOPICS
 from manyhands.protocol.transport.door import Refused
 
-from .spec_text import SPEC, table
+from ..support.spec_text import SPEC, table
 
 NAMESPACE = {kind.__name__: kind for kind in LAYOUTS} | {"Role": Role, "array": np.array}
 EXAMPLES = [

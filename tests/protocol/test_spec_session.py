@@ -8,32 +8,31 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch import conductor
-from manyhands.launch.audience import TRACE_OF, Audience
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.link_states import LINK_TRANSITIONS
-from manyhands.launch.node_states import NodeState
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import HUB_NAME, IPC
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import HUB_NAME, IPC
+from manyhands.launch.plan.topology import Topology, roster, topology
+from manyhands.launch.run import conductor
+from manyhands.launch.run.broadcast import TRACE_OF, ObserverBroadcast
+from manyhands.launch.run.recovery import LINK_TRANSITIONS
+from manyhands.launch.run.states import NodeState
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import Topology, roster, topology
 from manyhands.nodes import process, telemetry
+from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import Common, CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
-from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.attendance import TRANSITIONS as SEATS
+from manyhands.nodes.environment.membership import TRANSITIONS as SEATS
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.feedthrough import feedthrough_digest
-from manyhands.nodes.greeting import bind_links, hello_to
-from manyhands.nodes.life import Life
+from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log
+from manyhands.nodes.peer_link import PeerLink, bind_links, hello_to
 from manyhands.nodes.process import Member, Node
+from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.messages import (
@@ -50,11 +49,10 @@ from manyhands.protocol.messages import (
 )
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.door import Refused
-from manyhands.protocol.transport.sockets import HUB_DROPS, ZmqHub
-from manyhands.protocol.transport.zeromq import ZmqTransport
+from manyhands.protocol.transport.zeromq import HUB_DROPS, ZmqHub, ZmqTransport
 from tests.support.memory_transport import MemoryTransport
 
-from .spec_text import SPEC, listed, table
+from ..support.spec_text import SPEC, listed, table
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 SAID: dict[type[Message], Message] = {
@@ -119,13 +117,13 @@ def test_who_listens_and_who_connects(prepared: Prepared) -> None:
         name: role.upper() for name, role in roles.items() if role in (Role.DEVICE, Role.COUPLING, Role.OBSERVER)
     }
     rows: set[tuple[str, str, str]] = set()
-    for name, bundle in cut(prepared, Run("simulated", None, "")).items():
+    for name, bundle in cut(prepared, RunPlan("simulated", None, "")).items():
         transport = Recorder()
         bind_links(bundle.common, transport)
         rows |= {(roles[name], roles[peer], _general(domain, placeholders)) for domain, peer in transport.bound.items()}
         transport.close()
     transport = Recorder()
-    Audience(session).serve(transport, IPC, topology(session))
+    ObserverBroadcast(session).serve(transport, IPC, topology(session))
     rows |= {(Role.SUPERVISOR, roles[peer], _general(domain, placeholders)) for domain, peer in transport.bound.items()}
     transport.close()
     members = ", ".join(role for role in Role if role not in (Role.SUPERVISOR, Role.HAND))
@@ -165,7 +163,7 @@ class Told:
 
 def test_what_a_report_counts(prepared: Prepared) -> None:
     counted: dict[str, list[str]] = {}
-    for bundle in cut(prepared, Run("simulated", None, "")).values():
+    for bundle in cut(prepared, RunPlan("simulated", None, "")).values():
         node: Node
         match bundle:
             case DeviceBundle():
@@ -188,9 +186,9 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
     assert [row[:2] for row in table("| role | count in the Report | is |")] == rows
 
 
-def _unlinked(common: Common) -> Joint:
+def _unlinked(common: Common) -> PeerLink:
     (peer,) = (peer for peer in common.peers if peer.role is Role.ENVIRONMENT)
-    return Joint(hello_to(common, peer, None), peer, None, Reaction, slice(None), RealtimeClock())
+    return PeerLink(hello_to(common, peer, None), peer, None, Reaction, slice(None), RealtimeClock())
 
 
 def test_where_a_node_may_stand() -> None:
@@ -209,7 +207,7 @@ def test_what_becomes_of_a_seat() -> None:
 
 def test_the_domain_of_a_link_that_is_bound_anew(prepared: Prepared) -> None:
     """`COUPLING-DEVICE.1`, and then `.2`, each for that device alone."""
-    (bundle,) = (b for b in cut(prepared, Run("simulated", None, "")).values() if b.common.name == "cx")
+    (bundle,) = (b for b in cut(prepared, RunPlan("simulated", None, "")).values() if b.common.name == "cx")
     transport = Recorder()
     _, hub = transport.bind_hub(HUB_NAME, ("cx",))
     line = ControlLine(transport, dataclasses.replace(bundle.common, control=hub))

@@ -10,19 +10,19 @@ import itertools
 from collections import deque
 from dataclasses import dataclass, field
 
-from manyhands.launch.conductor import (
-    Conductor,
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.states import (
     Instruction,
     Kill,
     KillProcess,
     NodeState,
-    Phase,
-    Release,
+    ReleaseName,
     Send,
+    SessionPhase,
     StartProcess,
     Terminate,
 )
-from manyhands.launch.topology import Topology
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Absent,
@@ -152,7 +152,7 @@ class FakeSession:
         binds = [link.connector for link in self.graph.links_of(node) if link.binder == node]
         self.processes[node] = Process({peer: self._place(node, peer) for peer in binds})
         pid = next(self._pids)
-        if self.conductor.phase is Phase.RUNNING and node not in self.conductor.remote:
+        if self.conductor.phase is SessionPhase.RUNNING and node not in self.conductor.remote:
             self.conductor.started(node, pid)
         self.said.append((node, hello_of(self.graph, node, dict(self.processes[node].bound), pid)))
 
@@ -174,7 +174,7 @@ class FakeSession:
                     self.terminated = True
                     for node in list(self.processes):
                         self.kill(node)
-                case Release():
+                case ReleaseName():
                     pass
 
     def _take(self, node: str, process: Process, message: Message) -> None:

@@ -10,7 +10,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Message
 
 
-class Held:
+class MessageLink:
     """A link whose other end is a test's: what is coming, and what was said."""
 
     def __init__(self) -> None:

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from manyhands.nodes.observer.about import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
-from manyhands.nodes.observer.decimation import Floats
+from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.observer.tracks import Floats
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role
 

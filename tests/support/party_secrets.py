@@ -10,7 +10,7 @@ from typing import Any
 
 from zmq.utils import z85
 
-from . import distinctive
+from . import distinctive_session
 from .patterns import is_distinctive
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e-?\d+)?")
@@ -21,10 +21,12 @@ _Lists = list[list[float]]
 
 def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]) -> _Lists:
     """The numbers that are ``name``'s alone, from its part of the session file and from its bundle."""
-    if name in distinctive.DEVICES:
+    if name in distinctive_session.DEVICES:
         return [*_numbers(session["devices"][name]), *_numbers({**bundle, "common": None})]
-    if name in distinctive.COUPLINGS:
-        given = [session["design"][key][list(distinctive.COUPLINGS).index(name)] for key in ("stiffness", "damping")]
+    if name in distinctive_session.COUPLINGS:
+        given = [
+            session["design"][key][list(distinctive_session.COUPLINGS).index(name)] for key in ("stiffness", "damping")
+        ]
         rungs = [bundle, *bundle["softer"]]
         own = [[rung["block"], rung["level"]] for rung in rungs]  # K and the limits are its device's
         return [*_numbers(given), *_numbers(own)]
@@ -33,8 +35,8 @@ def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]
 
 def _numbers(plain: object) -> _Lists:
     """The numbers of a tree, those in formulas too."""
-    formulas = [[float(number) for number in _NUMBER.findall(text)] for text in distinctive.texts(plain)]
-    return [*distinctive.number_lists(plain), *formulas]
+    formulas = [[float(number) for number in _NUMBER.findall(text)] for text in distinctive_session.texts(plain)]
+    return [*distinctive_session.number_lists(plain), *formulas]
 
 
 def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
@@ -42,14 +44,14 @@ def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[floa
 
     The delays of the ladder's rungs are the session's, and every device's.
     """
-    devices = [bundles[device] for device in distinctive.DEVICES]
+    devices = [bundles[device] for device in distinctive_session.DEVICES]
     shared: list[object] = [[rung["tau"] for rung in device["longer"]] for device in devices]
-    if name in distinctive.COUPLINGS:
-        device = bundles[distinctive.COUPLINGS[name]]
+    if name in distinctive_session.COUPLINGS:
+        device = bundles[distinctive_session.COUPLINGS[name]]
         shared += [device["K"], device.get("limits"), [rung["K"] for rung in device["longer"]]]
-        shared.append(bundles[distinctive.ENVIRONMENT]["feedthrough_rungs"][name])
-    elif name == distinctive.ENVIRONMENT:
-        couplings = [bundles[coupling] for coupling in distinctive.COUPLINGS]
+        shared.append(bundles[distinctive_session.ENVIRONMENT]["feedthrough_rungs"][name])
+    elif name == distinctive_session.ENVIRONMENT:
+        couplings = [bundles[coupling] for coupling in distinctive_session.COUPLINGS]
         shared += [rung["block"]["D"] for coupling in couplings for rung in (coupling, *coupling["softer"])]
     return {abs(number) for numbers in _numbers(shared) for number in numbers}
 
@@ -63,19 +65,22 @@ def forbidden_numbers(name: str, session: Mapping[str, Any], bundles: Mapping[st
 
 def forbidden_texts(name: str, session: Mapping[str, Any]) -> set[str]:
     """Names of those that ``name`` has nothing to do with, and the others' formulas."""
-    hands = [session["devices"][device]["hand"] for device in distinctive.DEVICES if device != name]
-    texts = {hand[intent] for hand in hands for intent in ("force", "motion")} | {distinctive.HUB}
-    if name in distinctive.DEVICES:
-        texts |= {*distinctive.DEVICES, *distinctive.COUPLINGS} - {name, _coupling_of(name)}
-    elif name in distinctive.COUPLINGS:
-        texts |= {*distinctive.DEVICES, *distinctive.COUPLINGS} - {name, distinctive.COUPLINGS[name]}
+    hands = [session["devices"][device]["hand"] for device in distinctive_session.DEVICES if device != name]
+    texts = {hand[intent] for hand in hands for intent in ("force", "motion")} | {distinctive_session.HUB}
+    if name in distinctive_session.DEVICES:
+        texts |= {*distinctive_session.DEVICES, *distinctive_session.COUPLINGS} - {name, _coupling_of(name)}
+    elif name in distinctive_session.COUPLINGS:
+        texts |= {*distinctive_session.DEVICES, *distinctive_session.COUPLINGS} - {
+            name,
+            distinctive_session.COUPLINGS[name],
+        }
     else:
-        texts -= {distinctive.HUB}
+        texts -= {distinctive_session.HUB}
     return texts
 
 
 def _coupling_of(device: str) -> str:
-    return next(coupling for coupling, held in distinctive.COUPLINGS.items() if held == device)
+    return next(coupling for coupling, held in distinctive_session.COUPLINGS.items() if held == device)
 
 
 def as_numbers(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:

@@ -80,7 +80,7 @@ def _pieces(memory: int, begin: int, end: int) -> Iterator[bytes]:
         at += len(piece)
 
 
-class Held:
+class TracedProcess:
     """A process that can be held; use as a context, all in one thread.
 
     The process runs on until :meth:`hold`, and again after :meth:`resume`. One that is still there when the context
@@ -96,7 +96,7 @@ class Held:
         self._libc.ptrace.restype = ctypes.c_long
         self._is_held = False
 
-    def __enter__(self) -> Held:
+    def __enter__(self) -> TracedProcess:
         """Begin to watch the process.
 
         Raises:
@@ -184,11 +184,11 @@ class Held:
 
 
 @contextlib.contextmanager
-def held(pid: int) -> Iterator[Held]:
+def held(pid: int) -> Iterator[TracedProcess]:
     """Hold a process; skips or fails the test where that is not permitted, see :func:`.capture.missing`."""
     with contextlib.ExitStack() as stack:
         try:
-            holding = stack.enter_context(Held(pid))
+            holding = stack.enter_context(TracedProcess(pid))
         except CannotTrace as error:
             missing(str(error))
         yield holding

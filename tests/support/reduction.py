@@ -33,24 +33,24 @@ import numpy as np
 from flint import fmpq
 
 from manyhands.design.certificate import Certificate, seal
-from manyhands.design.contract import Levels, margin
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.environment import (
+from manyhands.design.levels.contract import Levels, margin
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import (
+    DeclaredEnvironment,
     DelayedNetwork,
     Environment,
     NetworkBox,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.operators import Rational
-from manyhands.design.partition import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.operators import Rational
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.design.proof import contract, sparse
+from manyhands.design.proof import contract, exact
 from manyhands.design.proof.claim import Claim
+from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding
-from manyhands.design.proof.sparse import Sparse
-from manyhands.design.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 Storage = Matrix | Literal["energy", "enforced"]
 
@@ -157,7 +157,7 @@ def _grounded(network: Network, ports: tuple[str, ...]) -> Network:
     for link in network.links:
         a, b = (GROUND if end in gone else end for end in link.ends)
         if a != b:
-            links.append(Link((a, b), link.stiffness, link.damping))
+            links.append(NetworkLink((a, b), link.stiffness, link.damping))
     return Network(ports, network.masses, tuple(links))
 
 
@@ -210,11 +210,11 @@ def condition_at(claim: Claim, ratios: Mapping[str, fmpq]) -> Sparse:
     m = len(claim.ports)
     out: Sparse = {(i, j): claim.share * value for (i, j), value in contract.Delta_D(claim).items() if claim.share != 0}
     for (i, j), value in contract.Delta_V(claim).items():
-        sparse.add_entry(out, m + i, m + j, value)
+        exact.add_entry(out, m + i, m + j, value)
     for (i, j), value in claim.Phi_E.items():
         for row in (i, m + i):
             for column in (j, m + j):
-                sparse.add_entry(out, row, column, -value * s[i] * s[j])
+                exact.add_entry(out, row, column, -value * s[i] * s[j])
     return out
 
 
@@ -229,13 +229,13 @@ def at_any_ratio(claim: Claim) -> Finding:
     parts = {"(10)": (contract.condition_10(claim), 2 * m), "share Delta_D": (Delta_G, m)}
     parts["Delta_V"] = (contract.Delta_V(claim), m)
     one_each = contract.one_party_each(claim)
-    verdicts = {name: sparse.definite_by_groups(M, size, name="rows") for name, (M, size) in parts.items()}
+    verdicts = {name: exact.definite_by_groups(M, size, name="rows") for name, (M, size) in parts.items()}
     failing = [name for name, verdict in verdicts.items() if not verdict.holds]
     failing += [] if one_each.holds else [one_each.condition]
     return Finding(
         "condition (10) for any ratios of the blocks",
         not failing,
-        min(sparse.least_eigenvalue(M, size) for M, size in parts.values()),
+        min(exact.least_eigenvalue(M, size) for M, size in parts.values()),
         0.0,
         argument=f"not proved: {', '.join(failing)}" if failing else "exactly, from (10), Delta_D > 0 and Delta_V > 0",
     )

@@ -9,20 +9,20 @@ import numpy as np
 import yaml
 
 from manyhands.design.certificate import to_json
-from manyhands.design.coupling import SpringDamper
-from manyhands.launch.bundles import mass_names
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recordings.run import Run
-from manyhands.launch.recordings.tracing import Traces
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
-from manyhands.launch.topology import topology
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE, Recorded
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE, Recorded
 from manyhands.nodes.tick_events import TickEvents
+from manyhands.protocol.channels import LEDGER, TAU
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role
-from manyhands.protocol.topics import LEDGER, TAU
 
 EVERY = 100  # ticks between two telemetry messages
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -109,7 +109,7 @@ def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, f
     return {name: value for name, value in events.take(0, 0).items() if ":" in name}
 
 
-def forged(path: Path, run: Run, change: Callable[[dict[tuple[str, str], np.ndarray]], None]) -> Path:
+def forged(path: Path, run: RecordedRun, change: Callable[[dict[tuple[str, str], np.ndarray]], None]) -> Path:
     """A recording once more, as a recorder writes it and so with every checksum right, with some numbers changed.
 
     Args:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import Recorded
+from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role
 

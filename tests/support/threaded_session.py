@@ -15,19 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
-from manyhands.nodes.control import NOT_AT_ALL, Word
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.attendance import Seat
+from manyhands.nodes.environment.membership import Membership
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.log import Log
 from manyhands.nodes.process import Node
+from manyhands.nodes.supervisor_line import NOT_AT_ALL, Word
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, seconds
 from manyhands.protocol.messages import Absent, Report, Return, Start, Telemetry
 from manyhands.protocol.transport import Link
@@ -36,7 +37,7 @@ from tests.support.memory_transport import MemoryTransport
 PATIENCE = 30.0  # s, of a test for what must come
 
 
-class Line:
+class TestLine:
     """A node's line to the test.
 
     Attributes:
@@ -109,7 +110,7 @@ def _in_step(bundle: Bundle) -> Bundle:
     return replace(bundle, common=replace(common, telemetry_first=common.telemetry_ticks))
 
 
-class Stage:
+class ThreadedSession:
     """A session whose nodes are threads; to be entered and left."""
 
     def __init__(
@@ -118,11 +119,11 @@ class Stage:
         """``ticks``: how many to run; 0 until the stage is left. ``tick``: the one that the session is at already."""
         self.graph = topology(prepared.session)
         self._new_life, self._ticks, self._tick = new_life, ticks, tick
-        self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, Run(clock, None, "")).items()}
+        self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, RunPlan(clock, None, "")).items()}
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
-        self.lines: dict[str, Line] = {}
-        self.all_lines: list[Line] = []
+        self.lines: dict[str, TestLine] = {}
+        self.all_lines: list[TestLine] = []
         self.lives: dict[str, Any] = {}
         self.nodes: dict[str, Node] = {}
         self.ends: dict[str, Future[None]] = {}
@@ -130,9 +131,9 @@ class Stage:
         self._awaited: list[threading.Event] = []
         self.error: BaseException | None = None
         self.epoch = Instant(RealtimeClock().now() + 50_000_000)
-        self.prepare: Callable[[str, Line], None] = lambda _name, _line: None
+        self.prepare: Callable[[str, TestLine], None] = lambda _name, _line: None
 
-    def __enter__(self) -> Stage:
+    def __enter__(self) -> ThreadedSession:
         links: dict[str, dict[str, Link]] = {name: {} for name in self.graph.nodes}
         for plan in self.graph.links:
             link, endpoint = self.transport.bind(f"{plan.binder}-{plan.connector}", plan.connector)
@@ -174,7 +175,7 @@ class Stage:
         self.nodes.update(zip(together, (leader, *carried), strict=True))
         for node in together:
             self._generation += 1
-            line = self.lines[node] = Line(self.transport, node, self._generation)
+            line = self.lines[node] = TestLine(self.transport, node, self._generation)
             self.all_lines.append(line)
             self.prepare(node, line)
             self.lives[node] = life
@@ -274,14 +275,14 @@ class Stage:
     def peers(self, name: str) -> list[str]:
         return [plan.connector if plan.binder == name else plan.binder for plan in self.graph.links_of(name)]
 
-    def seat(self, coupling: str) -> Seat | None:
+    def seat(self, coupling: str) -> Membership | None:
         """Where a coupling stands at the environment, as of now."""
         places = getattr(self.nodes[ENVIRONMENT], "_places", None)
         if places is None:
             return None
         return next(place.attendance.seat for place in places.all if place.joint.peer.name == coupling)
 
-    def await_seat(self, coupling: str, *seats: Seat) -> None:
+    def await_seat(self, coupling: str, *seats: Membership) -> None:
         """Wait until the environment, which looks at its line again and again, has ``coupling`` stand so."""
         self.see(ENVIRONMENT, lambda: self.seat(coupling) in seats)
 

@@ -9,7 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from .browsing import browsing, centre, open_page, until, viewed
+from ..support.browser import browsing, centre, open_page, until, viewed
 
 LEFT, BALL = '[data-device="left"]', '[data-mass="ball"]'
 ROUNDS = 3  # times that the hand goes to and fro

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from . import distinctive
-from .capture import Capture, IncompleteCapture, Segment, free_ports, reassembled
-from .commands import run
-from .patterns import Patterns, is_distinctive
+from ..support import distinctive_session
+from ..support.capture import Capture, IncompleteCapture, Segment, free_ports, reassembled
+from ..support.commands import run
+from ..support.patterns import Patterns, is_distinctive
 
 SECONDS = "0.4"
 PORTS = 24  # one for the hub, one for each link, and some to spare
@@ -23,7 +23,7 @@ GREETING_MECHANISM = slice(12, 32)  # of what each side of a ZMTP 3 connection s
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session file, its certificate, and its keys."""
     folder = tmp_path_factory.mktemp("capture")
-    (folder / "session.yaml").write_text(distinctive.as_file(distinctive.session()))
+    (folder / "session.yaml").write_text(distinctive_session.as_file(distinctive_session.session()))
     run("design", folder / "session.yaml", "-o", folder / "certificate.json")
     run("keys", folder / "session.yaml", "-o", folder / "keys")
     return folder
@@ -80,8 +80,8 @@ def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_ins
     np.testing.assert_array_equal(keyed.signals, plain.signals)  # what is looked for in both
     sent = values(plain.signals, "<d")
     assert len(sent) > 2000
-    node_names = (*distinctive.DEVICES, *distinctive.COUPLINGS, distinctive.ENVIRONMENT)
-    said = {text.encode(): text for text in (distinctive.NAME, *node_names, plain.certificate)}
+    node_names = (*distinctive_session.DEVICES, *distinctive_session.COUPLINGS, distinctive_session.ENVIRONMENT)
+    said = {text.encode(): text for text in (distinctive_session.NAME, *node_names, plain.certificate)}
 
     assert plain.mechanisms == {b"NULL"}
     assert plain.contains(Patterns({**sent, **said})) == {*sent.values(), *said.values()}

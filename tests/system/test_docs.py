@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from .commands import read_until, run, started
+from ..support.commands import read_until, run, started
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]

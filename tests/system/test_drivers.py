@@ -8,23 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.looking.sessions import find_session
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import reach
+from manyhands.launch.observe.sessions import find_session
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import reach
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.supervisor import Supervisor
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Grasp, Observation
-from manyhands.protocol.transport.gallery import Visit
-from manyhands.protocol.transport.grip import GripOutlet, grip_path
+from manyhands.protocol.transport.broadcast import Visit
+from manyhands.protocol.transport.pointer import PointerOutlet, grip_path
 
-from .commands import read_until, run, started
+from ..support.commands import read_until, run, started
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 600
@@ -66,7 +66,7 @@ def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None
         read_until(process, "running: tick")
         running = find_session("browser")
         assert running.about.grips == ("left",)
-        visit, outlet = Visit(running.directory), GripOutlet(running.directory, "left")
+        visit, outlet = Visit(running.directory), PointerOutlet(running.directory, "left")
         try:
             deadline = clock.now() + DEADLINE
             moved = held = False

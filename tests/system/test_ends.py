@@ -16,15 +16,15 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch import supervisor as supervisor_module
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import Phase
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
-from manyhands.launch.run_directory import sweep_directories
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.directory import sweep_directories
+from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
 from manyhands.nodes.bundle import Bundle
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
@@ -63,7 +63,7 @@ def once(when: Callable[[Progress], bool], then: Callable[[Progress], object]) -
 
 
 def is_running(progress: Progress) -> bool:
-    return progress.phase is Phase.RUNNING and len(progress.telemetry) == 7
+    return progress.phase is SessionPhase.RUNNING and len(progress.telemetry) == 7
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_killed_node_ends_a_session_without_restarts_with_code_1(
 @pytest.mark.parametrize("victim", ["dz", pytest.param("cx", marks=pytest.mark.long), "environment"])
 def test_a_node_killed_during_start_up(victim: str, prepared: Prepared) -> None:
     kill = once(
-        lambda p: p.phase is Phase.STARTING and victim in p.pids,
+        lambda p: p.phase is SessionPhase.STARTING and victim in p.pids,
         lambda progress: os.kill(progress.pids[victim], signal.SIGKILL),
     )
     outcome = run(prepared, kill)
@@ -99,9 +99,11 @@ def test_a_node_killed_during_start_up(victim: str, prepared: Prepared) -> None:
     assert outcome.faults[0].startswith(f"{victim} was killed by SIGKILL while ")
 
 
-@pytest.mark.parametrize("phase", [Phase.STARTING, Phase.RUNNING])
+@pytest.mark.parametrize("phase", [SessionPhase.STARTING, SessionPhase.RUNNING])
 @pytest.mark.parametrize(("which", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupt_ends_the_session(phase: Phase, which: signal.Signals, code: int, prepared: Prepared) -> None:
+def test_an_interrupt_ends_the_session(
+    phase: SessionPhase, which: signal.Signals, code: int, prepared: Prepared
+) -> None:
     outcome = run(prepared, once(lambda p: p.phase is phase, lambda _: os.kill(os.getpid(), which)))
     assert outcome.code == code
     assert outcome.faults == ()
@@ -118,7 +120,7 @@ def test_interrupted_while_running_every_node_still_reports(prepared: Prepared) 
 def test_a_node_of_another_certificate_is_refused_by_the_supervisor(
     transport: str, prepared: Prepared, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def forged(prepared: Prepared, run: Run) -> dict[str, Bundle]:
+    def forged(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         bundles = cut(prepared, run)
         common = dataclasses.replace(bundles["cy"].common, certificate="0" * 64)
         return {**bundles, "cy": dataclasses.replace(bundles["cy"], common=common)}
@@ -130,7 +132,7 @@ def test_a_node_of_another_certificate_is_refused_by_the_supervisor(
 
 
 def test_a_node_that_cannot_read_its_bundle_says_so(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
-    def swapped(prepared: Prepared, run: Run) -> dict[str, Bundle]:
+    def swapped(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         bundles = cut(prepared, run)
         return {**bundles, "cy": bundles["dx"]}
 

@@ -23,23 +23,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.invitation import invite
-from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import Listen, reach
-from manyhands.launch.run_directory import sweep_directories
+from manyhands.launch.plan.bundles import invite
+from manyhands.launch.plan.keys import Keys, ephemeral, load_folder, make_keys
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import Listen, reach
+from manyhands.launch.plan.topology import roster
+from manyhands.launch.run.directory import sweep_directories
+from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.states import NodeState, SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import SUPERVISOR, load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import roster
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
 from manyhands.protocol.keys import save_private
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
-from .capture import free_ports
-from .commands import MANYHANDS, read_until, run, started
+from ..support.capture import free_ports
+from ..support.commands import MANYHANDS, read_until, run, started
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 OBSERVERS = """
@@ -155,7 +155,7 @@ def interrupt_when_ended(process: subprocess.Popen[str]) -> Callable[[Progress],
 
 
 def is_running(progress: Progress) -> bool:
-    return progress.phase is Phase.RUNNING and len(progress.telemetry) == len(WATCH)
+    return progress.phase is SessionPhase.RUNNING and len(progress.telemetry) == len(WATCH)
 
 
 def assert_as_simulated(outcome: Outcome, home: Home) -> None:
@@ -443,7 +443,7 @@ def test_where_nobody_listens_a_guest_gives_up_in_the_end(home: Home, machine: P
     impatient = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from manyhands.nodes import control, guest\n"
+        "from manyhands.nodes import supervisor_line as control, remote as guest\n"
         "control._JOINING_WAITS //= 100\n"
         "sys.exit(guest.join('dx', Path('dx.bundle'), None, sys.argv[1], None))\n"
     )

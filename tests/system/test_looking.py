@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
 
-from .commands import MANYHANDS, read_until
+from ..support.commands import MANYHANDS, read_until
 
 ROLES = {"d": "device", "cx": "coupling", "cy": "coupling", "cz": "coupling", "environment": "environment"}
 END = 60.0  # s, of patience with a process that is about to end

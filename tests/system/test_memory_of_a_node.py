@@ -19,23 +19,23 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.invitation import invite
-from manyhands.launch.keys import load_folder
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.bundles import invite
+from manyhands.launch.plan.keys import load_folder
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import SIMULATED
 
-from . import distinctive, secrets_of
-from .capture import free_ports
-from .commands import MANYHANDS, read_until, run, started
-from .opened_files import opened, watched
-from .patterns import Patterns
-from .process_memory import held, memory_contains
+from ..support import distinctive_session, party_secrets
+from ..support.capture import free_ports
+from ..support.commands import MANYHANDS, read_until, run, started
+from ..support.opened_files import opened, watched
+from ..support.patterns import Patterns
+from ..support.process_memory import held, memory_contains
 
-DEVICE, COUPLING, ENVIRONMENT = distinctive.DEVICES[0], "cx_heron74", distinctive.ENVIRONMENT
-NODES = (*distinctive.DEVICES, *distinctive.COUPLINGS, ENVIRONMENT)
+DEVICE, COUPLING, ENVIRONMENT = distinctive_session.DEVICES[0], "cx_heron74", distinctive_session.ENVIRONMENT
+NODES = (*distinctive_session.DEVICES, *distinctive_session.COUPLINGS, ENVIRONMENT)
 SUPERVISOR = "supervisor"
-PEERS = {DEVICE: {COUPLING}, COUPLING: {DEVICE, ENVIRONMENT}, ENVIRONMENT: set(distinctive.COUPLINGS)}
+PEERS = {DEVICE: {COUPLING}, COUPLING: {DEVICE, ENVIRONMENT}, ENVIRONMENT: set(distinctive_session.COUPLINGS)}
 
 
 @dataclass(frozen=True)
@@ -58,27 +58,27 @@ class Owner:
 
     def forbidden(self, node: str) -> dict[bytes, str]:
         """All that ``node`` must have nothing of, in every shape."""
-        numbers = secrets_of.forbidden_numbers(node, self.session, self.bundles)
+        numbers = party_secrets.forbidden_numbers(node, self.session, self.bundles)
         secrets = {f"private key of {who}": key for who, key in self.secrets.items() if who != node}
         strangers = self.publics.keys() - {node, SUPERVISOR, *PEERS[node]}
         publics = {f"public key of {who}": self.publics[who] for who in strangers}
         return {
-            **secrets_of.as_numbers(numbers),
-            **secrets_of.as_texts(secrets_of.forbidden_texts(node, self.session)),
-            **secrets_of.as_keys({**secrets, **publics}),
+            **party_secrets.as_numbers(numbers),
+            **party_secrets.as_texts(party_secrets.forbidden_texts(node, self.session)),
+            **party_secrets.as_keys({**secrets, **publics}),
         }
 
     def raw(self, *nodes: str) -> dict[bytes, str]:
         """The numbers that the session file has of these nodes, as a processor holds them."""
         parts = [self.session["environment"] if n == ENVIRONMENT else self.session["devices"][n] for n in nodes]
-        return secrets_of.as_doubles(distinctive.number_lists(parts))
+        return party_secrets.as_doubles(distinctive_session.number_lists(parts))
 
 
 @pytest.fixture(scope="module")
 def owner(tmp_path_factory: pytest.TempPathFactory) -> Owner:
     folder = tmp_path_factory.mktemp("owner")
-    session = distinctive.session()
-    (folder / "session.yaml").write_text(distinctive.as_file(session))
+    session = distinctive_session.session()
+    (folder / "session.yaml").write_text(distinctive_session.as_file(session))
     run("design", folder / "session.yaml", "-o", folder / "certificate.json")
     run("keys", folder / "session.yaml", "-o", folder / "keys")
     run(
@@ -137,20 +137,20 @@ def joining(port: int) -> tuple[str, ...]:
 def test_a_devices_bundle_has_nothing_of_the_others(owner: Owner) -> None:
     bundle = owner.bundles[DEVICE]
     content = (owner.folder / f"{DEVICE}.bundle").read_bytes()
-    numbers = {abs(number) for numbers in distinctive.number_lists(bundle) for number in numbers}
-    others = {abs(n) for ns in secrets_of.forbidden_numbers(DEVICE, owner.session, owner.bundles) for n in ns}
+    numbers = {abs(number) for numbers in distinctive_session.number_lists(bundle) for number in numbers}
+    others = {abs(n) for ns in party_secrets.forbidden_numbers(DEVICE, owner.session, owner.bundles) for n in ns}
     assert len(others) > 100
     assert numbers & others == set()
     assert Patterns(owner.forbidden(DEVICE)).found_in([content]) == set()
-    keys = secrets_of.as_texts([*owner.publics.values(), *owner.secrets.values()])
+    keys = party_secrets.as_texts([*owner.publics.values(), *owner.secrets.values()])
     known = {owner.publics[SUPERVISOR], owner.publics[COUPLING]}
     assert known <= Patterns(keys).found_in([content]) <= known | {owner.publics[DEVICE]}
 
 
 def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
-    others = owner.raw(*distinctive.DEVICES[1:], ENVIRONMENT)
-    key = secrets_of.as_keys({"the device's private key": owner.secrets[DEVICE]})
+    others = owner.raw(*distinctive_session.DEVICES[1:], ENVIRONMENT)
+    key = party_secrets.as_keys({"the device's private key": owner.secrets[DEVICE]})
     with launched(owner, *remote(owner, port)) as session:
         with started(*joining(port), cwd=machine) as node:
             with held(node.pid) as holding:
@@ -208,8 +208,8 @@ def test_no_process_of_a_session_holds_what_is_the_others(transport: str, owner:
 def assert_it_holds_its_own_alone(owner: Owner, node: str, pid: int, keyed: bool = True) -> None:
     """A process that is held has nothing of the others, and the same search finds its own numbers and its key."""
     forbidden = owner.forbidden(node)
-    numbers = secrets_of.as_doubles(secrets_of.own_numbers(node, owner.session, owner.bundles[node]))
-    key = secrets_of.as_keys({f"private key of {node}": owner.secrets[node]}) if keyed else {}
+    numbers = party_secrets.as_doubles(party_secrets.own_numbers(node, owner.session, owner.bundles[node]))
+    key = party_secrets.as_keys({f"private key of {node}": owner.secrets[node]}) if keyed else {}
     found = memory_contains(pid, Patterns({**forbidden, **numbers, **key}))
     assert found & set(forbidden.values()) == set(), f"{node} holds this"
     assert len(found & set(numbers.values())) >= {DEVICE: 12, COUPLING: 4, ENVIRONMENT: 12}[node]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from .browsing import browsing, centre, open_page, picture, until, viewed
+from ..support.browser import browsing, centre, open_page, picture, until, viewed
 
 CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from .opened_files import opened, watched
-from .patterns import Patterns
-from .process_memory import held, memory_contains
+from ..support.opened_files import opened, watched
+from ..support.patterns import Patterns
+from ..support.process_memory import held, memory_contains
 
 LETTERS = st.sampled_from(b"\0ab")  # few, so that patterns overlap, begin alike, and occur
 

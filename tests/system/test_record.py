@@ -12,7 +12,7 @@ from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import read_run
 
-from .commands import read_until, started
+from ..support.commands import read_until, started
 
 
 def test_a_running_session_is_recorded_from_another_terminal(tmp_path: Path) -> None:

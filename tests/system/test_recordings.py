@@ -16,24 +16,24 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from manyhands.launch import recorder_process
-from manyhands.launch.conductor import Phase
-from manyhands.launch.keys import ephemeral
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
-from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.plan.keys import ephemeral
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import roster
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import read_run
-from manyhands.launch.run_directory import SessionDirectory
+from manyhands.launch.recordings.tables import read_recording
+from manyhands.launch.run import recorder as recorder_process
+from manyhands.launch.run.directory import SessionDirectory
+from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.recorder import RecorderProcess
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import roster
-from manyhands.protocol.topics import topic_name, topics_of
+from manyhands.protocol.channels import topic_name, topics_of
 
-from .commands import MANYHANDS, run
+from ..support.commands import MANYHANDS, run
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 1250  # no multiple of the ticks between two telemetry messages
@@ -81,7 +81,7 @@ def test_under_the_simulated_clock_the_file_holds_the_simulations_numbers(
         for topic in topics_of(role, ("hub",)):
             assert not np.isnan(whole.traces[node, topic.name].values).any(), (node, topic.name)
     phases = [condition.phase for _, condition in whole.conditions]
-    assert phases == sorted(phases, key=[phase.value for phase in Phase].index)
+    assert phases == sorted(phases, key=[phase.value for phase in SessionPhase].index)
     assert (phases[-1], whole.conditions[-1][0]) == ("over", TICKS)
 
 
@@ -120,7 +120,7 @@ def test_the_supervisor_leaves_telemetry_with_the_nodes_while_the_recorder_is_sl
     had_no_room: list[bool] = []
 
     def stop_and_go(progress: Progress) -> None:
-        assert recorder.pid is not None or progress.phase is Phase.OVER
+        assert recorder.pid is not None or progress.phase is SessionPhase.OVER
         waited.append(recorder._waiting_bytes)
         if not recorder.has_room:
             had_no_room.append(True)

@@ -13,7 +13,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation
 
-from .commands import MANYHANDS, run
+from ..support.commands import MANYHANDS, run
 
 TICKS = 250  # no multiple of the ticks between two telemetry messages
 

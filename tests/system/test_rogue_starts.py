@@ -12,10 +12,10 @@ from typing import Any, Final
 import pytest
 
 from manyhands.design.certificate import content, identity, to_json
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.bundle import Bundle, CouplingBundle
 
-from .commands import MANYHANDS
+from ..support.commands import MANYHANDS
 from .rogues.stage import SESSION, Forge, play, prepared
 
 

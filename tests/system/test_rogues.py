@@ -19,12 +19,12 @@ from manyhands.launch.simulation import Simulation
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import RefusalCode
 
+from ..support.rows import rows_of
 from .rogues import acts, around, links, tries
 from .rogues.runs import forced, infested, quiet, recording, require_same, surrounded
 from .rogues.stage import FORCE_LIMIT, SUPERVISOR, TICKS, Played, play, prepared
 from .rogues.strangers import Fate
 from .rogues.strays import STRAYS
-from .rows import rows_of
 
 
 def told() -> around.Told:

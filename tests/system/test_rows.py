@@ -7,7 +7,7 @@ import pytest
 
 from manyhands.launch.recordings.recording import Recording
 
-from .rows import rows_of
+from ..support.rows import rows_of
 
 TICKS = 20
 

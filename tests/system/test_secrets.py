@@ -13,18 +13,18 @@ from rich.console import Console
 from zmq.utils import z85
 
 from manyhands.design.certificate import save
-from manyhands.launch import run_directory as run_directories
-from manyhands.launch.conductor import Phase
-from manyhands.launch.display import LiveTable
-from manyhands.launch.keys import Keys, ephemeral, load_folder, make_keys
-from manyhands.launch.outcome import Progress
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import reach
+from manyhands.launch.design_report import print_report
+from manyhands.launch.plan.keys import Keys, ephemeral, load_folder, make_keys
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import roster, topology
+from manyhands.launch.run import directory as run_directories
+from manyhands.launch.run.display import LiveTable
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.summary import print_report
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import roster, topology
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -54,7 +54,7 @@ def test_private_keys_are_in_files_of_their_owners_and_nowhere_else(kept: bool, 
 
         def look(progress: Progress) -> None:
             table(progress)
-            if progress.phase is not Phase.RUNNING or seen:
+            if progress.phase is not SessionPhase.RUNNING or seen:
                 return
             for name, pid in progress.pids.items():
                 for kind in ("cmdline", "environ"):

@@ -17,20 +17,20 @@ from typing import IO
 
 import pytest
 
-from manyhands.launch.bundles import Run, bundle_of
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import Listen, reach
+from manyhands.launch.plan.bundles import RunPlan, bundle_of
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import Listen, reach
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
 from manyhands.nodes import telemetry
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.transport import Trouble
 from manyhands.protocol.transport.door import Refused
-from manyhands.protocol.transport.sockets import HUB_DROPS
+from manyhands.protocol.transport.zeromq import HUB_DROPS
 
-from .capture import free_ports
+from ..support.capture import free_ports
 from .test_design_docs import blocks, missing
 
 PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text(encoding="utf-8")
@@ -170,7 +170,7 @@ def test_the_ports_it_names(tmp_path: Path) -> None:
 
 def test_a_guests_bundle_holds_what_it_says(tmp_path: Path) -> None:
     prepared = prepare(load_session(write_session(tmp_path)), uncertified=True)
-    bundle = bundle_of(prepared, Run("realtime", None, ""), "right")
+    bundle = bundle_of(prepared, RunPlan("realtime", None, ""), "right")
     assert isinstance(bundle, DeviceBundle)
     assert bundle.common.ports == ("right",)
     assert [peer.name for peer in bundle.common.peers] == ["right_coupling"]

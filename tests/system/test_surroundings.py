@@ -17,15 +17,15 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.display import LiveTable
-from manyhands.launch.outcome import Progress
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.display import LiveTable
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import topology
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.messages import Telemetry
 
-from .commands import read_until
+from ..support.commands import read_until
 
 ALONE = Path(__file__).parents[1] / "deterministic/alone.yaml"
 LAUNCH = [sys.executable, "-P", "-m", "manyhands", "launch", str(ALONE)]
@@ -103,6 +103,6 @@ def test_a_narrow_terminal_cuts_the_display_and_nothing_else(width: int) -> None
     telemetry = {node: Telemetry(10**6, {names.LATE: 3.0}, {}) for node in graph.nodes}
     states = dict.fromkeys(graph.nodes, NodeState.RUNNING.value)
     with LiveTable(console, "alone", graph, 0) as table:
-        assert table(Progress(Phase.RUNNING, states, {}, telemetry, 1.0, ("τ is long",), {"no_key": 3})) is None
+        assert table(Progress(SessionPhase.RUNNING, states, {}, telemetry, 1.0, ("τ is long",), {"no_key": 3})) is None
     shown = re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", written.getvalue())
     assert 0 < max(map(cell_len, shown.replace("\r", "\n").split("\n"))) <= width

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from manyhands.design.delay import (
+from manyhands.design.levels.device import (
     PIECES,
     Share,
     device_share,
@@ -22,8 +22,8 @@ from manyhands.design.delay import (
     least_gain,
     pieces_hold,
 )
+from manyhands.design.models.statespace import Matrix
 from manyhands.design.proof.device import device_form
-from manyhands.design.statespace import Matrix
 
 DELAYS = st.floats(0.0, 1.0)
 ABOVE = st.floats(1e-3, 10.0)  # of kappa, above the least gain

@@ -10,15 +10,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.environment_level import best_level, lack_of_passivity
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.frequency import Dissipation, crossings
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.riccati import room, storage
+from manyhands.design.levels.environment import Dissipation, best_level, crossings, lack_of_passivity, room, storage
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.integrators import Split, delayed_split, split_system
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.solver import solve, storage_inequality_expression, symmetric
-from manyhands.design.split import Split, delayed_split, split_system
-from manyhands.design.statespace import Matrix, StateSpace
 
 T = 1e-3
 
@@ -26,8 +24,8 @@ T = 1e-3
 def random_network(rng: np.random.Generator, m: int, n: int, stiffest: float = 1500.0) -> Network:
     """Ports on masses, a ring of masses with chords, every third mass on the ground."""
 
-    def link(a: str, b: str) -> Link:
-        return Link((a, b), float(stiffest * rng.uniform(0.1, 1.0)), float(rng.uniform(0.05, 0.6)))
+    def link(a: str, b: str) -> NetworkLink:
+        return NetworkLink((a, b), float(stiffest * rng.uniform(0.1, 1.0)), float(rng.uniform(0.05, 0.6)))
 
     links = [link(f"p{i}", f"m{i % n}") for i in range(m)]
     links += [link(f"m{i}", f"m{i + 1}") for i in range(n - 1)]

@@ -8,14 +8,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, solve_discrete_are
 
-from manyhands.design import riccati
-from manyhands.design.environment_level import best_level, lack_of_passivity
 from manyhands.design.errors import SolverFailure
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.riccati import level_and_storage, room, storage
-from manyhands.design.split import Split, delayed_split
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.levels import environment
+from manyhands.design.levels.environment import best_level, lack_of_passivity, level_and_storage, room, storage
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.integrators import Split, delayed_split
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 T = 1e-3
 
@@ -163,7 +162,7 @@ def test_whatever_has_a_level_has_a_storage_function(problems, data: st.DataObje
 
 def test_more_is_given_up_where_modes_are_slow() -> None:
     """A heavy mass on a soft spring loses 1e-7 of its energy in a tick."""
-    network = Network(("p",), (("m", 10.0),), (Link(("p", "m"), 1.0, 0.0), Link(("m", GROUND), 0.5, 0.0)))
+    network = Network(("p",), (("m", 10.0),), (NetworkLink(("p", "m"), 1.0, 0.0), NetworkLink(("m", GROUND), 0.5, 0.0)))
     split, told = delayed_split(network.split(2.5e-4), 1, 2.5e-4), []
     found, P = level_and_storage(split, 2.5e-4, np.eye(1), np.eye(1), progress=told.append)
     assert proved(split, found.Phi_E, P, 2.5e-4)
@@ -178,6 +177,6 @@ def test_progress_names_the_tightening(problems, late: Split) -> None:
 
 
 def test_a_storage_function_without_room_is_not_returned(late: Split, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(riccati, "ENOUGH_ROOM", 0.5)
+    monkeypatch.setattr(environment, "ENOUGH_ROOM", 0.5)
     with pytest.raises(SolverFailure, match="with room to verify it"):
         storage(late, T, 2.1 * np.eye(3))

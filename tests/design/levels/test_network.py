@@ -9,11 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.environment_level import best_level
-from manyhands.design.frequency import Dissipation
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.physical import (
+from manyhands.design.levels.environment import Dissipation, best_level
+from manyhands.design.levels.network import (
     MOST_EXACT,
     dissipation_matrix,
     link_matrices,
@@ -21,8 +18,10 @@ from manyhands.design.physical import (
     port_dissipation,
     structured_level,
 )
-from manyhands.design.split import Split
-from manyhands.design.statespace import Matrix, StateSpace
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.integrators import Split
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 T = 1e-3
 
@@ -33,9 +32,9 @@ def single(m: int) -> Partition:
 
 def chain(m: int, grounded: bool = True) -> Network:
     """m ports, each on a mass of a ring of m masses."""
-    links = [Link((f"p{i}", f"m{i}"), 1000.0, 0.1) for i in range(m)]
-    links += [Link((f"m{i}", f"m{(i + 1) % m}"), 500.0, 0.2) for i in range(m if m > 2 else m - 1)]
-    links += [Link((f"m{i}", GROUND), 300.0, 0.0) for i in range(0, m if grounded else 0, 10)]
+    links = [NetworkLink((f"p{i}", f"m{i}"), 1000.0, 0.1) for i in range(m)]
+    links += [NetworkLink((f"m{i}", f"m{(i + 1) % m}"), 500.0, 0.2) for i in range(m if m > 2 else m - 1)]
+    links += [NetworkLink((f"m{i}", GROUND), 300.0, 0.0) for i in range(0, m if grounded else 0, 10)]
     return Network(tuple(f"p{i}" for i in range(m)), tuple((f"m{i}", 0.5) for i in range(m)), tuple(links))
 
 
@@ -134,7 +133,7 @@ def test_the_best_level_by_energy(problems, data: st.DataObject) -> None:
 
 def test_with_static_data_it_is_the_best_level(problems) -> None:
     """A network without masses dissipates S at every frequency: two ways to the same margin."""
-    network = Network(("a", "b"), (), (Link(("a", "b"), 0.0, 1.0), Link(("b", GROUND), 0.0, 0.5)))
+    network = Network(("a", "b"), (), (NetworkLink(("a", "b"), 0.0, 1.0), NetworkLink(("b", GROUND), 0.0, 0.5)))
     Delta = (np.array([[1.0]]), np.array([[2.0]]))
     Phi = physical_level(network, T, Delta, Delta, single(2))
     split = Split(np.zeros((2, 2)), StateSpace.static(network.damping_matrix()))
@@ -177,7 +176,7 @@ def test_more_stiffness_and_damping_and_other_masses_keep_the_level(problems, fa
     Phi = physical_level(low, T, Delta, Delta, problems.decentralised)
     for _ in range(20):
         links = tuple(
-            Link(link.ends, link.stiffness * rng.uniform(1.0, factor), link.damping * rng.uniform(1.0, factor))
+            NetworkLink(link.ends, link.stiffness * rng.uniform(1.0, factor), link.damping * rng.uniform(1.0, factor))
             for link in low.links
         )
         other = Network(low.ports, (("hub", float(rng.uniform(0.01, 30.0))),), links)
@@ -212,7 +211,7 @@ def test_small_groups_of_a_large_network_get_their_own_level() -> None:
         tuple(name(p, i) for i in range(copies) for p in part.ports),
         tuple((name(q, i), mass) for i in range(copies) for q, mass in part.masses),
         tuple(
-            Link((name(link.ends[0], i), name(link.ends[1], i)), link.stiffness, link.damping)
+            NetworkLink((name(link.ends[0], i), name(link.ends[1], i)), link.stiffness, link.damping)
             for i in range(copies)
             for link in part.links
         ),

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.contract import margin_of
-from manyhands.design.coupling import SpringDamper
 from manyhands.design.errors import Infeasible
-from manyhands.design.spring_damper import ROOM, centred, greatest_level, stiffest
-from manyhands.design.statespace import Matrix, symmetric_part
+from manyhands.design.levels.contract import margin_of
+from manyhands.design.levels.spring_damper import ROOM, centred, greatest_level, stiffest
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import Matrix, symmetric_part
 
 T = 1e-3
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.statespace import StateSpace
 
 
 @given(st.data())

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.statespace import StateSpace
 
 
 @given(st.data(), st.integers(1, 6), st.integers(0, 2**32 - 1))

@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.device import zero_order_hold
-from manyhands.design.problem import HapticLoop
-from manyhands.design.statespace import Matrix, StateSpace, block_diagonal, parallel_blocks
-from manyhands.design.transformation import (
+from manyhands.design.models.coupling import (
     loop_gain,
     transformed_coupling,
     transformed_device,
     transformed_environment,
 )
+from manyhands.design.models.device import zero_order_hold
+from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal, parallel_blocks
+from manyhands.design.problem import HapticLoop
 
 
 def device(mass: float, damping: float, T: float) -> StateSpace:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_simpson
 from scipy.signal import cont2discrete
 
-from manyhands.design.device import HeldDevice, held_device, zero_order_hold
-from manyhands.design.operators import RationalMatrix
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.device import HeldDevice, held_device, zero_order_hold
+from manyhands.design.models.operators import RationalMatrix
+from manyhands.design.models.statespace import StateSpace
 
 FINE = 400  # substeps of a tick, for integrals by Simpson's rule
 

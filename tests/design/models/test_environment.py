@@ -5,17 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.discretisation import METHODS, discretise
-from manyhands.design.environment import (
-    DelayedNetwork,
-    NetworkBox,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
 from manyhands.design.errors import Infeasible
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.split import split_system
-from manyhands.design.statespace import StateSpace, matrix
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.integrators import split_system
+from manyhands.design.models.network import GROUND, METHODS, Network, NetworkLink, discretise
+from manyhands.design.models.statespace import StateSpace, matrix
 
 T = 1e-3
 CIRCLE = np.exp(1j * np.array([0.003, 0.05, 0.4, 1.3, 2.7, 3.1]))
@@ -122,7 +116,7 @@ def test_what_is_passive_at_no_level_is_refused() -> None:
 
 def test_a_box_has_ends_in_order_and_runs_its_middle() -> None:
     def network(k: float, b: float, mass: float) -> Network:
-        return Network(("a",), (("m", mass),), (Link(("a", "m"), k, b), Link(("m", GROUND), 10.0, 0.0)))
+        return Network(("a",), (("m", mass),), (NetworkLink(("a", "m"), k, b), NetworkLink(("m", GROUND), 10.0, 0.0)))
 
     low, high = network(80.0, 0.5, 1.0), network(120.0, 1.5, 3.0)
     box = NetworkBox(low, high)
@@ -132,11 +126,11 @@ def test_a_box_has_ends_in_order_and_runs_its_middle() -> None:
     with pytest.raises(ValueError, match="lower end"):
         NetworkBox(high, low)
     with pytest.raises(ValueError, match="same structure"):
-        NetworkBox(low, Network(("a",), (), (Link(("a", GROUND), 500.0, 2.0),)))
+        NetworkBox(low, Network(("a",), (), (NetworkLink(("a", GROUND), 500.0, 2.0),)))
 
 
 def test_a_delay_is_the_same_force_later() -> None:
-    network = Network(("a", "b"), (), (Link(("a", "b"), 100.0, 1.0), Link(("b", GROUND), 50.0, 0.0)))
+    network = Network(("a", "b"), (), (NetworkLink(("a", "b"), 100.0, 1.0), NetworkLink(("b", GROUND), 50.0, 0.0)))
     inputs = matrix(np.random.default_rng(1).normal(size=(20, 2)))
     on_time = network.environment(T).simulate(inputs)
     late = DelayedNetwork(network, 3).environment(T).simulate(inputs)

@@ -11,13 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.budget import environment_share
-from manyhands.design.certificate import content, from_content, identity, load, save
-from manyhands.design.contract import ENFORCED
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.declared import DeclaredEnvironment
-from manyhands.design.differences import differences
+from manyhands.design.certificate import content, differences, from_content, identity, load, save
 from manyhands.design.errors import Infeasible
-from manyhands.design.partition import Partition
+from manyhands.design.levels.contract import ENFORCED
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DeclaredEnvironment
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
     DeviceLevel,
@@ -29,8 +28,6 @@ from manyhands.design.problem import (
 )
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.synthesis import design
-from manyhands.design.weighted_loop import Transparency
-from manyhands.design.weights import Filter
 
 PORTS = ("dx", "dy", "dz")
 APART = Partition(("cx", "cy", "cz"), ((0,), (1,), (2,)))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.network import GROUND, Link, Network, full_rank_factor
-from manyhands.design.passivity import storage_inequality
+from manyhands.design.models.network import GROUND, Network, NetworkLink, full_rank_factor
+from manyhands.design.passivity.storage import storage_inequality
 
 PERIODS = st.sampled_from([2.5e-4, 1e-3, 1e-2])
 ANGLES = (0.05, 0.5, 1.5, 3.0)
@@ -98,7 +98,11 @@ def test_what_no_port_moves_is_not_felt(problems, data: st.DataObject) -> None:
 
 
 def test_a_far_mass_is_left_out() -> None:
-    links = (Link(("p", "near"), 1.0, 0.0), Link(("far", GROUND), 1.0, 1.0), Link(("far", "near"), 0.0, 0.0))
+    links = (
+        NetworkLink(("p", "near"), 1.0, 0.0),
+        NetworkLink(("far", GROUND), 1.0, 1.0),
+        NetworkLink(("far", "near"), 0.0, 0.0),
+    )
     felt = Network(("p",), (("near", 1.0), ("far", 2.0)), links).felt()
     assert felt.masses == (("near", 1.0),)
     assert felt.links == links[:1]
@@ -121,11 +125,11 @@ def test_an_indefinite_matrix_has_no_factor() -> None:
 @pytest.mark.parametrize(
     ("ports", "masses", "links", "words"),
     [
-        (("p",), (), (Link(("p", "q"), 1.0, 0.0),), r"\('p', 'q'\): expected two different ones of"),
-        (("p",), (), (Link(("p", "p"), 1.0, 0.0),), "two different"),
-        (("p",), (), (Link(("p", GROUND), -1.0, 0.0),), "found stiffness -1.0"),
-        (("p",), (), (Link(("p", GROUND), 1.0, float("nan")),), "damping nan"),
-        (("p",), (), (Link(("p", GROUND), float("inf"), 0.0),), "stiffness inf"),
+        (("p",), (), (NetworkLink(("p", "q"), 1.0, 0.0),), r"\('p', 'q'\): expected two different ones of"),
+        (("p",), (), (NetworkLink(("p", "p"), 1.0, 0.0),), "two different"),
+        (("p",), (), (NetworkLink(("p", GROUND), -1.0, 0.0),), "found stiffness -1.0"),
+        (("p",), (), (NetworkLink(("p", GROUND), 1.0, float("nan")),), "damping nan"),
+        (("p",), (), (NetworkLink(("p", GROUND), float("inf"), 0.0),), "stiffness inf"),
         (("p",), (("m", 0.0),), (), "mass m: found 0.0 kg"),
         (("p",), (("m", float("nan")),), (), "mass m: found nan kg"),
         (("p",), (("m", float("inf")),), (), "mass m: found inf kg"),

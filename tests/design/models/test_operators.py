@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.operators import RationalMatrix
+from manyhands.design.models.operators import RationalMatrix
 
 ZERO = ((0.0,), (1.0,))
 
@@ -98,7 +98,7 @@ def test_axes_that_no_entry_joins_are_judged_apart(problems) -> None:
 
 def test_what_is_too_large_for_the_exact_test_is_still_judged(problems, monkeypatch: pytest.MonkeyPatch) -> None:
     exact = problems.operator(0.1).passivity()
-    monkeypatch.setattr("manyhands.design.operators._EXACT_ORDER", 1)
+    monkeypatch.setattr("manyhands.design.models.operators._EXACT_ORDER", 1)
     assert problems.operator(0.1).exactly_least() is None
     assert problems.operator(0.1).passivity().smallest == pytest.approx(exact.smallest, rel=1e-6)
 

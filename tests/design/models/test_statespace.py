@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.statespace import StateSpace, block_diagonal, matrix, parallel_blocks
+from manyhands.design.models.statespace import StateSpace, block_diagonal, matrix, parallel_blocks
 
 
 def random_system(seed: int, n: int, p: int, m: int) -> StateSpace:

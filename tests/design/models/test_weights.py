@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.weights import MOST_DEGREE, Filter
+from manyhands.design.models.weights import MOST_DEGREE, Filter
 
 ANGLES = np.linspace(0.0, np.pi, 50)
 Z = np.exp(1j * ANGLES)

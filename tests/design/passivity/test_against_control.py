@@ -15,11 +15,10 @@ import control
 import numpy as np
 import pytest
 
-from manyhands.design.best_level import greatest_input_level, greatest_output_level
-from manyhands.design.cayley import Time
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.lemma1 import analyse
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, Time
+from manyhands.design.passivity.best_level import greatest_input_level, greatest_output_level
+from manyhands.design.passivity.lemma1 import analyse
 
 COUNT = 204
 AGREE = (

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.best_level import greatest_input_level, greatest_output_level
 from manyhands.design.errors import Infeasible
-from manyhands.design.lemma1 import analyse, verified_margin
-from manyhands.design.partition import Partition
-from manyhands.design.statespace import StateSpace
-from manyhands.design.transformation import transformed_coupling
+from manyhands.design.models.coupling import Partition, transformed_coupling
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.best_level import greatest_input_level, greatest_output_level
+from manyhands.design.passivity.lemma1 import analyse, verified_margin
 
 seeds = st.integers(0, 2**32 - 1)
 SHARP = 2e-6  # what is given away for a checked storage matrix, relative to the level or 1

@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.continuous import (
+from manyhands.design.errors import Infeasible
+from manyhands.design.models.device import held_device
+from manyhands.design.models.operators import RationalMatrix
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.continuous import (
     Dissipative,
     continuous_storage_inequality,
     device_level,
@@ -16,10 +20,6 @@ from manyhands.design.continuous import (
     passive_operator,
     theorem1,
 )
-from manyhands.design.device import held_device
-from manyhands.design.errors import Infeasible
-from manyhands.design.operators import RationalMatrix
-from manyhands.design.statespace import StateSpace
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
-from manyhands.design.cayley import (
+from manyhands.design.models.statespace import (
+    StateSpace,
     axis_image,
     cayley,
     crossing_angles,
@@ -15,9 +16,14 @@ from manyhands.design.cayley import (
     in_discrete_time,
     natural_rate,
 )
-from manyhands.design.level_sets import input_rows, least_hermitian_eigenvalue, least_ratio, pairs_at, supply_form
-from manyhands.design.passivity import storage_inequality
-from manyhands.design.statespace import StateSpace
+from manyhands.design.passivity.frequency import (
+    input_rows,
+    least_hermitian_eigenvalue,
+    least_ratio,
+    pairs_at,
+    supply_form,
+)
+from manyhands.design.passivity.storage import storage_inequality
 
 seeds = st.integers(0, 2**32 - 1)
 

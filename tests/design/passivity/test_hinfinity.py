@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design import hinfinity
 from manyhands.design.errors import SolverFailure
-from manyhands.design.hinfinity import bounded_real_storage, hinf_norm
-from manyhands.design.statespace import StateSpace, frequency_response
+from manyhands.design.models.statespace import StateSpace, frequency_response
+from manyhands.design.passivity import hinfinity
+from manyhands.design.passivity.hinfinity import bounded_real_storage, hinf_norm
 
 
 def random_system(seed: int, order: int, outputs: int, inputs: int, radius: float) -> StateSpace:

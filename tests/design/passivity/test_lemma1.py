@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design import lemma1, level_sets
 from manyhands.design.errors import SolverFailure
-from manyhands.design.lemma1 import analyse, verified_margin
-from manyhands.design.level_sets import least_hermitian_eigenvalue
-from manyhands.design.passivity import storage_inequality
-from manyhands.design.statespace import StateSpace
-from manyhands.design.transformation import transformed_coupling
+from manyhands.design.models.coupling import transformed_coupling
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity import frequency, lemma1
+from manyhands.design.passivity.frequency import least_hermitian_eigenvalue
+from manyhands.design.passivity.lemma1 import analyse, verified_margin
+from manyhands.design.passivity.storage import storage_inequality
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -179,6 +179,6 @@ def test_eigenvalues_that_are_not_found_are_a_failure_of_the_solver(monkeypatch:
     def lost(*_matrices: object, **_options: object) -> None:
         raise np.linalg.LinAlgError("ggev did not converge")
 
-    monkeypatch.setattr(level_sets, "eig", lost)
+    monkeypatch.setattr(frequency, "eig", lost)
     with pytest.raises(SolverFailure, match="did not converge"):
         analyse(random_stable(1, 3, 2))

@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manyhands.design.lemma1 import analyse
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.passivity import storage_inequality
-from manyhands.design.statespace import StateSpace
-from manyhands.design.unfelt import parted, storage_of_motion
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.lemma1 import analyse, parted, storage_of_motion
+from manyhands.design.passivity.storage import storage_inequality
 
 T = 1e-3
 
 
-def of_equal_masses(count: int, mass: float, k: float, b: float, *more: Link) -> StateSpace:
+def of_equal_masses(count: int, mass: float, k: float, b: float, *more: NetworkLink) -> StateSpace:
     """E_hat of equal masses on equal springs at one port, beside ``more`` links."""
     names = [f"m{i}" for i in range(count)]
-    links = [Link(("p", name), k, b) for name in names]
+    links = [NetworkLink(("p", name), k, b) for name in names]
     return Network(("p",), tuple((name, mass) for name in names), (*links, *more)).transformed_environment(T)
 
 
@@ -38,12 +37,12 @@ def test_equal_masses_that_swing_unseen_are_passive(count: int, mass: float, k: 
 @pytest.mark.parametrize(
     "more",
     [
-        (Link(("m0", "m1"), 100.0, 1e-3),),
-        (Link(("m0", GROUND), 100.0, 0.0), Link(("m1", GROUND), 100.0, 0.0)),
-        (Link(("m0", GROUND), 100.0, 1e-6), Link(("m1", GROUND), 100.0, 2e-6)),  # felt, but hardly
+        (NetworkLink(("m0", "m1"), 100.0, 1e-3),),
+        (NetworkLink(("m0", GROUND), 100.0, 0.0), NetworkLink(("m1", GROUND), 100.0, 0.0)),
+        (NetworkLink(("m0", GROUND), 100.0, 1e-6), NetworkLink(("m1", GROUND), 100.0, 2e-6)),  # felt, but hardly
     ],
 )
-def test_equal_masses_that_are_joined_are_passive(more: tuple[Link, ...]) -> None:
+def test_equal_masses_that_are_joined_are_passive(more: tuple[NetworkLink, ...]) -> None:
     assert analyse(of_equal_masses(2, 0.1, 100.0, 1e-6, *more)).holds
 
 

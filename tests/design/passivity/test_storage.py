@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.cayley import cayley
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.level_sets import pairs_at
-from manyhands.design.passivity import (
+from manyhands.design.models.coupling import SpringDamper, transformed_coupling
+from manyhands.design.models.statespace import StateSpace, cayley
+from manyhands.design.passivity.frequency import pairs_at
+from manyhands.design.passivity.storage import (
     equality_residual,
     kernel,
     neutral_pairs,
@@ -16,8 +16,6 @@ from manyhands.design.passivity import (
     storage_face_of,
     storage_inequality,
 )
-from manyhands.design.statespace import StateSpace
-from manyhands.design.transformation import transformed_coupling
 
 
 def quadratic_form(system: StateSpace, P, Delta, Phi, psi, u) -> float:

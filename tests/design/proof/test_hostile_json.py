@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from manyhands.design.proof import Finding, ProofInputError, prove
 
-from ...cases import cases
+from ...support.cases import cases
 
 Data = dict[str, Any]
 

@@ -10,8 +10,9 @@ from flint import arb_mat, ctx, fmpq, fmpq_mat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.proof import balls, network, rational, sparse
-from manyhands.design.proof.reading import MAX_DENSE
+from manyhands.design.proof import environment, rational
+from manyhands.design.proof import exact as sparse
+from manyhands.design.proof.exact import MAX_DENSE
 
 SMALL = st.integers(-6, 6)
 
@@ -58,7 +59,7 @@ def minors(M: list[list[int]], strict: bool) -> bool:
 def test_exact_definiteness_is_sylvesters(M: list[list[int]]) -> None:
     assert rational.definite(exact(M)).holds is minors(M, strict=True)
     assert rational.definite(exact(M), strict=False).holds is minors(M, strict=False)
-    if balls.decided(len(M), lambda: balls.definite(arb_mat(exact(M)))).holds:
+    if rational.decided(len(M), lambda: rational.definite_in_balls(arb_mat(exact(M)))).holds:
         assert minors(M, strict=True)
     elif minors(M, strict=True):
         pytest.fail("small whole numbers are easy for balls")
@@ -73,16 +74,16 @@ def test_the_hilbert_matrix(n: int) -> None:
     """Condition up to 1e28: positive; singular when the right rank-one matrix is taken off; then negative."""
     H = hilbert(n)
     assert rational.definite(H).holds
-    assert balls.decided(n, lambda: balls.definite(arb_mat(H))).holds
+    assert rational.decided(n, lambda: rational.definite_in_balls(arb_mat(H))).holds
     e = fmpq_mat(n, 1, [fmpq((-1) ** i) for i in range(n)])
     least = 1 / (e.transpose() * H.inv() * e)[0, 0]  # H - least e e' is singular
     singular = H - e * e.transpose() * least
     assert rational.definite(singular, strict=False).holds
     assert not rational.definite(singular).holds
-    assert not balls.decided(n, lambda: balls.definite(arb_mat(singular))).holds
+    assert not rational.decided(n, lambda: rational.definite_in_balls(arb_mat(singular))).holds
     below = H - e * e.transpose() * (least * (1 + fmpq(1, 10**9)))
     assert not rational.definite(below, strict=False).holds
-    assert not balls.decided(n, lambda: balls.definite(arb_mat(below))).holds
+    assert not rational.decided(n, lambda: rational.definite_in_balls(arb_mat(below))).holds
 
 
 def test_scales_do_not_matter() -> None:
@@ -90,7 +91,7 @@ def test_scales_do_not_matter() -> None:
     H = hilbert(7)
     M = fmpq_mat(7, 7, [H[i, j] * D[i] * D[j] for i in range(7) for j in range(7)])
     assert rational.definite(M).holds
-    assert balls.decided(7, lambda: balls.definite(arb_mat(M))).holds
+    assert rational.decided(7, lambda: rational.definite_in_balls(arb_mat(M))).holds
     assert rational.definite(M).least == pytest.approx(float(np.linalg.eigvalsh(_unit(7))[0]), rel=3.0)
 
 
@@ -104,18 +105,18 @@ def test_the_radius_of_a_ball_counts() -> None:
     with ctx.workprec(128):
         wide = arb_mat([[1, 0], [0, 1]])
         entry = wide[0, 1]
-        wide[0, 1] = wide[1, 0] = entry + balls.arb(0, 0.5)
-        assert balls.definite(wide).holds
-        wide[0, 1] = wide[1, 0] = entry + balls.arb(0, 1.5)
-        assert not balls.definite(wide).holds
-        wide[0, 1] = wide[1, 0] = balls.arb("nan")
-        assert not balls.definite(wide).holds
+        wide[0, 1] = wide[1, 0] = entry + rational.arb(0, 0.5)
+        assert rational.definite_in_balls(wide).holds
+        wide[0, 1] = wide[1, 0] = entry + rational.arb(0, 1.5)
+        assert not rational.definite_in_balls(wide).holds
+        wide[0, 1] = wide[1, 0] = rational.arb("nan")
+        assert not rational.definite_in_balls(wide).holds
 
 
 def test_the_precision_is_put_back() -> None:
     before = ctx.prec
     with pytest.raises(KeyboardInterrupt):
-        balls.decided(1, _interrupted)
+        rational.decided(1, _interrupted)
     assert ctx.prec == before
 
 
@@ -142,8 +143,8 @@ def test_diagonal_dominance_with_weights(seed: int) -> None:
     below, above = dict(M), dict(M)
     sparse.add_entry(below, *at_end, -series * fmpq(9, 10))
     sparse.add_entry(above, *at_end, -series * (1 + fmpq(1, 10**6)))
-    assert network.dominant(below, list(range(n))).holds
-    assert not network.dominant(above, list(range(n))).holds
+    assert environment.dominant(below, list(range(n))).holds
+    assert not environment.dominant(above, list(range(n))).holds
     assert not sparse.definite(sparse.dense(above, range(n))).holds
 
 

@@ -8,21 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.contract import loop_inequality
 from manyhands.design.errors import Infeasible
-from manyhands.design.frame import UNWEIGHTED, NormalisedLoop
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.pole_search import design_linear
-from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.design.transparency import (
-    LinearDesign,
-    Transparency,
-    design_fixed_poles,
-    design_spring_damper,
-    weighted,
-)
-from manyhands.design.weights import Filter
+from manyhands.design.levels.contract import loop_inequality
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.weights import Filter, Transparency, weighted
+from manyhands.design.transparency.design import LinearDesign, design_fixed_poles, design_spring_damper
+from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
+from manyhands.design.transparency.pole_search import design_linear
 
 T = 1e-3
 W1 = Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), T)
@@ -147,8 +141,8 @@ def test_no_spring_damper_of_one_port_is_better(problems: Any, data: st.DataObje
         ("p",),
         (("m", data.draw(st.floats(0.1, 3.0))),),
         (
-            Link(("p", "m"), data.draw(st.floats(100.0, 5000.0)), data.draw(st.floats(0.05, 3.0))),
-            Link(("m", GROUND), data.draw(st.floats(100.0, 5000.0)), data.draw(st.floats(0.05, 3.0))),
+            NetworkLink(("p", "m"), data.draw(st.floats(100.0, 5000.0)), data.draw(st.floats(0.05, 3.0))),
+            NetworkLink(("m", GROUND), data.draw(st.floats(100.0, 5000.0)), data.draw(st.floats(0.05, 3.0))),
         ),
     )
     aim = data.draw(st.sampled_from([SHAPING, CLOSED]))
@@ -260,7 +254,11 @@ def test_a_full_level_of_two_axes(problems: Any) -> None:
     network = Network(
         ("d.x", "d.y"),
         (("ball", 0.4),),
-        (Link(("d.x", "ball"), 900.0, 0.2), Link(("d.y", "ball"), 500.0, 0.1), Link(("ball", GROUND), 50.0, 0.1)),
+        (
+            NetworkLink(("d.x", "ball"), 900.0, 0.2),
+            NetworkLink(("d.y", "ball"), 500.0, 0.1),
+            NetworkLink(("ball", GROUND), 50.0, 0.1),
+        ),
     )
     Delta_D = np.array([[1.5, 0.3], [0.3, 1.2]])
     E, levels = network.environment(T), (np.array([[0.5, 0.1], [0.1, 0.4]]),)
@@ -301,7 +299,7 @@ def test_example_2_with_one_resonance_a_port(problems: Any) -> None:
 
 
 def one_port() -> StateSpace:
-    links = (Link(("p", "m"), 2000.0, 0.3), Link(("m", GROUND), 900.0, 0.4))
+    links = (NetworkLink(("p", "m"), 2000.0, 0.3), NetworkLink(("m", GROUND), 900.0, 0.4))
     return Network(("p",), (("m", 1.0),), links).environment(T)
 
 

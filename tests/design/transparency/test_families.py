@@ -8,20 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.basis import FixedPoleBlock, PoleBasis, symmetric_units
-from manyhands.design.conic import LinearMatrixProgram, coefficients
-from manyhands.design.fixed_poles import FixedPoleFamily
-from manyhands.design.frame import NormalisedLoop
-from manyhands.design.hinfinity import hinf_norm
-from manyhands.design.minimax import Family, peaks
-from manyhands.design.network import GROUND, Link, Network
-from manyhands.design.partition import Partition
-from manyhands.design.pole_family import FreePoleFamily, PoleShape, fitted, section
-from manyhands.design.solver import ProgramInfeasible
-from manyhands.design.spring_damper_family import SpringDamperFamily
-from manyhands.design.statespace import Matrix, StateSpace
-from manyhands.design.weighted_loop import Transparency, WeightedLoop, weighted
-from manyhands.design.weights import Filter
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.network import GROUND, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.weights import Filter, Transparency, WeightedLoop, weighted
+from manyhands.design.passivity.hinfinity import hinf_norm
+from manyhands.design.solver import LinearMatrixProgram, ProgramInfeasible, coefficients
+from manyhands.design.transparency.families import (
+    FixedPoleBlock,
+    FixedPoleFamily,
+    NormalisedLoop,
+    PoleBasis,
+    SpringDamperFamily,
+    symmetric_units,
+)
+from manyhands.design.transparency.free_poles import FreePoleFamily, PoleShape, fitted, section
+from manyhands.design.transparency.minimax import Family, peaks
 
 ANGLES = np.array([0.0, 0.003, 0.05, 0.4, 1.7, 3.1])
 W1 = Filter.from_continuous((1.0,), (1.0 / 125.0, 1.0), 1e-3)
@@ -301,7 +303,7 @@ def family_unknowns(family: SpringDamperFamily, coupling: Any, T: float) -> Matr
 @pytest.mark.parametrize("objective", ["loop-shaping", "closed-loop"])
 def test_no_peak_is_missed(problems: Any, objective: Any) -> None:
     """Also not those of the closed loop, whose poles are neither E's nor V's."""
-    links = (Link(("p", "m"), 3000.0, 0.002), Link(("m", GROUND), 2000.0, 0.002))
+    links = (NetworkLink(("p", "m"), 3000.0, 0.002), NetworkLink(("m", GROUND), 2000.0, 0.002))
     E = Network(("p",), (("m", 20.0),), links).environment(1e-4)
     aim, one = Transparency(objective, Filter.one(), Filter.one()), Partition(("c",), ((0,),))
     here = NormalisedLoop(E, np.eye(1), 0.5, 1e-4, one, aim)

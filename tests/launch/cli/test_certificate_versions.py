@@ -20,14 +20,14 @@ from manyhands.design.certificate import identity, load, to_json
 from manyhands.design.proof import prove
 from manyhands.launch import cli
 from manyhands.launch.cli import app
-from manyhands.launch.preparation import prepare
-from manyhands.launch.run_directory import kept_files
-from manyhands.launch.shipped import load_named
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.run.directory import kept_files
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
-from .recorded import recorded_of, simulated, written
+from ...support.simulated_recordings import recorded_of, simulated, written
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 OLD = ROOT / "tests" / "design" / "data" / "certificates-0.5.0"
 SESSIONS = ROOT / "launch" / "sessions"
 NOT_RECORDED = (

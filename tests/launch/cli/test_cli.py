@@ -16,11 +16,12 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 import manyhands
-from manyhands.launch import cli, designing, preparation
+from manyhands.launch import cli, design_report
 from manyhands.launch.cli import app
+from manyhands.launch.plan import prepare
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
-BROKEN = sorted((Path(__file__).parent / "broken").glob("*.yaml"))
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
+BROKEN = sorted((Path(__file__).parents[1] / "broken").glob("*.yaml"))
 
 STIFFNESS_26 = "[704.9058, 704.9336, 704.8754]"
 MATRICES_27 = (
@@ -205,7 +206,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
     command: list[str], becomes: Exception | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Extension modules may turn what is raised while they load into an error of theirs, or swallow it."""
-    honest = preparation.certify
+    honest = prepare.certify
 
     def importing(*arguments: Any) -> Any:
         try:
@@ -215,7 +216,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
                 raise becomes from None
         return honest(*arguments)
 
-    for module in (designing, preparation):
+    for module in (design_report, prepare):
         monkeypatch.setattr(module, "certify", importing)
     monkeypatch.setattr(cli.common, "ctrl_c", [])
     result = manyhands_command(*command, "example1.yaml")

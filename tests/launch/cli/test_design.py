@@ -12,7 +12,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from manyhands.design import search, synthesis
+from manyhands.design import synthesis
 from manyhands.design.certificate import identity, load
 from manyhands.design.proof import prove
 from manyhands.launch import cli
@@ -234,13 +234,13 @@ def test_a_second_ctrl_c_ends_at_once(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_an_interrupt_that_a_search_answers_with_its_best_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the method: the flag of what was found is what decides, not the signal alone."""
-    honest = search._springs
+    honest = synthesis._springs
 
-    def interrupted(*arguments: Any, **options: Any) -> search.Found:
+    def interrupted(*arguments: Any, **options: Any) -> synthesis.Found:
         found = honest(*arguments, **options)
-        return search.Found(found.coupling, found.method, interrupted=True)
+        return synthesis.Found(found.coupling, found.method, interrupted=True)
 
-    monkeypatch.setattr(search, "_springs", interrupted)
+    monkeypatch.setattr(synthesis, "_springs", interrupted)
     result = manyhands_command("design", "example1.yaml", "--json")
     assert result.exit_code == 130
     assert one_object(result)["status"] == "certified"
@@ -255,6 +255,6 @@ def test_the_handler_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(signal.getsignal(signal.SIGINT))
         honest(code)
 
-    monkeypatch.setattr(cli.designing, "end", ending)
+    monkeypatch.setattr(cli.design, "end", ending)
     assert manyhands_command("design", "example1.yaml", *GIVEN).exit_code == 0
     assert seen == [cli.common.unwind]

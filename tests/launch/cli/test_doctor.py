@@ -19,7 +19,7 @@ from manyhands.launch.cli import app
 from manyhands.nodes.realtime import may_raise
 
 PERCENTILES = ["p50", "p99", "p999", "max"]
-DOCUMENT = Path(__file__).parents[2] / "docs" / "doctor.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "doctor.md"
 
 pytestmark = pytest.mark.alone  # it measures the machine
 

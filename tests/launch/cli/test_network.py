@@ -16,13 +16,13 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from manyhands.launch.cli import app
-from manyhands.launch.keys import make_keys
+from manyhands.launch.plan.keys import make_keys
 from manyhands.launch.session import load_session
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, ObserverBundle
 from manyhands.protocol.messages import Role
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 WATCH = "observers={watch: {reads: [telemetry]}}"
 
 

@@ -15,9 +15,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from manyhands.launch.cli import app
-from manyhands.launch.run_directory import run_directory
+from manyhands.launch.run.directory import run_directory
 
-from .looked import ABOUT
+from ...support.observed_frames import ABOUT
 
 
 @pytest.fixture(autouse=True)

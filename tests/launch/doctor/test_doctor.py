@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor import probe
-from manyhands.launch.doctor.display import machine_rows
+from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_object
+from manyhands.launch.doctor.examination import machine_rows
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
-from manyhands.launch.doctor.meaning import Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.probe import (
     Delays,
     Interrupted,
@@ -32,15 +32,14 @@ from manyhands.launch.doctor.probe import (
     measure_ticks,
     measure_waking,
 )
-from manyhands.launch.doctor.waking import Spread, Waking
-from manyhands.launch.interrupt import Interrupt
-from manyhands.launch.loop import haptic_loop
-from manyhands.launch.outcome import Outcome
-from manyhands.launch.preparation import unproved
+from manyhands.launch.doctor.wakeup import Spread, Waking
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import haptic_loop, unproved
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.outcome import Outcome
+from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
-from manyhands.launch.shipped import load_named
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.topology import topology
 from manyhands.nodes.realtime import Grant
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import encode
@@ -326,9 +325,9 @@ def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
     """In the midst of its task, and with nobody left to kill it."""
     code = f"""
 from pathlib import Path
-from manyhands.launch.processes import Processes
+from manyhands.launch.run.processes import Processes
 processes = Processes(Path({str(tmp_path)!r}))
-processes.spawn(["long"], "manyhands.launch.doctor.waking", ["1000000", "1000000", "0"])
+processes.spawn(["long"], "manyhands.launch.doctor.wakeup", ["1000000", "1000000", "0"])
 print(processes.pids["long"], flush=True)
 input()
 """

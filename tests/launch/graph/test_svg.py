@@ -16,20 +16,18 @@ from rich.console import Console
 
 from manyhands.launch.files import TargetError
 from manyhands.launch.graph import format_of, scene_object, show_scene, show_session
-from manyhands.launch.graph.layout import Box, layout
-from manyhands.launch.graph.mermaid import mermaid
 from manyhands.launch.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session
-from manyhands.launch.graph.svg import svg
-from manyhands.launch.plan import Plan
+from manyhands.launch.graph.svg import Box, layout, svg
+from manyhands.launch.graph.text import mermaid
+from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.observer.about import NodeAbout
-from manyhands.nodes.observer.scene import Health, Scene
+from manyhands.nodes.observer.scene import Health, NodeAbout, Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 
-from .looked import ABOUT, condition, telemetry
+from ...support.observed_frames import ABOUT, condition, telemetry
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 SVG = "{http://www.w3.org/2000/svg}"
 
 

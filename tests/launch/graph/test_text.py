@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.graph import access_object, graph_object, show_session
-from manyhands.launch.plan import Plan
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.topology import topology
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry]}, scope: {reads: [cx/tool, d/sample]}}"
 
 

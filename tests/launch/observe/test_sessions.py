@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.looking.sessions import Running
-from manyhands.launch.looking.watching import LOOK, presence, watch
+from manyhands.launch.observe.sessions import LOOK, Running, presence, watch
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 
-from .looked import ABOUT, MS, Frames, condition, telemetry
+from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 
 
 def test_each_message_is_told_in_order_with_its_instant_until_the_session_is_over() -> None:

@@ -10,14 +10,24 @@ from collections.abc import Sequence
 import pytest
 from rich.console import Console
 
-from manyhands.launch.columns import COLUMNS
-from manyhands.launch.looking.listing import GLANCE, Glance, glance, print_sessions, session_object
-from manyhands.launch.looking.live import PRINT_EVERY, picture, show_live, tell, top_object
-from manyhands.launch.looking.watching import watch
+from manyhands.launch.observe.sessions import watch
+from manyhands.launch.observe.tables import (
+    GLANCE,
+    PRINT_EVERY,
+    Glance,
+    glance,
+    picture,
+    print_sessions,
+    session_object,
+    show_live,
+    tell,
+    top_object,
+)
+from manyhands.launch.run.display import COLUMNS
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Duration, Instant
 
-from .looked import ABOUT, MS, Frames, condition, telemetry
+from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 
 
 def minute(extra: dict[int, list[bytes]] | None = None, seconds: int = 3) -> dict[int, list[bytes]]:

@@ -12,17 +12,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from manyhands.launch.looking.echoing import Echo
-from manyhands.launch.looking.pacing import Pacing, sentence
-from manyhands.launch.looking.topics_named import NoTopic, find_topic, named_topics, session_of
+from manyhands.launch.observe.topics import EchoLines, NoTopic, Pacing, find_topic, named_topics, sentence, session_of
 from manyhands.nodes.observer.scene import Scene
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import Recorded
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
-from manyhands.protocol.topics import TOPICS
 
-from .looked import ABOUT, MS, condition, telemetry
+from ...support.observed_frames import ABOUT, MS, condition, telemetry
 
 
 def read(frame: bytes) -> Observation | Condition | None:
@@ -72,7 +70,7 @@ class TestNames:
 
 
 def echoed(name: str, *frames: bytes, **options: Any) -> list[Any]:
-    echo = Echo(find_topic(ABOUT, name), ABOUT.period, **options)
+    echo = EchoLines(find_topic(ABOUT, name), ABOUT.period, **options)
     return [json.loads(line, parse_constant=pytest.fail) for frame in frames for line in echo.lines(read(frame), 1234)]
 
 
@@ -109,7 +107,7 @@ class TestEcho:
         assert line["states"]["cx"] == "running"
 
     def test_what_is_no_number_is_null_and_what_does_not_fit_is_left_out(self) -> None:
-        echo = Echo(find_topic(ABOUT, "d/sample"), ABOUT.period)
+        echo = EchoLines(find_topic(ABOUT, "d/sample"), ABOUT.period)
 
         def lines(tick: int, trace: list[list[float]]) -> list[str]:
             return list(echo.lines(Observation("d", tick, {}, {"x": np.array(trace)}), 0))
@@ -183,7 +181,7 @@ def test_a_line_is_what_a_recording_has(name: str, tmp_path: Path) -> None:
     nodes = ABOUT.nodes
     roles, ports = {n: node.role for n, node in nodes.items()}, {n: node.ports for n, node in nodes.items()}
     core = RecorderCore(Recorded(ABOUT.session, ABOUT.id, ABOUT.period, "simulated", roles, ports, tuple(ABOUT.masses)))
-    data, echo = core.cut(), Echo(find_topic(ABOUT, name), ABOUT.period)
+    data, echo = core.cut(), EchoLines(find_topic(ABOUT, name), ABOUT.period)
     lines: list[str] = []
     for tick in (100, 200):
         frame = telemetry(name.split("/")[0], tick, late=1.0)

@@ -13,19 +13,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from manyhands.design.statespace import StateSpace
-from manyhands.launch.access import Capability, capability_violations, observed
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.loop import haptic_loop
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.design.models.statespace import StateSpace
+from manyhands.launch.plan.access import Capability, capability_violations, observed
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared, haptic_loop, prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle
-from manyhands.nodes.greeting import bind_links
+from manyhands.nodes.peer_link import bind_links
 from manyhands.protocol.channels import CHANNELS, Rate
 from manyhands.protocol.messages import Role
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 SIGNALS = {channel.name: channel for channel in CHANNELS.values() if channel.rate is Rate.EVERY_TICK}
 
 Grant = tuple[str, str, str, str]
@@ -113,7 +112,7 @@ def of_couplings(session: Session, grants: set[Grant]) -> set[Grant]:
 
 
 def bundles_of(prepared: Prepared) -> dict[str, Bundle]:
-    return cut(prepared, Run(SIMULATED, Path(), ""))
+    return cut(prepared, RunPlan(SIMULATED, Path(), ""))
 
 
 def whole(prepared: Prepared) -> tuple[StateSpace, dict[str, int]]:

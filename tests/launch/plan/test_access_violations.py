@@ -16,14 +16,13 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import identity, save
-from manyhands.launch.access import capability_violations
 from manyhands.launch.cli import app
-from manyhands.launch.loop import haptic_loop
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.access import capability_violations
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import haptic_loop, prepare
 from manyhands.launch.session import Session, SessionError, load_session
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 GIVEN = ["design.coupling=given", "design.stiffness=705", "design.damping=0.037"]
 
 

@@ -10,23 +10,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.statespace import StateSpace
-from manyhands.launch import bundles
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.port_bounds import limits_at, tool_bounds
-from manyhands.launch.preparation import prepare
+from manyhands.design.models.statespace import StateSpace
+from manyhands.launch.plan import bundles
+from manyhands.launch.plan.bundles import RunPlan, cut, limits_at, tool_bounds
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
+from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.feedthrough import feedthrough_digest
-from manyhands.nodes.greeting import bounds_by_peer
+from manyhands.nodes.peer_link import bounds_by_peer
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
 from manyhands.protocol.messages import Role, Telemetry, Tool
 from tests.support.gates import admit
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 OVERRIDES = (
     "devices.dx.limits={force: 1, displacement: 0.1, speed: 2}",
     "devices.dy.limits={force: 3, displacement: 0.2, speed: 4}",
@@ -50,7 +49,7 @@ def test_limits_are_those_of_the_ports_in_their_order() -> None:
 
 def test_each_bundle_holds_the_limits_of_its_own_ports_and_the_environment_none(tmp_path: Path) -> None:
     prepared = prepare(session())
-    cuts = cut(prepared, Run("simulated", tmp_path, ""))
+    cuts = cut(prepared, RunPlan("simulated", tmp_path, ""))
     for name, expected in (("dy", (3.0, 0.2, 4.0)), ("cz", (5.0, 0.3, 6.0))):
         bundle = cuts[name]
         assert isinstance(bundle, (DeviceBundle, CouplingBundle))
@@ -99,7 +98,7 @@ def test_bounds_are_in_the_sessions_order_whatever_that_of_the_blocks() -> None:
 @pytest.fixture(scope="module")
 def environment() -> EnvironmentBundle:
     """The environment of one block over all ports."""
-    bundle = cut(prepare(HELD), Run("simulated", None, ""))["environment"]
+    bundle = cut(prepare(HELD), RunPlan("simulated", None, ""))["environment"]
     assert isinstance(bundle, EnvironmentBundle)
     return bundle
 
@@ -138,7 +137,7 @@ def test_a_block_without_a_bound_leaves_its_ports_without_one(tmp_path: Path) ->
     magnitude, step = tool_bounds(prepared.session, blocks)
     assert [bound is None for bound in magnitude] == [False, True, False]
     assert [bound is None for bound in step] == [False, True, False]
-    cuts = cut(dataclasses.replace(prepared, blocks=blocks), Run("simulated", tmp_path, ""))
+    cuts = cut(dataclasses.replace(prepared, blocks=blocks), RunPlan("simulated", tmp_path, ""))
     environment = cuts["environment"]
     assert isinstance(environment, EnvironmentBundle)
     save(environment, tmp_path / "environment")
@@ -152,7 +151,7 @@ def test_a_block_without_a_bound_leaves_its_ports_without_one(tmp_path: Path) ->
 def test_telemetry_comes_ten_times_a_second_or_as_often_as_its_traces_need(monkeypatch: pytest.MonkeyPatch) -> None:
     def ticks(period: float, name: str) -> int:
         prepared = prepare(load_session(SESSIONS / "example1-centralised.yaml", [f"period={period}"]), uncertified=True)
-        return cut(prepared, Run("simulated", None, ""))[name].common.telemetry_ticks
+        return cut(prepared, RunPlan("simulated", None, ""))[name].common.telemetry_ticks
 
     assert [ticks(period, "c") for period in (0.05, 0.001, 0.0001)] == [2, 100, 1000]
     monkeypatch.setattr(bundles, "MOST_TRACE_VALUES", 1200)

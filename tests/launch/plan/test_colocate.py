@@ -10,16 +10,16 @@ import pytest
 from rich.console import Console
 
 from manyhands.launch.graph import graph_object, show_session
-from manyhands.launch.placement import placement
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import reach
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import placement, topology
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session, SessionError, load_session
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import ENVIRONMENT, topology
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 TICKS = 250
 
 

@@ -17,11 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.keying import run_keys
-from manyhands.launch.keys import Keys, Made, ephemeral, load_folder, make_keys
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.keys import Keys, Made, ephemeral, load_folder, make_keys, run_keys
+from manyhands.launch.plan.topology import roster, topology
 from manyhands.launch.session import Session
-from manyhands.launch.shipped import load_named
-from manyhands.launch.topology import roster, topology
 from manyhands.protocol.keys import KeyFileError, KeyPair, PublicKeys, load_private, new_pair, save_private
 from manyhands.protocol.messages import Role
 
@@ -398,7 +397,7 @@ def test_a_file_is_no_folder(folder: Path) -> None:
 
 def test_too_many_keys_are_refused_before_any_is_made(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_keys(TWO, folder)
-    monkeypatch.setattr("manyhands.launch.keys.MAX_KEYS", 8)
+    monkeypatch.setattr("manyhands.launch.plan.keys.MAX_KEYS", 8)
     more = session_of(["dx", "dz"], ["watch"])
     assert "found 7 keys, 2 of them of nobody in the session; expected at most 8" in refusal(more, folder)
 

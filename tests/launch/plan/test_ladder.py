@@ -12,8 +12,8 @@ import pytest
 
 from manyhands.design.certificate import content, save
 from manyhands.design.proof import prove
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import (
@@ -25,7 +25,7 @@ from manyhands.nodes.bundle import (
     EnvironmentBundle,
 )
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 SINGLE = "design.ladder=[0.0006]"
 
 
@@ -125,7 +125,7 @@ def test_what_has_no_rung_is_told() -> None:
 def test_a_run_that_nothing_proves_has_no_ladder(tmp_path: Path) -> None:
     stiff = prepare(example("design.coupling=given", "design.stiffness=3000", SINGLE), uncertified=True)
     assert stiff.ladder is None
-    bundles = cut(stiff, Run("simulated", tmp_path, ""))
+    bundles = cut(stiff, RunPlan("simulated", tmp_path, ""))
     for bundle in bundles.values():
         assert not isinstance(bundle, DeviceBundle | CouplingBundle) or len(bundle.rungs) == 1
 
@@ -136,12 +136,12 @@ def test_a_run_that_nothing_proves_has_no_ladder(tmp_path: Path) -> None:
 def test_each_process_is_given_its_own_part_of_every_rung(prepared: Prepared, tmp_path: Path) -> None:
     ladder = prepared.ladder
     assert ladder is not None
-    bundles = cut(prepared, Run("simulated", tmp_path, ""))
+    bundles = cut(prepared, RunPlan("simulated", tmp_path, ""))
     environment = bundles["environment"]
     assert isinstance(environment, EnvironmentBundle)
     assert environment.Phi_E is ladder.Phi_E
     other = dataclasses.replace(ladder, Phi_E=0.5 * ladder.Phi_E)  # as where rung 0's own does not serve all
-    mixed = cut(dataclasses.replace(prepared, ladder=other), Run("simulated", tmp_path, ""))["environment"]
+    mixed = cut(dataclasses.replace(prepared, ladder=other), RunPlan("simulated", tmp_path, ""))["environment"]
     assert isinstance(mixed, EnvironmentBundle)
     assert mixed.Phi_E is other.Phi_E
     for i, (device_name, name, osp) in enumerate((("dx", "cx", 1.37), ("dy", "cy", 1.5), ("dz", "cz", 2.5))):
@@ -170,7 +170,7 @@ def test_the_environment_is_given_the_longest_delay_that_the_session_can_cover(
     assert prepared.ladder is not None
     faults = prepared.session.faults.model_copy(update={"breach": breach})
     wished = dataclasses.replace(prepared, session=prepared.session.model_copy(update={"faults": faults}))
-    environment = cut(wished, Run("realtime", tmp_path, ""))["environment"]
+    environment = cut(wished, RunPlan("realtime", tmp_path, ""))["environment"]
     assert isinstance(environment, EnvironmentBundle)
     assert environment.longest_tau == prepared.ladder.taus[rung]
 
@@ -185,7 +185,7 @@ def test_digits_within_a_longer_number_are_no_number() -> None:
 
 
 def test_no_bundle_has_anothers_part_of_a_rung(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", tmp_path, ""))
+    bundles = cut(prepared, RunPlan("simulated", tmp_path, ""))
     known = {}
     for name, bundle in bundles.items():
         bundle_files.save(bundle, tmp_path / name)
@@ -207,14 +207,14 @@ def test_no_bundle_has_anothers_part_of_a_rung(prepared: Prepared, tmp_path: Pat
 
 @pytest.mark.parametrize("name", ["dx", "cx", "environment"])
 def test_rungs_round_trip_exactly(prepared: Prepared, name: str, tmp_path: Path) -> None:
-    bundle = cut(prepared, Run("simulated", tmp_path, ""))[name]
+    bundle = cut(prepared, RunPlan("simulated", tmp_path, ""))[name]
     bundle_files.save(bundle, tmp_path / "a")
     bundle_files.save(bundle_files.load(tmp_path / "a", type(bundle)), tmp_path / "b")
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_rungs_that_do_not_fit_their_node_are_refused(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", tmp_path, ""))
+    bundles = cut(prepared, RunPlan("simulated", tmp_path, ""))
     device, coupling, environment = bundles["dx"], bundles["cx"], bundles["environment"]
     assert isinstance(device, DeviceBundle)
     assert isinstance(coupling, CouplingBundle)
@@ -248,7 +248,7 @@ def test_rungs_that_do_not_fit_their_node_are_refused(prepared: Prepared, tmp_pa
 
 @pytest.mark.parametrize("tau", [True, "0.1", None, -1.0, 1e-5])
 def test_a_file_with_a_delay_that_is_none_is_no_bundle(prepared: Prepared, tau: object, tmp_path: Path) -> None:
-    bundle_files.save(cut(prepared, Run("simulated", tmp_path, ""))["dx"], tmp_path / "dx")
+    bundle_files.save(cut(prepared, RunPlan("simulated", tmp_path, ""))["dx"], tmp_path / "dx")
     data = json.loads((tmp_path / "dx").read_text())
     data["longer"][1]["tau"] = tau
     (tmp_path / "dx").write_text(json.dumps(data))

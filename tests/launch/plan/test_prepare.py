@@ -9,10 +9,10 @@ import pytest
 
 from manyhands.design.certificate import from_content, identity, save
 from manyhands.design.errors import CertificateError
-from manyhands.launch.preparation import NotCertified, prepare, read_certificate
+from manyhands.launch.plan.prepare import NotCertified, prepare, read_certificate
 from manyhands.launch.session import load_session
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 GIVEN = ["design.coupling=given", "design.stiffness=705", "design.damping=0.037"]
 
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.keys import ephemeral
-from manyhands.launch.plan import Plan
-from manyhands.launch.reach import Listen, ReachError, reach
+from manyhands.launch.plan.keys import ephemeral
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.reach import Listen, ReachError, reach
+from manyhands.launch.plan.topology import roster, topology
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.topology import roster, topology
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry]}}"
 
 

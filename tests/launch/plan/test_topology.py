@@ -6,9 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.loop import haptic_loop
+from manyhands.launch.plan.prepare import haptic_loop
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import Session
-from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.protocol.messages import Role
 
 

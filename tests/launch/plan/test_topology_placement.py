@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.placement import placement
+from manyhands.launch.plan.topology import placement, topology
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import ENVIRONMENT, topology
+from manyhands.launch.session.session import ENVIRONMENT
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 @pytest.mark.parametrize(

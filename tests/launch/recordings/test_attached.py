@@ -17,29 +17,29 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.conductor import Phase
-from manyhands.launch.gallery import Showing, describe
-from manyhands.launch.looking.sessions import NoSession, Running, session_in
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.observe.sessions import NoSession, Running, session_in
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.attached import (
     AttachedCore,
     Ending,
-    Supervisor,
+    SupervisorWatch,
     attachments_in,
     recorded_of,
     write_down,
 )
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import read_run
-from manyhands.launch.run_directory import SessionDirectory, kept_files, run_directory
+from manyhands.launch.run.broadcast import Showing, describe
+from manyhands.launch.run.directory import SessionDirectory, kept_files, run_directory
+from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 
-from .recordings_made import ATTACHED, RECORDED, STARTED, condition, frames, observation
+from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, frames, observation
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +83,7 @@ def written(
 
 def test_it_begins_where_it_came_in(tmp_path: Path) -> None:
     core = core_of()
-    shown = [*list(frames(30, 5))[9:], condition(Phase.OVER.value)]
+    shown = [*list(frames(30, 5))[9:], condition(SessionPhase.OVER.value)]
     pieces = written(core, shown, gone=False)
     assert (core.ending, core.beginning, core.tick, core.missing) == (Ending.OVER, {"dx": 15}, 30, {})
     path = tmp_path / "run.mcap"
@@ -95,7 +95,7 @@ def test_it_begins_where_it_came_in(tmp_path: Path) -> None:
 
 
 def test_it_writes_at_least_once_a_second_and_what_is_written_can_be_read() -> None:
-    pieces = written(core_of(), [*frames(40, 5), condition(Phase.OVER.value)])
+    pieces = written(core_of(), [*frames(40, 5), condition(SessionPhase.OVER.value)])
     assert len(pieces) == len(list(frames(40, 5))) // 4 + 1
     assert all(pieces)
 
@@ -130,7 +130,7 @@ def test_it_ends_when_the_supervisor_is_gone_and_has_what_came_before() -> None:
 
 def test_silence_alone_is_no_end() -> None:
     core = core_of()
-    written(core, [None, None, observation("dx", 5, 5), None, condition(Phase.OVER.value)], gone=False)
+    written(core, [None, None, observation("dx", 5, 5), None, condition(SessionPhase.OVER.value)], gone=False)
     assert (core.ending, core.tick) == (Ending.OVER, 5)
 
 
@@ -178,7 +178,7 @@ def test_a_supervisor_is_gone_with_its_description_or_with_its_process(prepared:
     with run_directory() as directory:
         about = describe(prepared, "realtime", "ipc", 0)
         about.save(directory)
-        supervisor = Supervisor(Running(directory, about))
+        supervisor = SupervisorWatch(Running(directory, about))
         assert not supervisor.gone()
         (directory / "about.json").unlink()
         assert supervisor.gone()
@@ -190,7 +190,7 @@ def test_a_process_that_ends_is_gone_though_its_directory_is_left(prepared: Prep
         about = replace(describe(prepared, "realtime", "ipc", 0), pid=it.pid)
         about.save(directory)
         running = Running(directory, about)
-        supervisor = Supervisor(running)
+        supervisor = SupervisorWatch(running)
         assert not supervisor.gone()
         it.kill()
         os.waitid(os.P_PID, it.pid, os.WEXITED | os.WNOWAIT)  # not yet reaped
@@ -198,7 +198,7 @@ def test_a_process_that_ends_is_gone_though_its_directory_is_left(prepared: Prep
         supervisor.close()
         it.wait()
         with pytest.raises(NoSession, match="it is over"):
-            Supervisor(running)
+            SupervisorWatch(running)
 
 
 @pytest.mark.parametrize(

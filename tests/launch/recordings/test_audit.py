@@ -12,29 +12,35 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import from_content, to_json
-from manyhands.launch.bundles import Run as Way
-from manyhands.launch.bundles import cut
 from manyhands.launch.cli import app
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recordings.agreement import bounded
-from manyhands.launch.recordings.audit import Audit, audit
-from manyhands.launch.recordings.coupling_again import recompute_coupling
-from manyhands.launch.recordings.course import Course, course_of
-from manyhands.launch.recordings.device_again import recompute_device
-from manyhands.launch.recordings.findings import Check, Gap, Verdict, compare
+from manyhands.launch.plan.bundles import RunPlan as Way
+from manyhands.launch.plan.bundles import cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.recordings.audit import Audit, audit, bounded
+from manyhands.launch.recordings.audit_coupling import recompute_coupling
+from manyhands.launch.recordings.audit_device import recompute_device
+from manyhands.launch.recordings.events import Course, course_of
+from manyhands.launch.recordings.findings import Check, UncheckedTicks, Verdict, compare
 from manyhands.launch.recordings.integrity import findings
-from manyhands.launch.recordings.rows import Figures, there
-from manyhands.launch.recordings.run import read_run
+from manyhands.launch.recordings.run import Figures, read_run, there
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE
-from manyhands.protocol.topics import LEDGER, TAU
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
+from manyhands.protocol.channels import LEDGER, TAU
 
-from .recorded import SESSIONS, attachments_of, forged, prepared_as, recorded_of, simulated, written
+from ...support.simulated_recordings import (
+    SESSIONS,
+    attachments_of,
+    forged,
+    prepared_as,
+    recorded_of,
+    simulated,
+    written,
+)
 
 TICKS = 330  # no multiple of the ticks between two telemetry messages
 AT = 217
@@ -345,7 +351,7 @@ def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepare
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
-    assert course(bundle, lost, x).unknown == [Gap(130, 330, "it had rows missing, and no event says why")]
+    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event says why")]
 
 
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
@@ -386,7 +392,7 @@ def test_a_coupling_killed_before_it_could_report_is_not_called_forged(prepared:
 
 
 def test_a_recording_from_before_the_events_is_audited() -> None:
-    path = Path(__file__).parent / "data" / "recording-0.6.0.mcap"
+    path = Path(__file__).parents[1] / "data" / "recording-0.6.0.mcap"
     run = read_run(path)
     assert not any("@" in name for told in run.figures.values() for _, figures in told for name in figures)
     done = audited(path)

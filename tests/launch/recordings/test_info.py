@@ -19,7 +19,7 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
 
-from .recordings_made import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
+from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from manyhands.launch.recordings.integrity import Damage, findings
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.core import RecorderCore
 
-from .recordings_made import ALONE, ATTACHED, RECORDED, STARTED, recording
+from ...support.small_recordings import ALONE, ATTACHED, RECORDED, STARTED, recording
 
 MAGIC = 8
 HEADER, CHUNK, INDEX, ATTACHMENT, METADATA, DATA_END = 1, 6, 7, 9, 12, 15  # opcodes

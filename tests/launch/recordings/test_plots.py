@@ -14,42 +14,38 @@ from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
 from manyhands.launch.files import TargetError
-from manyhands.launch.incidents import MOST_INCIDENTS, Incidents
 from manyhands.launch.recordings import plots
-from manyhands.launch.recordings.curves import (
-    COLUMNS,
-    Curve,
-    Panel,
-    alone,
-    backward_difference,
-    band,
-    gaps,
-    thinned,
-)
-from manyhands.launch.recordings.pictures import (
+from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
+from manyhands.launch.recordings.plots import (
+    MOST_LINES,
+    MOST_MARKS_LISTED,
     QUANTITIES,
     Mark,
     NotDrawable,
     Picture,
     between,
+    figure_of,
+    label,
     marks_of,
     picture_of_recording,
     picture_of_run,
+    plain,
+    write_picture,
 )
-from manyhands.launch.recordings.plots import MOST_LINES, MOST_MARKS_LISTED, figure_of, label, plain, write_picture
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.recordings.run import Run, Trace
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
+from manyhands.launch.run.states import MOST_INCIDENTS, Incidents
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, Recorded
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, Recorded
+from manyhands.protocol.channels import TOPICS, topics_of
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role
-from manyhands.protocol.topics import TOPICS, topics_of
 
 PERIOD = 1e-3
 Array = np.ndarray
 
 
-def of_users(count: int, ticks: int, clock: str = "realtime", ledgers: bool = True, **more: object) -> Run:
+def of_users(count: int, ticks: int, clock: str = "realtime", ledgers: bool = True, **more: object) -> RecordedRun:
     """A run of ``count`` users, every trace its own wave."""
     names = [f"u{i}" for i in range(count)]
     roles = {**{f"d-{n}": Role.DEVICE for n in names}, **{f"c-{n}": Role.COUPLING for n in names}}
@@ -64,9 +60,9 @@ def of_users(count: int, ticks: int, clock: str = "realtime", ledgers: bool = Tr
             columns = topic.columns_of(ports[node], ("hub",))
             waves = [np.sin((1 + number + 0.1 * i) * time) for i in range(len(columns))]
             values = np.stack(waves, axis=1) if topic.name != "tau" else 300.0 + 10.0 * waves[0][:, None]
-            traces[node, topic.name] = Trace(topic, columns, values)
+            traces[node, topic.name] = RecordedTrace(topic, columns, values)
     recorded = Recorded("study", "0123456789abcdef", PERIOD, clock, roles, ports)
-    return Run(recorded, traces, **more)  # type: ignore[arg-type]  # as each test wants it
+    return RecordedRun(recorded, traces, **more)  # type: ignore[arg-type]  # as each test wants it
 
 
 def titles(axes: Sequence[Axes]) -> list[str]:

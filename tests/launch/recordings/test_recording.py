@@ -11,7 +11,7 @@ import pytest
 
 from manyhands.launch.files import TargetError
 from manyhands.launch.recordings.recording import Collector, Recording, RecordingError, require_suffix
-from manyhands.launch.recordings.saved import read_saved
+from manyhands.launch.recordings.tables import read_saved
 
 X = np.array([[0.1, 1 / 3], [0.2, -2.0], [0.3, 1e-300]])
 

@@ -11,17 +11,24 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recordings.hands import GivenMotion
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.replay import Replayed, replay
+from manyhands.launch.recordings.replay import GivenMotion, Replayed, replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence, Simulation
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE
-from manyhands.protocol.topics import DISPLACEMENT, FORCE, LEDGER
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, LEDGER
 
-from .recorded import SESSIONS, attachments_of, forged, prepared_as, recorded_of, simulated, written
+from ...support.simulated_recordings import (
+    SESSIONS,
+    attachments_of,
+    forged,
+    prepared_as,
+    recorded_of,
+    simulated,
+    written,
+)
 
 TICKS = 330  # no multiple of the ticks between two telemetry messages
 

@@ -12,11 +12,11 @@ import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
 
-from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run
+from manyhands.launch.recordings.tables import read_recording
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import Recorded
+from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role
 

@@ -16,12 +16,12 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.recordings.export import FORMATS, chosen, column_names, export
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import Run, read_run
+from manyhands.launch.recordings.run import RecordedRun, read_run
+from manyhands.launch.recordings.tables import FORMATS, chosen, column_names, export
 from manyhands.nodes.recorder.core import RecorderCore
 
-from .recordings_made import RECORDED, STARTED, cut_recording, observation
+from ...support.small_recordings import RECORDED, STARTED, cut_recording, observation
 
 NAMES = [
     *("dx.sample[x]_m", "dx.force[x]_N", "dx.ledger[E]_J", "dx.tau[τ]_us"),
@@ -50,7 +50,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def values_of(run: Run) -> dict[str, np.ndarray]:
+def values_of(run: RecordedRun) -> dict[str, np.ndarray]:
     return {
         name: trace.values[:, place]
         for (node, _), trace in run.traces.items()

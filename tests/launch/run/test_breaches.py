@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.policy import (
+from manyhands.launch.run.breaches import (
     CALM,
     IN_A_ROW,
     MARGIN,

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.audience import Audience, visible
-from manyhands.launch.reach import IPC
+from manyhands.launch.plan.reach import IPC
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.broadcast import ObserverBroadcast, visible
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.topology import topology
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Telemetry
 from tests.support.memory_transport import MemoryTransport
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 X, F, P = (np.arange(4.0).reshape(4, 1) + offset for offset in (0.0, 10.0, 20.0))
 OF_DEVICE = Telemetry(7, {"speed": 0.5, "late": 1.0}, {"x": X, "f_v": F})
 OF_COUPLING = Telemetry(8, {"ledger": 0.1}, {"p": P, "f_v": F})
@@ -51,7 +51,7 @@ def test_nothing_is_said_where_nothing_may_be_read() -> None:
 
 def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
     told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
-    audience, transport = Audience(told), MemoryTransport()
+    audience, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = audience.serve(transport, IPC, topology(told))
     links = {name: transport.connect_outlet(endpoint, "supervisor") for name, endpoint in endpoints.items()}
     audience.tell("dx", OF_DEVICE)
@@ -66,7 +66,7 @@ def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> Non
 
 def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
     told = session("{watch: {reads: [telemetry]}}")
-    audience, transport = Audience(told), MemoryTransport()
+    audience, transport = ObserverBroadcast(told), MemoryTransport()
     audience.serve(transport, IPC, topology(told))
     for _ in range(3):
         audience.tell("dx", OF_DEVICE)
@@ -90,7 +90,7 @@ def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
     assert isinstance(full, Telemetry)
     with pytest.raises(ValueError, match="found a frame of"):
         encode(Observation("dx", full.tick, full.figures, full.traces))
-    audience, transport = Audience(told), MemoryTransport()
+    audience, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = audience.serve(transport, IPC, topology(told))
     link = transport.connect_outlet(endpoints["watch"], "supervisor")
     audience.tell("dx", full)

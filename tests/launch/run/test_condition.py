@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.conductor import Phase
-from manyhands.launch.gallery import Showing, condition_frame
-from manyhands.launch.outcome import Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
-from manyhands.launch.recorder import Recorder
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.run.broadcast import Showing, condition_frame
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.recorder import Recorder
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SENTENCES, MAX_TEXT
 from manyhands.protocol.messages import Condition
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class Ear(Recorder):
@@ -47,7 +47,9 @@ def prepared() -> Prepared:
 
 
 def progress(*sentences: str) -> Progress:
-    return Progress(Phase.RUNNING, {"dx": "running"}, {}, {}, 1.5, sentences, {}, frozenset(), sentences, sentences)
+    return Progress(
+        SessionPhase.RUNNING, {"dx": "running"}, {}, {}, 1.5, sentences, {}, frozenset(), sentences, sentences
+    )
 
 
 def test_one_frame_is_for_both(prepared: Prepared) -> None:

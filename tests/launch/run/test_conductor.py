@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.conductor import Conductor, Kill, NodeState, Phase, Release, Send, Terminate
-from manyhands.launch.restarts import RestartBudget
+from manyhands.launch.plan.topology import Topology, topology
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.states import Kill, NodeState, ReleaseName, Send, SessionPhase, Terminate
 from manyhands.launch.session import load_session
-from manyhands.launch.topology import Topology, topology
 from manyhands.protocol.codec import ForeignHello, Malformed
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
@@ -31,7 +32,7 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 GRAPH: Topology = topology(load_session(SESSIONS / "example1.yaml"))
 REPORT = Report(5, {}, {}, {})
 
@@ -55,7 +56,7 @@ def running(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = Fa
         c.hear(name, hello(name), 0)
     for name in GRAPH.nodes:
         c.hear(name, Ready(), 0)
-    assert c.phase is Phase.RUNNING
+    assert c.phase is SessionPhase.RUNNING
     return c
 
 
@@ -82,7 +83,7 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
         assert c.hear(name, Telemetry(1, {}, {}), 0) == []
         assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
         assert c.exited(name, 0, 0) == []
-    assert c.phase is Phase.OVER
+    assert c.phase is SessionPhase.OVER
     assert c.faults == []
     assert set(c.reports) == set(names)
 
@@ -92,12 +93,12 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
 def test_a_node_that_dies_ends_the_session(state: str, code: int, words: str) -> None:
     c = running() if state == "running" else conductor()
     assert c.exited("cy", code, 0) == [Terminate()]
-    assert c.phase is Phase.ENDING
+    assert c.phase is SessionPhase.ENDING
     assert c.faults == [f"cy {words} while {state}"]
     for name in GRAPH.nodes:
         if name != "cy":
             assert c.exited(name, -15, 0) == []  # asked to end: no fault of theirs
-    assert c.phase is Phase.OVER
+    assert c.phase is SessionPhase.OVER
     assert len(c.faults) == 1
 
 
@@ -158,7 +159,7 @@ def test_a_strangers_hello_is_refused_and_the_session_goes_on() -> None:
     assert isinstance(out, Send)
     assert isinstance(out.message, Refusal)
     assert c.faults == []
-    assert c.phase is Phase.STARTING
+    assert c.phase is SessionPhase.STARTING
 
 
 def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
@@ -168,7 +169,7 @@ def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
     for name in GRAPH.nodes:
         assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
         c.exited(name, 0, 0)
-    assert c.phase is Phase.OVER
+    assert c.phase is SessionPhase.OVER
     assert c.faults == []
 
 
@@ -213,11 +214,11 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     c = running(ticks=ticks)
     report = Report(4, {}, {}, {})
     assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), Terminate()]
-    assert c.phase is Phase.ENDING
+    assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
     for name in GRAPH.nodes:
         assert c.exited(name, 0, 0) == []
-    assert c.phase is Phase.OVER
+    assert c.phase is SessionPhase.OVER
     assert len(c.faults) == 1
     assert c.reports == {"dx": report}
 
@@ -226,8 +227,8 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
 def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(ticks: int) -> None:
     c = running("dx", ticks=ticks, restarts=1)
     report = Report(4, {}, {}, {})
-    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), Release("dx"), Send("cx", Absent("dx"))]
-    assert (c.phase, c.states["dx"], c.faults) == (Phase.RUNNING, NodeState.LOST, [])
+    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
+    assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
     assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
     assert (c.left, c.reports) == ({"dx": report}, {})  # nobody waits for the others to be done, too
     c.hear("cx", Offer("dx", "ipc://cx-dx.1"), 0)
@@ -236,7 +237,7 @@ def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(
     assert c.states["dx"] is NodeState.RUNNING
     c.hear("dx", report, 0)  # a second time is once too often
     assert c.states["dx"] is NodeState.GONE
-    assert c.phase is Phase.RUNNING
+    assert c.phase is SessionPhase.RUNNING
     assert len(c.faults) == 1
 
 
@@ -246,7 +247,7 @@ def test_a_guest_that_leaves_ends_a_session_that_is_to_stay_together_or_restarts
 ) -> None:
     c = running("dx", restarts=restarts, together=together)
     c.hear("dx", Report(4, {}, {}, {}), 0)
-    assert c.phase is Phase.ENDING
+    assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
 
 
@@ -254,8 +255,8 @@ def test_a_guest_that_ends_while_others_are_awaited_may_join_again() -> None:
     c = conductor("dx", "dy")
     c.hear("dx", hello("dx"), 0)
     assert c.awaited == ("dy",)
-    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("heard")), Release("dx")]
-    assert (c.phase, c.faults, c.awaited) == (Phase.STARTING, [], ("dx", "dy"))
+    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("heard")), ReleaseName("dx")]
+    assert (c.phase, c.faults, c.awaited) == (SessionPhase.STARTING, [], ("dx", "dy"))
     assert c.incidents.sentences == ("dx: its user ended it; the session waits for dx again",)
     for name in GRAPH.nodes:
         c.hear(name, hello(name), 0)
@@ -268,7 +269,7 @@ def test_but_not_where_its_peers_already_shake_hands_with_it_or_all_stay_togethe
     for name in ["dx"] if together else GRAPH.nodes:
         c.hear(name, hello(name), 0)
     c.hear("dx", Fault("dx: its user ended it"), 0)
-    assert c.phase is Phase.ENDING
+    assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx: its user ended it"]
 
 
@@ -298,26 +299,26 @@ class Test_nodes_that_are_started_elsewhere:
         for name in GRAPH.nodes:
             c.hear(name, REPORT, 0)
             if name != "dx":
-                assert c.phase is Phase.RUNNING
+                assert c.phase is SessionPhase.RUNNING
                 c.exited(name, 0, 0)
         assert c.states["dx"] is NodeState.ENDED
-        assert c.phase is Phase.OVER
+        assert c.phase is SessionPhase.OVER
         assert c.faults == []
 
     def test_its_fault_is_its_own_and_it_may_come_back(self) -> None:
         c = running("dx", restarts=1)
         assert c.hear("dx", Fault("dx: broken"), 0) == [
             Send("dx", Stop("heard")),
-            Release("dx"),
+            ReleaseName("dx"),
             Send("cx", Absent("dx")),
         ]
-        assert (c.phase, c.states["dx"], c.faults) == (Phase.RUNNING, NodeState.LOST, [])
+        assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
         assert c.incidents.sentences == ("at -0.0 s: dx failed: dx: broken",)
 
     def test_its_fault_ends_a_session_that_is_to_stay_together(self) -> None:
         c = running("dx", restarts=3, together=True)
         c.hear("dx", Fault("dx: broken"), 0)
-        assert (c.phase, c.faults) == (Phase.ENDING, ["dx: broken"])
+        assert (c.phase, c.faults) == (SessionPhase.ENDING, ["dx: broken"])
 
     def test_its_fault_ends_the_session_that_restarts_nobody(self) -> None:
         c = running("dx")
@@ -338,7 +339,7 @@ class Test_nodes_that_are_started_elsewhere:
         for name in GRAPH.nodes:
             if name != "dx":
                 c.exited(name, 0, 0)
-        assert c.phase is Phase.OVER
+        assert c.phase is SessionPhase.OVER
         assert len(c.faults) == 1
 
     def test_one_that_went_silent_may_not_come_back(self) -> None:
@@ -365,9 +366,9 @@ class Test_nodes_that_are_started_elsewhere:
         c.interrupt()
         for name in GRAPH.nodes:
             if name != "dx":
-                assert c.phase is Phase.ENDING
+                assert c.phase is SessionPhase.ENDING
                 c.exited(name, 0, 0)
-        assert c.phase is Phase.OVER
+        assert c.phase is SessionPhase.OVER
 
     def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
         c = running("dx")
@@ -375,19 +376,19 @@ class Test_nodes_that_are_started_elsewhere:
         for name in GRAPH.nodes:
             if name != "dx":
                 c.exited(name, 0, 0)
-        assert c.phase is Phase.ENDING
+        assert c.phase is SessionPhase.ENDING
         assert c.too_late() == [Kill()]
-        assert c.phase is Phase.OVER
+        assert c.phase is SessionPhase.OVER
         assert c.faults == []
 
     def test_all_of_them_may_be_elsewhere(self) -> None:
         c = running(*GRAPH.nodes)
         for name in GRAPH.nodes:
             c.hear(name, REPORT, 0)
-        assert c.phase is Phase.OVER
+        assert c.phase is SessionPhase.OVER
         never = conductor(*GRAPH.nodes)
         never.interrupt()
-        assert never.phase is Phase.OVER
+        assert never.phase is SessionPhase.OVER
 
     @pytest.mark.parametrize("changes", [{"certificate": "other"}, {"session": "else"}, {"version": 1}])
     def test_one_that_does_not_belong_is_refused_and_ends_the_session(self, changes: dict[str, object]) -> None:
@@ -415,7 +416,7 @@ class Test_observers:
             assert c.hear("watch", observer("watch"), 0) == [
                 Send("watch", Welcome()),
                 Send("watch", Connect({"supervisor": "ipc:///s/watch"})),
-                Release("watch"),
+                ReleaseName("watch"),
             ]
         assert c.hear("scope", observer("scope"), 0)[1] == Send("scope", Connect({"supervisor": "ipc:///s/scope"}))
         assert (dict(c.states), c.phase) == before
@@ -445,8 +446,8 @@ class Test_observers:
         c = running()
         out = c.hear("watch", observer("watch", **changes), 0)
         assert refused(list(out)) is code
-        assert out[1:] == [Release("watch")]
-        assert (c.phase, c.faults, c.ignored) == (Phase.RUNNING, [], 1)
+        assert out[1:] == [ReleaseName("watch")]
+        assert (c.phase, c.faults, c.ignored) == (SessionPhase.RUNNING, [], 1)
 
     def test_whatever_else_it_says_is_counted_and_not_heard(self) -> None:
         c = running()
@@ -456,7 +457,7 @@ class Test_observers:
         for message in said:
             assert c.hear("watch", message, 0) == []
         assert c.ignored == len(said)
-        assert (dict(c.states), c.phase, c.faults, c.reports) == (before, Phase.RUNNING, [], {})
+        assert (dict(c.states), c.phase, c.faults, c.reports) == (before, SessionPhase.RUNNING, [], {})
 
     def test_a_name_that_is_no_observers_is_refused_as_a_stranger(self) -> None:
         c = running()

@@ -18,8 +18,8 @@ import pytest
 
 from manyhands.design.certificate import load
 from manyhands.launch.files import TargetError
-from manyhands.launch.preparation import prepare
-from manyhands.launch.run_directory import (
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.run.directory import (
     SessionDirectory,
     is_bare,
     require_new,
@@ -29,7 +29,7 @@ from manyhands.launch.run_directory import (
 )
 from manyhands.launch.session import load_session
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 def mode(path: Path) -> int:
@@ -124,10 +124,10 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 ENTER = "import os, sys, tempfile; tempfile.tempdir = sys.argv[1]; pid = int(sys.argv[2])\n"
-ENTER += "from manyhands.launch import run_directory as d; d.os.getpid = lambda: pid\n"
+ENTER += "from manyhands.launch.run import directory as d; d.os.getpid = lambda: pid\n"
 ENTER += "with d.run_directory() as path: print(path, flush=True); sys.stdin.read()"
 SWEEP = "import sys, tempfile; tempfile.tempdir = sys.argv[1]\n"
-SWEEP += "from manyhands.launch.run_directory import sweep_directories; sweep_directories()"
+SWEEP += "from manyhands.launch.run.directory import sweep_directories; sweep_directories()"
 
 
 def no_process() -> int:

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.incidents import Incidents
-from manyhands.launch.report import node_entry, run_report, save_json
-from manyhands.launch.summary import print_report
+from manyhands.launch.design_report import print_report
+from manyhands.launch.run.outcome import node_entry, run_report, save_json
+from manyhands.launch.run.states import Incidents
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT

@@ -13,19 +13,18 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import load
-from manyhands.launch import recorder_process
-from manyhands.launch.gallery import observation_frame
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.recorder import Recorder
-from manyhands.launch.recorder_process import RecorderProcess
-from manyhands.launch.recordings.file import read_recording
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run
-from manyhands.launch.run_directory import SessionDirectory
+from manyhands.launch.recordings.tables import read_recording
+from manyhands.launch.run import recorder as recorder_process
+from manyhands.launch.run.broadcast import observation_frame
+from manyhands.launch.run.directory import SessionDirectory
+from manyhands.launch.run.recorder import Recorder, RecorderProcess
 from manyhands.launch.session import load_session
 from manyhands.protocol.messages import Telemetry
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 ROWS = 700  # of a frame: 11 kB, which become 110 kB of messages
 FRAMES_A_CHUNK = 4  # of each of three devices: enough to fill one
 MOST_WAITING_BYTES = 400_000  # instead of the true bound, which would take minutes to read back
@@ -41,7 +40,7 @@ def prepared() -> Prepared:
     return prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)
 
 
-class Stage:
+class ReadyRecorder:
     """A recorder that is ready, and a supervisor's poll over it."""
 
     def __init__(self, recorder: RecorderProcess, folder: Path) -> None:
@@ -88,8 +87,8 @@ class Stage:
 
 
 @pytest.fixture(params=["realtime"])
-def stage(request: pytest.FixtureRequest, prepared: Prepared, tmp_path: Path) -> Iterator[Stage]:
-    out = Stage(RecorderProcess(prepared, request.param, tmp_path / "r.mcap"), tmp_path)
+def stage(request: pytest.FixtureRequest, prepared: Prepared, tmp_path: Path) -> Iterator[ReadyRecorder]:
+    out = ReadyRecorder(RecorderProcess(prepared, request.param, tmp_path / "r.mcap"), tmp_path)
     yield out
     out.close()
 
@@ -107,7 +106,7 @@ def assert_prefix(path: Path, least: int) -> int:
     return len(whole)
 
 
-def test_all_that_is_told_is_recorded(stage: Stage, tmp_path: Path) -> None:
+def test_all_that_is_told_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(3)
     stage.finish()
     assert stage.incidents == []
@@ -128,7 +127,7 @@ def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_ha
     ):
         folder = tmp_path / str(number)
         folder.mkdir()
-        stage = Stage(RecorderProcess(one, "realtime", folder / "r.mcap"), folder)
+        stage = ReadyRecorder(RecorderProcess(one, "realtime", folder / "r.mcap"), folder)
         stage.finish()
         stage.close()
         directory = SessionDirectory(folder / "kept")
@@ -144,7 +143,7 @@ def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_ha
     assert load_session(folder / "s.yaml") == certified.session
 
 
-def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: Stage, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(2 * FRAMES_A_CHUNK)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
@@ -161,7 +160,7 @@ def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage:
     assert stage.recorder.failure is None
 
 
-def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: Stage, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: ReadyRecorder, tmp_path: Path) -> None:
     """The kernel refuses the recorder what would make its file longer; tests/system has a disk that is really full."""
     assert stage.recorder.pid is not None
     resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
@@ -180,7 +179,7 @@ def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: Stage, tmp
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: Stage, tmp_path: Path) -> None:
+def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(1)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
@@ -194,7 +193,7 @@ def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: Stage, tmp_path
     assert read_recording(tmp_path / "r.mcap").cut is None
 
 
-def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: Stage, tmp_path: Path) -> None:
+def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: ReadyRecorder, tmp_path: Path) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGSTOP)
     while stage.recorder.lost == 0:
@@ -217,7 +216,7 @@ def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: S
 
 
 @simulated
-def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: Stage, tmp_path: Path) -> None:
+def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: ReadyRecorder, tmp_path: Path) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGSTOP)
     while stage.recorder.has_room:
@@ -233,7 +232,7 @@ def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: Sta
 
 
 @simulated
-def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(stage: Stage) -> None:
+def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(stage: ReadyRecorder) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGKILL)
     while stage.attend():
@@ -242,7 +241,7 @@ def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(st
     assert stage.recorder.failure == stage.incidents[0]
 
 
-def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: Stage, tmp_path: Path) -> None:
+def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: ReadyRecorder, tmp_path: Path) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGSTOP)
     os.write(stage.interrupted, b"x")
@@ -251,7 +250,7 @@ def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: Stage, tmp_path:
     assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
 
 
-def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: Stage) -> None:
+def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: ReadyRecorder) -> None:
     stage.recorder.tell(
         observation_frame("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
     )
@@ -279,7 +278,7 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
     (tmp_path / "r.mcap").write_bytes(b"an older run")
     recorder = RecorderProcess(prepared, "realtime", tmp_path / "r.mcap")
     assert (tmp_path / "r.mcap").read_bytes() == b"an older run"
-    stage = Stage(recorder, tmp_path)
+    stage = ReadyRecorder(recorder, tmp_path)
     assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
     stage.finish()
     stage.close()

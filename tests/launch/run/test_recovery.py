@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.conductor import Conductor, NodeState, Phase, Release, Send, StartProcess, Terminate
-from manyhands.launch.link_states import LINK_TRANSITIONS, LinkEvent, LinkState
-from manyhands.launch.recovery import RETURN_TIME
-from manyhands.launch.restarts import RestartBudget
-from manyhands.launch.topology import LinkPlan, Topology
+from manyhands.launch.plan.topology import LinkPlan, Topology
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, RestartBudget
+from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import (
     Absent,
@@ -29,8 +28,8 @@ from manyhands.protocol.messages import (
     Welcome,
 )
 
-from ..cases import cases
-from .fake_session import CERTIFICATE, FakeSession, hello_of
+from ...support.cases import cases
+from ...support.fake_session import CERTIFICATE, FakeSession, hello_of
 
 # dx and dy each have a coupling; dz is split between two
 NODES = {
@@ -58,7 +57,7 @@ def conductor(restarts: int = 3, *remote: str, ticks: int = TICKS) -> Conductor:
 def session(restarts: int = 3, *remote: str, ticks: int = TICKS) -> FakeSession:
     """One that runs."""
     made = FakeSession(GRAPH, conductor(restarts, *remote, ticks=ticks))
-    assert made.conductor.phase is Phase.RUNNING
+    assert made.conductor.phase is SessionPhase.RUNNING
     assert made.joined()
     return made
 
@@ -129,7 +128,7 @@ class Test_whoever_dies:
         s.settle()
         assert s.joined(), s.conductor.states
         assert s.conductor.faults == []
-        assert s.conductor.phase is Phase.RUNNING
+        assert s.conductor.phase is SessionPhase.RUNNING
         assert all(len(process.starts) == 1 for process in s.processes.values())
 
     def test_those_who_return_go_on_where_the_session_is(self) -> None:
@@ -157,7 +156,7 @@ class Test_the_order:
         told = c.exited("cx", -9, 0)
         assert told == [Send("environment", Absent("cx")), Send("dx", Absent("cx"))]
         told = c.hear("environment", Offer("cx", "ipc:///anew"), 0)
-        assert told == [Release("cx"), StartProcess("cx")]
+        assert told == [ReleaseName("cx"), StartProcess("cx")]
         told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
@@ -172,7 +171,7 @@ class Test_the_order:
         c = session().conductor
         c.exited("dx", -9, 0)
         c.exited("cx", -9, 0)
-        assert c.hear("environment", Offer("cx", "ipc:///anew"), 0) == [Release("cx"), StartProcess("cx")]
+        assert c.hear("environment", Offer("cx", "ipc:///anew"), 0) == [ReleaseName("cx"), StartProcess("cx")]
         told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
@@ -228,8 +227,9 @@ class Test_offers:
     def test_what_a_dead_process_had_said_does_not_keep_the_name_from_the_next(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
-        assert c.hear("cx", Telemetry(7, {}, {}), 0) == [Release("cx")]
-        assert c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [Release("cx")]  # a local one is not there
+        assert c.hear("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
+        # a local one is not there
+        assert c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
@@ -238,7 +238,7 @@ class Test_offers:
         c.exited("dx", -9, 0)
         c.hear("cx", Offer("dx", "ipc:///anew"), 0)
         c.started("dx", 77)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [Release("dx")]
+        assert c.hear("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [ReleaseName("dx")]
         assert c.states["dx"] is NodeState.STARTING
         assert Send("dx", Welcome()) in c.hear("dx", hello_of(GRAPH, "dx", {}, 77), 0)
 
@@ -255,7 +255,7 @@ class Test_the_budget:
             s.kill("dx")
             s.settle()
         assert s.conductor.states["dx"] is NodeState.GONE
-        assert s.conductor.phase is Phase.RUNNING
+        assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
         assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
         for victim in ("cx", "environment"):  # who are linked to it come back without it
@@ -297,12 +297,12 @@ class Test_the_budget:
     def test_when_nobody_is_left_to_go_on_with_the_session_ends(self, victims: tuple[str, ...]) -> None:
         s = session(restarts=1)
         for victim in victims:
-            assert s.conductor.phase is Phase.RUNNING
+            assert s.conductor.phase is SessionPhase.RUNNING
             for _ in range(2):
                 s.kill(victim)
                 s.settle()
         assert s.terminated
-        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.phase is SessionPhase.OVER
         assert len(s.conductor.faults) == len(victims)
 
     def test_no_process_to_be_had_is_a_death(self) -> None:
@@ -353,7 +353,7 @@ class Test_returns_that_fail:
         assert c.states["dx"] is NodeState.LEAVING
         c.exited("dx", 4, 0)
         assert c.states["dx"] is NodeState.GONE  # that was its second death
-        assert c.phase is Phase.RUNNING
+        assert c.phase is SessionPhase.RUNNING
 
     @pytest.mark.parametrize("reads", [0, 1])
     def test_one_that_takes_too_long(self, reads: int) -> None:
@@ -395,7 +395,7 @@ class Test_the_end:
         s.kill("dx")
         s.see_end()  # and cx has not made its offer
         self.done(s, *(node for node in reversed(NODES) if node != "dx"))
-        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.phase is SessionPhase.OVER
         assert s.conductor.faults == []
         assert s.conductor.incidents.total == 1
 
@@ -412,7 +412,7 @@ class Test_the_end:
         assert s.conductor.states["dx"] is NodeState.ENDED
         s.conductor.exited("environment", 0, 0)
         self.done(s, *(node for node in NODES if node not in ("dx", "environment")))
-        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.phase is SessionPhase.OVER
         assert s.conductor.faults == []
 
     def test_who_dies_after_the_environment_was_done_is_not_started_anew(self) -> None:
@@ -428,7 +428,7 @@ class Test_the_end:
         s.kill("dx")
         s.settle()
         self.done(s, *reversed(NODES))
-        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.phase is SessionPhase.OVER
         assert s.conductor.faults == []
         assert set(s.conductor.reports) == set(NODES)
 
@@ -438,7 +438,7 @@ class Test_the_end:
         assert s.conductor.too_late() == [Terminate()]
         assert s.conductor.incidents.sentences == ("dx had not finished when the session was over",)
         assert s.conductor.exited("dx", -9, 0) == []
-        assert (s.conductor.phase, s.conductor.faults) == (Phase.OVER, [])
+        assert (s.conductor.phase, s.conductor.faults) == (SessionPhase.OVER, [])
 
     def test_who_says_it_is_done_long_before_the_environment_ends_the_session(self) -> None:
         s = session()
@@ -460,7 +460,7 @@ class Test_the_end:
             s.kill(node)
         while s.see_end():
             pass
-        assert (s.conductor.phase, s.conductor.faults) == (Phase.OVER, [])
+        assert (s.conductor.phase, s.conductor.faults) == (SessionPhase.OVER, [])
 
     def test_ctrl_c_while_one_is_gone_for_good(self) -> None:
         s = session(restarts=1)
@@ -472,13 +472,13 @@ class Test_the_end:
             s.kill(node)
         while s.see_end():
             pass
-        assert s.conductor.phase is Phase.OVER
+        assert s.conductor.phase is SessionPhase.OVER
 
 
 class Test_nodes_that_are_started_elsewhere:
     def test_one_that_falls_silent_is_lost_and_may_join_again(self) -> None:
         c = session(3, "dx").conductor
-        assert c.silent("dx", 0) == [Release("dx"), Send("cx", Absent("dx"))]
+        assert c.silent("dx", 0) == [ReleaseName("dx"), Send("cx", Absent("dx"))]
         assert c.states["dx"] is NodeState.LOST
         assert c.silent("dx", 0) == []
         assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
@@ -497,7 +497,7 @@ class Test_nodes_that_are_started_elsewhere:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
         told = c.hear("dx", Telemetry(9, {}, {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), Release("dx")]
+        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
         assert c.ignored == 1
 
     def test_others_do_not_wait_for_it_to_come_back(self) -> None:
@@ -536,7 +536,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.states["dx"] is NodeState.GONE
         assert len(c.faults) == 1
         told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), Release("dx")]
+        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
 
     def test_the_wrong_bundle_is_refused_and_the_right_one_may_follow(self) -> None:
         c = session(3, "dx").conductor
@@ -544,7 +544,7 @@ class Test_nodes_that_are_started_elsewhere:
         first, last = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
         assert isinstance(first, Send)
         assert isinstance(first.message, Refusal)
-        assert last == Release("dx")
+        assert last == ReleaseName("dx")
         assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
         assert c.faults == []
 

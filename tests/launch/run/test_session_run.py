@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch import running
 from manyhands.launch.files import TargetError
-from manyhands.launch.outcome import Outcome
-from manyhands.launch.preparation import prepare
-from manyhands.launch.reach import IPC
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.run_directory import REPORT, SessionDirectory
+from manyhands.launch.run import session_run
+from manyhands.launch.run.directory import REPORT, SessionDirectory
+from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.session import load_session
 
-from .recorded import SESSIONS
+from ...support.simulated_recordings import SESSIONS
 
 OUTCOME = Outcome(
     0, (), (), {"ticks": 1}, Recording("s", "c", 1e-3, ("dx",), np.zeros((1, 1)), np.zeros((1, 1))), {}, {}
@@ -37,7 +37,7 @@ class Over:
 
 
 def write_files_of_a_run(record: Path, report: Path, kept: Path, console: Console) -> None:
-    running.run_session(
+    session_run.run_session(
         prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True),
         console,
         clock="simulated",
@@ -50,7 +50,7 @@ def write_files_of_a_run(record: Path, report: Path, kept: Path, console: Consol
 
 
 def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "Supervisor", Over)
+    monkeypatch.setattr(session_run, "Supervisor", Over)
     report, kept, shown = tmp_path / "report.json", tmp_path / "kept", StringIO()
     with pytest.raises(TargetError, match=r"r\.npz: found no folder"):
         write_files_of_a_run(tmp_path / "none" / "r.npz", report, kept, Console(file=shown))
@@ -60,7 +60,7 @@ def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, mon
 
 
 def test_every_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "Supervisor", Over)
+    monkeypatch.setattr(session_run, "Supervisor", Over)
     shown = StringIO()
     with pytest.raises(TargetError, match=r"r\.npz"):
         write_files_of_a_run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.launch.allowance import Allowance
+from manyhands.launch.run.supervisor import FrameAllowance
 from manyhands.protocol.clock import Instant
 
 SECOND = 1_000_000_000
@@ -13,7 +13,7 @@ PER_SECOND = 500
 
 
 def test_what_an_honest_session_sends_is_never_held_up() -> None:
-    allowance = Allowance(PER_SECOND, Instant(0))
+    allowance = FrameAllowance(PER_SECOND, Instant(0))
     for tenth in range(100):
         now = Instant(tenth * SECOND // 10)
         for _ in range(PER_SECOND // 20):
@@ -23,7 +23,7 @@ def test_what_an_honest_session_sends_is_never_held_up() -> None:
 
 
 def test_a_flood_is_read_at_the_stated_rate_and_in_few_sittings() -> None:
-    allowance, now, read, sittings = Allowance(PER_SECOND, Instant(0)), 0, 0, 0
+    allowance, now, read, sittings = FrameAllowance(PER_SECOND, Instant(0)), 0, 0, 0
     while now < 10 * SECOND:
         sittings += 1
         while (pause := allowance.pause(Instant(now))) == 0:
@@ -36,7 +36,7 @@ def test_a_flood_is_read_at_the_stated_rate_and_in_few_sittings() -> None:
 
 
 def test_what_was_dropped_in_one_go_has_to_be_made_up_for() -> None:
-    allowance = Allowance(PER_SECOND, Instant(0))
+    allowance = FrameAllowance(PER_SECOND, Instant(0))
     allowance.spend(3 * PER_SECOND, Instant(0))
     assert allowance.pause(Instant(0)) == 2 * SECOND + SECOND // 10
     assert allowance.pause(Instant(2 * SECOND)) == SECOND // 10
@@ -45,7 +45,7 @@ def test_what_was_dropped_in_one_go_has_to_be_made_up_for() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, SECOND), st.integers(1, 40)), max_size=60))
 def test_never_more_than_a_seconds_worth_beyond_the_rate(steps: list[tuple[int, int]]) -> None:
-    allowance, now, read, most = Allowance(PER_SECOND, Instant(0)), 0, 0, 0
+    allowance, now, read, most = FrameAllowance(PER_SECOND, Instant(0)), 0, 0, 0
     for wait, frames in steps:
         now += wait
         if allowance.pause(Instant(now)) == 0:

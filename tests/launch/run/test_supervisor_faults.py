@@ -13,36 +13,25 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from manyhands.launch.attention import Attention
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.display import LiveTable
-from manyhands.launch.incidents import MOST_INCIDENTS, Incidents
-from manyhands.launch.outcome import Progress
-from manyhands.launch.policy import Ladder
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.processes import Processes
-from manyhands.launch.reach import IPC
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import IPC
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.breaches import CertifiedLadder
+from manyhands.launch.run.display import LiveTable
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.processes import Processes
+from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
+from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, Attention, Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import TELEMETRY_SILENCE, Supervisor
-from manyhands.launch.topology import topology
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import (
-    PROTOCOL_VERSION,
-    Message,
-    NodeHello,
-    Offer,
-    Ready,
-    Role,
-    Shift,
-    Telemetry,
-)
+from manyhands.protocol.messages import PROTOCOL_VERSION, Message, NodeHello, Offer, Ready, Role, Shift, Telemetry
 from manyhands.protocol.transport import Link
 from tests.support.memory_transport import MemoryTransport
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class FakeProcesses:
@@ -97,7 +86,7 @@ class Faulty:
             self.say(name, self.hello(name, 1))
         for name in self.graph.nodes:
             self.say(name, Ready())
-        assert self.conductor.phase is Phase.RUNNING
+        assert self.conductor.phase is SessionPhase.RUNNING
 
     def hello(self, name: str, pid: int) -> NodeHello:
         binds = {link.connector: f"ipc:///s/{name}" for link in self.graph.links_of(name) if link.binder == name}
@@ -167,7 +156,7 @@ def test_a_machine_without_processes_uses_up_the_budget_and_no_more(faulty: Faul
     faulty.dies("dx")
     faulty.say("cx", Offer("dx", "ipc:///s/anew"))
     assert faulty.conductor.states["dx"] is NodeState.GONE
-    assert faulty.conductor.phase is Phase.RUNNING
+    assert faulty.conductor.phase is SessionPhase.RUNNING
     outcome = faulty.supervisor._outcome(None)
     assert outcome.code == 1
     assert "dx could not be started (Resource temporarily unavailable)" in outcome.faults[0]
@@ -183,7 +172,7 @@ def test_a_process_that_cannot_return_is_killed(faulty: Faulty) -> None:
 
 class Test_a_slow_device:
     def test_has_its_couplings_softened(self, faulty: Faulty, prepared: Prepared) -> None:
-        ladder: Ladder | None = prepared.ladder
+        ladder: CertifiedLadder | None = prepared.ladder
         assert ladder is not None
         rung = next(r for r, tau in enumerate(ladder.taus) if tau >= 300e-6)
         faulty.told()
@@ -198,7 +187,7 @@ class Test_a_slow_device:
         session = load_session(SESSIONS / "example1.yaml", ["faults.breach=stop"])
         stopped = Faulty(Prepared(session, prepared.loop, prepared.blocks, prepared.certificate, prepared.id))
         stopped.breaches("dx")
-        assert stopped.conductor.phase is Phase.ENDING
+        assert stopped.conductor.phase is SessionPhase.ENDING
         assert stopped.processes.sent == [signal.SIGTERM]
         assert stopped.supervisor._outcome(None).code == 1
         stopped.transport.close()

@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rich.console import Console
 
-from manyhands.launch.conductor import Phase
-from manyhands.launch.display import LiveTable
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import IPC, Reach
+from manyhands.launch.design_report import print_report
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import IPC, Reach
+from manyhands.launch.plan.topology import topology
+from manyhands.launch.run.display import LiveTable
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.run.supervisor import Supervisor, most_ticks
 from manyhands.launch.session import load_session
-from manyhands.launch.summary import print_report
-from manyhands.launch.supervisor import Supervisor, most_ticks
-from manyhands.launch.topology import topology
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.protocol.clock import from_seconds
@@ -42,7 +42,7 @@ from manyhands.protocol.messages import (
 )
 from tests.support.memory_transport import MemoryTransport
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry, dx/sample, cx/tool]}}"
 KNOWN = [value for name, value in vars(names).items() if name.isupper() and isinstance(value, str)]
 counts = st.integers(0, MAX_COUNT) | st.integers(0, 300)
@@ -97,7 +97,7 @@ class Heard:
                 self.say(name, NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, role, 1, binds))
             for name in self.graph.nodes:
                 self.say(name, Ready())
-            assert self.supervisor._conductor.phase is Phase.RUNNING
+            assert self.supervisor._conductor.phase is SessionPhase.RUNNING
 
     def say(self, sender: str, what: Message | bytes) -> None:
         frame = what if isinstance(what, bytes) else encode(what)

@@ -6,7 +6,7 @@ import pytest
 
 from manyhands.launch.session import SessionError, load_session
 
-BROKEN = Path(__file__).parent / "broken"
+BROKEN = Path(__file__).parents[1] / "broken"
 
 # file: (line, key, words of what was found, words of what is expected)
 TABLE = {

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.launch.session import Rational, Session, SessionError, load_session
-from manyhands.launch.session.rational import is_hurwitz
+from manyhands.launch.session.matrices import is_hurwitz
 
-from ..cases import cases
+from ...support.cases import cases
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 def example(name: str, *overrides: str) -> Session:

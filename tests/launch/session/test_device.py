@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.gallery import describe
-from manyhands.launch.preparation import Prepared
-from manyhands.launch.recordings import file
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.recordings import tables
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
 from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
 
@@ -146,7 +146,7 @@ def test_a_streamed_recording_is_read_as_the_others_are(tmp_path: Path, monkeypa
         asked.append(path)
         return RUN
 
-    monkeypatch.setattr(file, "read_recording", read)
+    monkeypatch.setattr(tables, "read_recording", read)
     motion = loaded(tmp_path, TRACED.format("{file: run.mcap, device: dz}")).devices["dx"].trace
     assert asked == [tmp_path / "run.mcap"]
     assert motion is not None
@@ -250,14 +250,14 @@ def test_the_hand_at_a_browser_has_its_own_defaults(tmp_path: Path) -> None:
 
 @pytest.fixture
 def prepared(tmp_path: Path) -> Prepared:
-    from manyhands.launch.preparation import prepare
+    from manyhands.launch.plan.prepare import prepare
 
     session = loaded(tmp_path, "devices.dy={dof: 2, osp: 1, driver: browser, mass: 1}")
     return prepare(session, uncertified=True)
 
 
 def test_a_bundle_says_what_moves_its_device(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("realtime", tmp_path, ""))
+    bundles = cut(prepared, RunPlan("realtime", tmp_path, ""))
     for name, kind in (("dx", RecordedMotion), ("dy", BrowserHand)):
         bundle = bundles[name]
         assert isinstance(bundle, DeviceBundle)

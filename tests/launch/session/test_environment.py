@@ -17,7 +17,7 @@ from manyhands.launch.session import (
     load_session,
 )
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 STATES = (
     "environment={type: state-space, A: [[-1]], B: [[1, 0, 0]], C: [[1], [0], [0]], "

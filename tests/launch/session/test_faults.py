@@ -9,7 +9,7 @@ import pytest
 from manyhands.launch.session import SessionError, load_session
 from manyhands.launch.session.limits import LONGEST_WINDOW, MAX_RESTARTS
 
-EXAMPLE = Path(__file__).parents[2] / "launch" / "sessions" / "example1.yaml"
+EXAMPLE = Path(__file__).parents[3] / "launch" / "sessions" / "example1.yaml"
 
 
 def test_what_holds_where_nothing_is_written() -> None:

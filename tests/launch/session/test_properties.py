@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.launch.session import Interval, NetworkEnvironment, Session, SessionError, load_session
-from manyhands.launch.session.source import KeyPath, read_tree
+from manyhands.launch.session.yaml import KeyPath, read_tree
 
-from ..cases import cases
+from ...support.cases import cases
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 EXAMPLE = SESSIONS / "example1.yaml"
 
 positive = st.floats(1e-3, 1e4)

@@ -13,7 +13,6 @@ from manyhands.launch.session import (
     Device,
     Faults,
     Hand,
-    Link,
     Motion,
     NetworkEnvironment,
     Observer,
@@ -22,6 +21,7 @@ from manyhands.launch.session import (
     PythonEnvironment,
     Rational,
     Session,
+    SessionLink,
     StateSpaceEnvironment,
     TraceData,
     TransferFunctionEnvironment,
@@ -30,11 +30,10 @@ from manyhands.launch.session import (
     limits,
     load_session,
 )
-from manyhands.launch.session.fields import SessionModel
-from manyhands.launch.session.problems import keys_of
-from manyhands.nodes.device import browser, grip
+from manyhands.launch.session.fields import SessionModel, keys_of
+from manyhands.nodes.device import pointer
 
-PAGE = (Path(__file__).parents[2] / "docs" / "session-file.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "session-file.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL))
 MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Session": (Session,),
@@ -44,7 +43,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
     "Network": (NetworkEnvironment,),
-    "Link": (Link,),
+    "Link": (SessionLink,),
     "State space": (StateSpaceEnvironment,),
     "Transfer function": (TransferFunctionEnvironment,),
     "Model": (PythonEnvironment,),
@@ -124,10 +123,10 @@ def test_the_hand_at_a_browser_is_the_one_in_force() -> None:
     hand = SECTIONS["Hand"]
     assert f"`stiffness` ({BROWSER_HAND['stiffness']:g} N/m unless" in hand
     assert f"`damping` ({BROWSER_HAND['damping']:g} N·s/m)" in hand
-    assert f"{browser.SPEED:g} m/s, or half its limit of speed" in hand
-    assert f"{browser.ACCELERATION:g} m/s²" in hand
-    assert f"than {browser.REACH:g} of its limit" in hand
-    assert f"silent for {grip.PATIENCE:g} s" in hand
+    assert f"{pointer.SPEED:g} m/s, or half its limit of speed" in hand
+    assert f"{pointer.ACCELERATION:g} m/s²" in hand
+    assert f"than {pointer.REACH:g} of its limit" in hand
+    assert f"silent for {pointer.PATIENCE:g} s" in hand
 
 
 def test_the_limits_are_the_ones_in_force() -> None:

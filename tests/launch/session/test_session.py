@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
-from manyhands.launch.session.observers import observable
+from manyhands.launch.session.session import observable
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.device.intent import intent_from
 from manyhands.protocol.messages import Role
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 PLAIN = {
     "session": "plain",

@@ -5,16 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.session import source
+from manyhands.launch.session import yaml
+from manyhands.launch.session.errors import SessionError
 from manyhands.launch.session.limits import MAX_FILE_BYTES, MAX_OVERRIDES
-from manyhands.launch.session.source import (
-    Place,
-    SessionError,
-    SessionTree,
-    apply_overrides,
-    parse_tree,
-    read_tree,
-)
+from manyhands.launch.session.yaml import SessionTree, SourcePlace, apply_overrides, parse_tree, read_tree
 
 
 def value(text: str) -> object:
@@ -76,7 +70,7 @@ def test_every_key_and_item_has_its_line() -> None:
         ("a", "c", 1): 5,
         ("a", "c", 1, "d"): 5,
     }
-    assert tree.locate(("a", "c", 1, "missing")) == (("a", "c", 1), Place("f.yaml", 5))
+    assert tree.locate(("a", "c", 1, "missing")) == (("a", "c", 1), SourcePlace("f.yaml", 5))
 
 
 def test_an_alias_is_a_copy_of_its_own() -> None:
@@ -100,7 +94,7 @@ def test_what_the_parser_cannot_take_is_a_session_error(text: str) -> None:
 
 
 def test_many_values_are_refused_before_they_are_all_composed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source, "MAX_NODES", 1000)  # the limit itself takes ten seconds to reach
+    monkeypatch.setattr(yaml, "MAX_NODES", 1000)  # the limit itself takes ten seconds to reach
     with pytest.raises(SessionError, match="more than 1000 values"):
         parse_tree(f"a: [{'1,' * 1001} *", "f.yaml")  # were all composed, the stray * would be what is wrong
 
@@ -152,7 +146,7 @@ def test_an_override_may_begin_the_parts_that_are_named(tree: SessionTree) -> No
     text = "devices.dx.hand.deep.mass=3"
     changed = apply_overrides(tree, [text, "devices.dx.hand.mass=1"], begun)
     assert changed.data["devices"] == {"dx": {"mass": 0.2, "hand": {"deep": {"mass": 3}, "mass": 1}}}
-    assert changed.locate(("devices", "dx", "hand", "deep", "mass"))[1] == Place(f"--set {text}", None)
+    assert changed.locate(("devices", "dx", "hand", "deep", "mass"))[1] == SourcePlace(f"--set {text}", None)
     assert repr(tree) == before
     with pytest.raises(SessionError, match="devices: found no 'dy'; expected dx"):
         apply_overrides(tree, ["devices.dy.hand.mass=3"], begun)
@@ -164,7 +158,7 @@ def test_an_override_forgets_the_places_of_what_it_replaced(tree: SessionTree) -
     changed = apply_overrides(tree, ["devices.dx=1"])
     path, place = changed.locate(("devices", "dx", "mass"))
     assert path == ("devices", "dx")
-    assert place == Place("--set devices.dx=1", None)
+    assert place == SourcePlace("--set devices.dx=1", None)
 
 
 @pytest.mark.parametrize(

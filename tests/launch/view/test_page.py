@@ -17,23 +17,19 @@ from starlette.websockets import WebSocketDisconnect
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
-from manyhands.launch.looking.sessions import Running
-from manyhands.launch.view import application as served
-from manyhands.launch.view.application import application
-from manyhands.launch.view.assets import STATIC, load_assets
-from manyhands.launch.view.connections import Connections
-from manyhands.launch.view.demands import DEMANDS_AT_ONCE
-from manyhands.launch.view.feed import Cursor, Feed
+from manyhands.launch.observe.sessions import Running
+from manyhands.launch.view import server as served
+from manyhands.launch.view.feed import Cursor, Feed, Watch
+from manyhands.launch.view.pointer import DEMANDS_AT_ONCE
 from manyhands.launch.view.security import HEADERS, Doorstep, Token, ViewError
-from manyhands.launch.view.server import address_of, listen
-from manyhands.launch.view.watch import Watch
+from manyhands.launch.view.server import STATIC, Connections, address_of, application, listen, load_assets
 from manyhands.nodes.observer.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.messages import Grasp, Release
-from manyhands.protocol.transport.gallery import Gallery
-from manyhands.protocol.transport.grip import GripInlet
+from manyhands.protocol.transport.broadcast import Broadcast
+from manyhands.protocol.transport.pointer import PointerInlet
 
-from ..nodes.looked_at import ABOUT, conditioned, moving, observed
+from ...support.observed_session import ABOUT, conditioned, moving, observed
 
 with warnings.catch_warnings():
     # newer versions of it would rather have another client than httpx, older ones know no other
@@ -178,7 +174,7 @@ def test_a_foreign_page_gets_no_socket(client: TestClient, headers: dict[str, st
 
 
 def test_a_page_holds_a_device_until_it_goes(client: TestClient, tmp_path: Path) -> None:
-    inlet = GripInlet(tmp_path, "right")
+    inlet = PointerInlet(tmp_path, "right")
     try:
         with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
             assert json.loads(page.receive_text())["type"] == "session"
@@ -296,7 +292,7 @@ def test_a_watch_takes_in_what_a_gallery_shows_and_notices_its_end(tmp_path: Pat
         "cat", ["cat"], {}, file_actions=[(os.POSIX_SPAWN_DUP2, read, 0), (os.POSIX_SPAWN_CLOSE, write)]
     )
     os.close(read)
-    gallery = Gallery(tmp_path)
+    gallery = Broadcast(tmp_path)
     watch = Watch(Running(tmp_path, replace(ABOUT, pid=child)), RealtimeClock())
 
     async def until(what: Callable[[], bool]) -> None:
@@ -364,7 +360,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
 
     monkeypatch.setattr("manyhands.launch.view.server.serve", serve)
     monkeypatch.setattr(
-        "manyhands.launch.looking.sessions.running_sessions", lambda: [Running(Path("/nowhere"), ABOUT)]
+        "manyhands.launch.observe.sessions.running_sessions", lambda: [Running(Path("/nowhere"), ABOUT)]
     )
     return served_
 

@@ -10,23 +10,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.view.demands import (
+from manyhands.launch.view.pointer import (
     DEMANDS_AT_ONCE,
     DEMANDS_PER_S,
+    GRIP_LASTS,
     MAX_DEMAND_BYTES,
-    Allowance,
     Hold,
+    Holding,
     LetGo,
+    MessageAllowance,
     Wrong,
     demand_of,
     token_of,
 )
-from manyhands.launch.view.holding import GRIP_LASTS, Holding
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Grasp, Release
-from manyhands.protocol.transport.grip import GripInlet
+from manyhands.protocol.transport.pointer import PointerInlet
 
-from ..nodes.looked_at import ABOUT
+from ...support.observed_session import ABOUT
 
 NOW = Instant(10**9)
 HERE = Hold("right", (0.01, 0.02))
@@ -91,7 +92,7 @@ def test_the_token_of_a_first_message() -> None:
 
 
 def test_messages_are_bounded_in_number() -> None:
-    allowance = Allowance(NOW)
+    allowance = MessageAllowance(NOW)
     assert all(allowance.spend(NOW) for _ in range(DEMANDS_AT_ONCE))
     assert not allowance.spend(NOW)
     later = Instant(NOW + 10**9)
@@ -99,20 +100,20 @@ def test_messages_are_bounded_in_number() -> None:
 
 
 @pytest.fixture
-def inlet(tmp_path: Path) -> Iterator[GripInlet]:
-    inlet = GripInlet(tmp_path, "right")
+def inlet(tmp_path: Path) -> Iterator[PointerInlet]:
+    inlet = PointerInlet(tmp_path, "right")
     yield inlet
     inlet.close()
 
 
 @pytest.fixture
-def holding(tmp_path: Path, inlet: GripInlet) -> Iterator[Holding]:
+def holding(tmp_path: Path, inlet: PointerInlet) -> Iterator[Holding]:
     holding = Holding(tmp_path, ABOUT)
     yield holding
     holding.close()
 
 
-def test_a_device_is_held_and_let_go(holding: Holding, inlet: GripInlet) -> None:
+def test_a_device_is_held_and_let_go(holding: Holding, inlet: PointerInlet) -> None:
     assert holding.hold(1, HERE, NOW) is None
     held = inlet.latest()
     assert isinstance(held, Grasp)
@@ -123,7 +124,7 @@ def test_a_device_is_held_and_let_go(holding: Holding, inlet: GripInlet) -> None
     assert holding.of(1) == {}
 
 
-def test_another_page_must_wait(holding: Holding, inlet: GripInlet) -> None:
+def test_another_page_must_wait(holding: Holding, inlet: PointerInlet) -> None:
     holding.hold(1, HERE, NOW)
     assert holding.hold(2, Hold("right", (0.0, 0.0)), NOW) == "right is held by another page"
     holding.let_go(2, "right")
@@ -135,7 +136,7 @@ def test_another_page_must_wait(holding: Holding, inlet: GripInlet) -> None:
     assert holding.hold(2, HERE, NOW) is None
 
 
-def test_who_falls_silent_has_let_go(holding: Holding, inlet: GripInlet) -> None:
+def test_who_falls_silent_has_let_go(holding: Holding, inlet: PointerInlet) -> None:
     holding.hold(1, HERE, NOW)
     holding.hold(1, HERE, Instant(NOW + GRIP_LASTS))
     holding.expire(Instant(NOW + 2 * GRIP_LASTS))
@@ -145,13 +146,13 @@ def test_who_falls_silent_has_let_go(holding: Holding, inlet: GripInlet) -> None
     assert inlet.latest() == Release()
 
 
-def test_the_end_lets_go(holding: Holding, inlet: GripInlet) -> None:
+def test_the_end_lets_go(holding: Holding, inlet: PointerInlet) -> None:
     holding.hold(1, HERE, NOW)
     holding.close()
     assert inlet.latest() == Release()
 
 
-def test_a_device_that_is_not_there_is_not_held(holding: Holding, inlet: GripInlet) -> None:
+def test_a_device_that_is_not_there_is_not_held(holding: Holding, inlet: PointerInlet) -> None:
     inlet.close()
     why = holding.hold(1, HERE, NOW)
     assert why is not None

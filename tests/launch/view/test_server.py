@@ -11,25 +11,33 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from manyhands.launch.looking.sessions import Running
-from manyhands.launch.view import application as application_module
-from manyhands.launch.view import connections as module
+from manyhands.launch.observe.sessions import Running
+from manyhands.launch.view import server as application_module
+from manyhands.launch.view import server as module
 from manyhands.launch.view import server as server_module
-from manyhands.launch.view.application import application
-from manyhands.launch.view.connections import ANSWERED_WITHIN, MOST_CONNECTIONS, MOST_OF_AN_ADDRESS, Connections
+from manyhands.launch.view.feed import Watch
 from manyhands.launch.view.security import Doorstep, Token, is_loopback
-from manyhands.launch.view.server import config_of, listen, until_told, without_tracebacks
-from manyhands.launch.view.watch import Watch
+from manyhands.launch.view.server import (
+    ANSWERED_WITHIN,
+    MOST_CONNECTIONS,
+    MOST_OF_AN_ADDRESS,
+    Connections,
+    application,
+    config_of,
+    listen,
+    until_told,
+    without_tracebacks,
+)
 from manyhands.protocol.clock import Instant, RealtimeClock
 
-from ..nodes.looked_at import ABOUT
+from ...support.observed_session import ABOUT
 
 CROWD = 80
 TOKEN = "0123456789abcdef"
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-class Line:
+class OpenConnection:
     """A connection."""
 
     def __init__(self) -> None:
@@ -47,8 +55,8 @@ class Test_the_connections_that_are_kept:
     def kept(self) -> Connections:
         return Connections(Counter())
 
-    def opened(self, kept: Connections, host: str, *ports: int, now: int = 0) -> list[Line]:
-        lines = [Line() for _ in ports]
+    def opened(self, kept: Connections, host: str, *ports: int, now: int = 0) -> list[OpenConnection]:
+        lines = [OpenConnection() for _ in ports]
         for port, line in zip(ports, lines, strict=True):
             kept.opened((host, port), line, Instant(now))
         return lines

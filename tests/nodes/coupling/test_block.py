@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.exchange import Heard, Joint
-from manyhands.nodes.greeting import handshake_of, hello_to
+from manyhands.nodes.peer_link import PeerLink, Received, handshake_of, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Absent, LinkHello, Reaction, Rung, Tool
 
-from .held import Held
+from ...support.message_link import MessageLink
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 NOW = Duration(0)
 LIMIT = 2.5  # N
 
@@ -35,39 +34,41 @@ def prepared() -> Prepared:
 
 @pytest.fixture
 def bundle(prepared: Prepared) -> CouplingBundle:
-    bundle = cut(prepared, Run("simulated", None, ""))["cx"]
+    bundle = cut(prepared, RunPlan("simulated", None, ""))["cx"]
     assert isinstance(bundle, CouplingBundle)
     assert len(bundle.rungs) > 2
     return dataclasses.replace(bundle, limits=dataclasses.replace(bundle.limits, force=(LIMIT,)))
 
 
 @pytest.fixture
-def world() -> Held:
-    return Held()
+def world() -> MessageLink:
+    return MessageLink()
 
 
 @pytest.fixture
-def block(bundle: CouplingBundle, world: Held) -> Block:
+def block(bundle: CouplingBundle, world: MessageLink) -> Block:
     common = bundle.common
     (peer,) = (peer for peer in common.peers if not peer.binds)
     own = hello_to(common, peer, bundle.block.D)
-    return Block(bundle, Joint(own, peer, world, Reaction, slice(0, 1), RealtimeClock()))  # type: ignore[arg-type]
+    return Block(bundle, PeerLink(own, peer, world, Reaction, slice(0, 1), RealtimeClock()))  # type: ignore[arg-type]
 
 
 def force(tick: int, value: float) -> Reaction:
     return Reaction(tick, 0, np.array([value]))
 
 
-def step(block: Block, world: Held, tick: int, x: float, f: float) -> None:
+def step(block: Block, world: MessageLink, tick: int, x: float, f: float) -> None:
     """A tick in which all goes well."""
     block.say(np.array([x]), tick, tick)
     world.say(force(tick, f))
-    assert block.hear(tick, NOW) is Heard.SIGNAL
+    assert block.hear(tick, NOW) is Received.SIGNAL
     block.climb(tick)
     block.settle(tick)
 
 
-def test_a_force_within_the_limits_is_applied_as_it_came(block: Block, world: Held, bundle: CouplingBundle) -> None:
+def test_a_force_within_the_limits_is_applied_as_it_came(
+    block: Block, world: MessageLink, bundle: CouplingBundle
+) -> None:
     step(block, world, 0, 0.001, 1.5)
     assert block.applied == [1.5]
     block.say(np.array([0.001]), 1, 9)
@@ -79,7 +80,7 @@ def test_a_force_within_the_limits_is_applied_as_it_came(block: Block, world: He
     np.testing.assert_allclose(second.values, [p], rtol=1e-12)
 
 
-def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: Held, bundle: CouplingBundle) -> None:
+def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: MessageLink, bundle: CouplingBundle) -> None:
     step(block, world, 0, 0.0, 5 * LIMIT)
     assert block.applied == [LIMIT]
     block.say(np.zeros(1), 1, 0)
@@ -87,11 +88,11 @@ def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: Held, bundle
     assert block.report().counts["saturated"] == 1
 
 
-def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, world: Held) -> None:
+def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, world: MessageLink) -> None:
     step(block, world, 0, 0.001, 1.5)
     block.say(np.array([0.001]), 1, 0)
     world.say(force(7, 0.0))
-    assert block.hear(1, NOW) is Heard.TURNED
+    assert block.hear(1, NOW) is Received.TURNED
     assert block.environment.told == 7
     assert block.applied == [0.0]
     assert (block.jumps, block.report().counts["jumps"]) == (1, 1)
@@ -100,36 +101,36 @@ def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, wo
 
 
 @pytest.mark.parametrize("stray", [force(7, 0.5), force(0, 0.0), force(0, 0.5)])
-def test_any_other_force_of_another_tick_is_none(block: Block, world: Held, stray: Reaction) -> None:
+def test_any_other_force_of_another_tick_is_none(block: Block, world: MessageLink, stray: Reaction) -> None:
     step(block, world, 0, 0.001, 1.5)
     block.say(np.zeros(1), 1, 0)
     world.say(stray)
-    assert block.hear(1, NOW) is Heard.NOTHING
+    assert block.hear(1, NOW) is Received.NOTHING
     assert block.jumps == 0
     world.say(force(1, 0.25))
-    assert block.hear(1, NOW) is Heard.SIGNAL
+    assert block.hear(1, NOW) is Received.SIGNAL
     assert block.applied == [0.25]
 
 
-def test_what_was_said_is_said_again_with_its_stamp(block: Block, world: Held) -> None:
+def test_what_was_said_is_said_again_with_its_stamp(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     block.say_again(3)
     block.say_again(5)  # the session has gone on
     assert world.said == [Tool(3, 77, [0.5]), Tool(3, 77, [0.5]), Tool(5, 77, [0.5])]
 
 
-def shift(block: Block, world: Held, tick: int, rung: int) -> int | None:
+def shift(block: Block, world: MessageLink, tick: int, rung: int) -> int | None:
     """The environment changes the block at a ratio of 0."""
     block.say(np.zeros(1), tick, 0)
     world.say(Rung(rung), force(tick, 0.0))
-    assert block.hear(tick, NOW) is Heard.SIGNAL
+    assert block.hear(tick, NOW) is Received.SIGNAL
     climbed = block.climb(tick)
     block.settle(tick)
     return climbed
 
 
 def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
-    block: Block, world: Held, bundle: CouplingBundle
+    block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
     step(block, world, 0, 0.001, 5 * LIMIT)
     ledger = block.core.ledger
@@ -149,7 +150,7 @@ def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
 
 
 def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
-    block: Block, world: Held, bundle: CouplingBundle
+    block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
     core = block.core
     assert shift(block, world, 0, 0) is None
@@ -158,37 +159,37 @@ def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
     assert block.environment.gate.dropped["wrong_kind"] == 0
 
 
-def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world: Held) -> None:
+def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world: MessageLink) -> None:
     world.say(Absent("dx"), force(0, 0.5))
     block.say(np.zeros(1), 0, 0)
-    assert block.hear(0, NOW) is Heard.SIGNAL
+    assert block.hear(0, NOW) is Received.SIGNAL
     assert block.climb(0) is None
 
 
-def meet_environment(block: Block, tick: int) -> Held:
-    joint, fresh = block.environment, Held()
+def meet_environment(block: Block, tick: int) -> MessageLink:
+    joint, fresh = block.environment, MessageLink()
     joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
     own = joint.own
     hello = LinkHello(own.version, own.certificate, own.session, joint.peer.name, joint.peer.role, joint.peer.ports)
     fresh.say(hello)
-    assert block.hear(tick, NOW) is Heard.MET
+    assert block.hear(tick, NOW) is Received.MET
     return fresh
 
 
-def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, world: Held) -> None:
+def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     fresh = meet_environment(block, 3)
     assert fresh.said[-1] == Tool(3, 77, [0.5])
     assert len(world.said) == 1
 
 
-def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Block, world: Held) -> None:
+def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
     """Of which it was told D_V at the handshake: it knows of no other before it is told to shift."""
     assert shift(block, world, 0, 2) == 2
     block.say(np.zeros(1), 1, 0)
     fresh = meet_environment(block, 1)
     fresh.say(force(1, 0.0))
-    assert block.hear(1, NOW) is Heard.SIGNAL
+    assert block.hear(1, NOW) is Received.SIGNAL
     assert block.climb(1) == 0
     block.settle(1)
     block.say(np.zeros(1), 2, 0)
@@ -197,15 +198,17 @@ def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Bl
     assert block.climb(2) == 2
 
 
-def test_a_flood_ends_the_node(block: Block, world: Held, new_life: Callable[[], Any]) -> None:
+def test_a_flood_ends_the_node(block: Block, world: MessageLink, new_life: Callable[[], Any]) -> None:
     life = new_life()
     block.begin(life)
     world.coming.extend([b"\xc1"] * (MAX_STRAY_FRAMES + 1))
-    assert block.hear(0, NOW) is Heard.NOTHING
+    assert block.hear(0, NOW) is Received.NOTHING
     assert life.failure.startswith("cx: environment sent 513 stray frames")
 
 
-def test_rows_follow_each_other(bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]) -> None:
+def test_rows_follow_each_other(
+    bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
+) -> None:
     """The first are fewer, so that not all nodes tell in the same tick."""
     line, first, rows = new_line(), bundle.common.telemetry_first, bundle.common.telemetry_ticks
     assert 0 < first < rows
@@ -223,7 +226,7 @@ def test_rows_follow_each_other(bundle: CouplingBundle, block: Block, world: Hel
 
 
 def test_a_block_that_has_promised_nothing_tells_of_no_ledger(
-    bundle: CouplingBundle, block: Block, world: Held, new_line: Callable[[], Any]
+    bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
 ) -> None:
     block, line = Block(dataclasses.replace(bundle, level=None), block.environment), new_line()
     for tick in range(bundle.common.telemetry_first):

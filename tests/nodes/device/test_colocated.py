@@ -9,27 +9,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
-from manyhands.launch.topology import topology
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode, Within, colocated
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.greeting import hello_to
+from manyhands.nodes.peer_link import PeerLink, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Reaction, Report, Sample, Start, Tool
 from tests.support.memory_transport import MemoryTransport
 
-from .stage import Stage
+from ...support.threaded_session import ThreadedSession
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 TICKS = 350  # telemetry comes every 100: the last is a part
 
 
@@ -41,7 +40,7 @@ def prepared() -> Prepared:
 @pytest.mark.parametrize("file", ["example1.yaml", "example1-operator.yaml"])  # one coupling a device, and three
 def test_the_numbers_are_the_simulations(file: str, new_life: Callable[[], Any]) -> None:
     prepared = prepare(load_session(SESSIONS / file, ["colocate=true"]))
-    with Stage(prepared, new_life, ticks=TICKS) as stage:
+    with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
         reports = stage.reports()
     simulation = Simulation(prepared)
     expected = simulation.run(TICKS)
@@ -60,7 +59,7 @@ def test_the_numbers_are_the_simulations(file: str, new_life: Callable[[], Any])
 
 def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life: Callable[[], Any]) -> None:
     """And no link between them: a coupling tells of itself as if it were alone."""
-    with Stage(prepared, new_life, ticks=TICKS) as stage:
+    with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
         assert {plan.connector for plan in stage.graph.links} == {"cx", "cy", "cz"}
         stage.reports()
     for coupling, device in stage.graph.carriers.items():
@@ -71,7 +70,7 @@ def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life
 
 def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) -> None:
     """The environment may have reckoned with the first already; and a block is asked for one p(k) a tick."""
-    bundles = cut(prepared, Run("simulated", None, ""))
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
     device, coupling = bundles["dx"], bundles["cx"]
     assert isinstance(device, DeviceBundle)
     assert isinstance(coupling, CouplingBundle)
@@ -80,7 +79,7 @@ def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) 
     (peer,) = coupling.common.peers
     link = transport.connect(endpoint, "environment")
     own = hello_to(coupling.common, peer, coupling.block.D)
-    block = Block(coupling, Joint(own, peer, link, Reaction, slice(0, 1), RealtimeClock()))
+    block = Block(coupling, PeerLink(own, peer, link, Reaction, slice(0, 1), RealtimeClock()))
     within = Within(CarriedBlock(coupling), device, block)
     for tick, x in ((3, 0.5), (3, 0.75), (4, 0.75)):
         within.send(Sample, tick, 7, np.array([x]))
@@ -91,7 +90,7 @@ def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) 
 
 
 def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: Path) -> None:
-    bundles = cut(prepared, Run("simulated", None, ""))
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
     device = bundles["dx"]
     assert isinstance(device, DeviceBundle)
     bundle_files.save(bundles["cx"], tmp_path / "cx.bundle")
@@ -106,7 +105,7 @@ def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: P
 def test_a_block_that_has_not_begun_has_nothing_to_tell(
     prepared: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
 ) -> None:
-    carried = CarriedBlock(cut(prepared, Run("simulated", None, ""))["cx"])  # type: ignore[arg-type]
+    carried = CarriedBlock(cut(prepared, RunPlan("simulated", None, ""))["cx"])  # type: ignore[arg-type]
     carried.listen()
     carried.end()
     assert carried.report() == Report(0, {}, {}, {})

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.design.device import held_device, zero_order_hold
-from manyhands.design.operators import RationalMatrix
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.device import held_device, zero_order_hold
+from manyhands.design.models.operators import RationalMatrix
+from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.bundle import Limits, RecordedMotion, SimulatedHand
-from manyhands.nodes.device.browser import BrowserDriver
-from manyhands.nodes.device.driver import Driver
+from manyhands.nodes.device.drivers import Driver, TraceDriver
 from manyhands.nodes.device.intent import intent_from
+from manyhands.nodes.device.pointer import BrowserDriver
 from manyhands.nodes.device.simulated import SimulatedDriver
-from manyhands.nodes.device.trace import TraceDriver
 from manyhands.protocol.messages import Grasp, Release
 
 T = 1e-3

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.delay import device_share, least_gain
+from manyhands.design.levels.device import device_share, least_gain
 from manyhands.nodes.bundle import RecordedMotion
 from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.trace import TraceDriver
+from manyhands.nodes.device.drivers import TraceDriver
 
 T = 1e-3
 DELTA = np.array([[1.37, 0.4], [0.4, 0.9]])

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from manyhands.nodes.arithmetic import Saturation
 from manyhands.nodes.bundle import Limits
-from manyhands.nodes.device.guard import RETURN, Guard
-from manyhands.nodes.saturation import Saturation
+from manyhands.nodes.device.core import RETURN, Guard
 
 T = 1e-3
 AXES = ("arm.0", "arm.1")

@@ -8,10 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.device.formula import MAX_FORMULA_DEPTH, MAX_FORMULA_LENGTH
-from manyhands.nodes.device.intent import Constant, Formula, FormulaError, IntentError, Trace, intent_from
+from manyhands.nodes.device.intent import (
+    MAX_FORMULA_DEPTH,
+    MAX_FORMULA_LENGTH,
+    Constant,
+    Formula,
+    FormulaError,
+    IntentError,
+    SampledSignal,
+    intent_from,
+)
 
-from ..cases import cases
+from ...support.cases import cases
 
 
 @pytest.mark.parametrize(
@@ -167,10 +175,10 @@ def test_formulas_agree_with_floating_point_arithmetic(a: float, b: float, t: fl
 
 
 def test_a_trace_is_linear_and_holds_its_last_value() -> None:
-    trace = Trace([0.0, 1.0, 3.0], [0.0, 2.0, -2.0])
+    trace = SampledSignal([0.0, 1.0, 3.0], [0.0, 2.0, -2.0])
     assert [trace(t) for t in (-1.0, 0.0, 0.25, 1.0, 2.0, 3.0, 99.0)] == [0.0, 0.0, 0.5, 2.0, 0.0, -2.0, -2.0]
     assert type(trace(0.25)) is float
-    assert Trace([0.0], [7.0])(5.0) == 7.0
+    assert SampledSignal([0.0], [7.0])(5.0) == 7.0
 
 
 @pytest.mark.parametrize(
@@ -187,12 +195,12 @@ def test_a_trace_is_linear_and_holds_its_last_value() -> None:
 )
 def test_traces_that_are_none(times: list[float], values: list[float], message: str) -> None:
     with pytest.raises(IntentError, match=message):
-        Trace(times, values)
+        SampledSignal(times, values)
 
 
 def test_a_trace_keeps_its_own_numbers() -> None:
     values = np.array([0.0, 2.0])
-    trace = Trace([0.0, 1.0], values)  # type: ignore[arg-type]  # an array is what might be shared
+    trace = SampledSignal([0.0, 1.0], values)  # type: ignore[arg-type]  # an array is what might be shared
     values[1] = 100.0
     assert trace(1.0) == 2.0
 

@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import REALTIME, DeviceBundle
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.exchange import Joint
-from manyhands.nodes.greeting import hello_to
-from manyhands.nodes.patience import STALE_TICKS
+from manyhands.nodes.peer_link import PeerLink, hello_to
+from manyhands.nodes.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Force, Sample, Start
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 PERIOD = 1_000_000  # ns
 SILENT = 5  # the tick from which on the coupling says nothing
 REACH = 0.25  # m
@@ -109,7 +108,7 @@ class Alone:
     def __init__(
         self, prepared: Prepared, life: Any, line: Any, later: Callable[[int], Force | None], **hand: Any
     ) -> None:
-        bundle = cut(prepared, Run(REALTIME, None, ""))["dx"]
+        bundle = cut(prepared, RunPlan(REALTIME, None, ""))["dx"]
         assert isinstance(bundle, DeviceBundle)
         self.time, self.line, self.life = Time(), line, life
         self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)
@@ -117,7 +116,7 @@ class Alone:
         node._realtime = node._clock = self.time  # type: ignore[assignment]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
-        node._joints = [Joint(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node._joints = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
         node.loop(Start(0, 0), life, line)
 
 

@@ -10,21 +10,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.statespace import StateSpace
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import Prepared, prepare
+from manyhands.design.models.statespace import StateSpace
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
-from manyhands.nodes.device.browser import REACH, SPEED, BrowserDriver
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.grip import PATIENCE, Grip
+from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, BrowserDriver, Pointer
 from manyhands.protocol.messages import Grasp, Release
-from manyhands.protocol.transport.grip import GripOutlet, grip_path
+from manyhands.protocol.transport.pointer import PointerOutlet, grip_path
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 1e-3
 LIMITS = Limits((30.0,), (0.1,), (3.0,))
 OPERATOR = StateSpace(np.array([[-10.0]]), np.array([[1.0]]), np.array([[3.0]]), np.array([[0.1]]))  # 3/(s + 10) + 0.1
@@ -136,7 +135,7 @@ def test_a_hand_that_falls_silent_is_open_after_two_seconds_of_ticks() -> None:
 
 
 def test_what_makes_no_sense_is_counted_and_changes_nothing() -> None:
-    grip = Grip(2, lambda position: [min(max(x, -0.1), 0.1) for x in position], T)
+    grip = Pointer(2, lambda position: [min(max(x, -0.1), 0.1) for x in position], T)
     for said in (at(0.1), at(0.1, 0.1, 0.1), at(float("nan"), 0.0), at(0.0, float("inf"))):
         grip.tick(said)
         assert grip.goal is None
@@ -184,7 +183,7 @@ def test_a_wild_pointer_does_not_take_it_out_of_its_limits() -> None:
 
 
 def bundle_of(prepared: Prepared, clock: str, directory: Path | None) -> DeviceBundle:
-    bundle = cut(prepared, Run(clock, directory, ""))["left"]
+    bundle = cut(prepared, RunPlan(clock, directory, ""))["left"]
     assert isinstance(bundle, DeviceBundle)
     return bundle
 
@@ -193,7 +192,7 @@ def test_what_is_said_at_the_grip_moves_the_device(prepared: Prepared, tmp_path:
     """From the datagram to the displacement, through a bundle's file."""
     save(bundle_of(prepared, "realtime", tmp_path), tmp_path / "left.bundle")
     driver = driver_of(load(tmp_path / "left.bundle", DeviceBundle))
-    outlet = GripOutlet(tmp_path, "left")
+    outlet = PointerOutlet(tmp_path, "left")
     try:
         for word, grasped in ((at(0.05), 1.0), (Release(), 0.0), (at(0.05), 1.0)):
             assert outlet.say(word)

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.device.browser import ACCELERATION, RATE, SPEED
-from manyhands.nodes.device.smoother import Follower
+from manyhands.nodes.device.pointer import ACCELERATION, RATE, SPEED, Follower
 
 ROUNDING = 1e-12  # of the reach: two roundings a tick, over some thousands
 REACH = 0.1

@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Common, Limits
-from manyhands.nodes.device.account import PERIOD_TOLERANCE, Account
-from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.guard import Guard
+from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.telemetry import PERIOD_TOLERANCE, DeviceTelemetry
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Role
 
@@ -34,7 +33,7 @@ class Device:
     """An account, and a session that it is told of tick by tick."""
 
     def __init__(self, line: Any) -> None:
-        self.account, self.line, self.at = Account(COMMON, TAU), line, 0
+        self.account, self.line, self.at = DeviceTelemetry(COMMON, TAU), line, 0
 
     def tick(self, tick: int, after: int = MS, tau: int = 0, value: float | None = None) -> None:
         """A tick that comes ``after`` ns, and whose force is there ``tau`` ns after the sample."""

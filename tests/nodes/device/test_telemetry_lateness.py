@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.device.lateness import Cause, Lateness, cause
+from manyhands.nodes.device.telemetry import LateCause, LatenessCounter, cause
 from manyhands.protocol.clock import Duration, Instant
 
 T = Duration(1_000_000)
@@ -27,13 +27,13 @@ def stamps(over: int, woke: int, sending: int, waiting: int, applying: int) -> l
 @pytest.mark.parametrize(
     ("parts", "expected"),
     [
-        ((-400_000, 20_000, 1_100_000, 200_000, 50_000), Cause.OWN),
-        ((900_000, 20_000, 50_000, 200_000, 50_000), Cause.OWN),  # telemetry went on beyond kT
-        ((-400_000, 900_000, 50_000, 200_000, 50_000), Cause.DESCHEDULED),
-        ((-400_000, 20_000, 50_000, 1_200_000, 50_000), Cause.PARTNER),
+        ((-400_000, 20_000, 1_100_000, 200_000, 50_000), LateCause.OWN),
+        ((900_000, 20_000, 50_000, 200_000, 50_000), LateCause.OWN),  # telemetry went on beyond kT
+        ((-400_000, 900_000, 50_000, 200_000, 50_000), LateCause.DESCHEDULED),
+        ((-400_000, 20_000, 50_000, 1_200_000, 50_000), LateCause.PARTNER),
     ],
 )
-def test_the_greatest_part_is_the_cause(parts: tuple[int, ...], expected: Cause) -> None:
+def test_the_greatest_part_is_the_cause(parts: tuple[int, ...], expected: LateCause) -> None:
     assert cause(*stamps(*parts)) is expected
 
 
@@ -43,18 +43,18 @@ def test_more_of_a_cause_leaves_it_the_cause(
 ) -> None:
     found = cause(*stamps(over, woke, sending, waiting, applying))
     match found:
-        case Cause.PARTNER:
+        case LateCause.PARTNER:
             worse = stamps(over, woke, sending, waiting + more, applying)
-        case Cause.DESCHEDULED:
+        case LateCause.DESCHEDULED:
             worse = stamps(over, woke + more, sending, waiting, applying)
-        case Cause.OWN:
+        case LateCause.OWN:
             worse = stamps(over, woke, sending, waiting, applying + more)
     assert cause(*worse) is found
 
 
 @given(st.lists(st.tuples(st.integers(-900_000, 900_000), SPANS, SPANS, SPANS, SPANS), max_size=20))
 def test_each_late_tick_is_counted_once_and_no_other(ticks: list[tuple[int, ...]]) -> None:
-    lateness = Lateness(T)
+    lateness = LatenessCounter(T)
     late = 0
     for parts in ticks:
         instants = stamps(*parts)
@@ -67,7 +67,7 @@ def test_each_late_tick_is_counted_once_and_no_other(ticks: list[tuple[int, ...]
 
 
 def test_a_tick_that_ends_when_the_next_is_due_is_in_time() -> None:
-    lateness = Lateness(T)
+    lateness = LatenessCounter(T)
     due = Instant(0)
     assert lateness.judge(due, due, due, due, due, Instant(T)) is None
-    assert lateness.judge(due, due, due, due, due, Instant(T + 1)) is Cause.OWN
+    assert lateness.judge(due, due, due, due, due, Instant(T + 1)) is LateCause.OWN

@@ -12,21 +12,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.coupling import SpringDamper
-from manyhands.design.network import Link, Network
-from manyhands.design.statespace import StateSpace
-from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK_OFF, Clutch, Event, Phase
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.network import Network, NetworkLink
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK_OFF, Clutch, ClutchEvent, ClutchPhase
 from manyhands.nodes.environment.core import EnvironmentCore
-from manyhands.nodes.environment.energy import Budget
+from manyhands.nodes.environment.energy import EnergyBudget
 
-from .cores import react
+from ...support.reaction import react
 
 T = 1e-3
 EPS = float(np.finfo(np.float64).eps)
 Deed = Literal["freeze", "engage", "disengage"]
 
 
-class World:
+class ClutchedLoop:
     """A random environment and coupling; the parties behind the ports move as they like."""
 
     def __init__(self, seed: int, blocks: list[list[int]], ramp: int = 20, budget: float = 0.0) -> None:
@@ -35,17 +35,21 @@ class World:
         self.blocks, self.ramp = blocks, ramp
         ports = tuple(f"p{i}" for i in range(self.m))
         ends = [*ports, "a", "b", "ground"]
-        links = [Link((port, "a"), float(self.rng.uniform(10, 5000)), float(self.rng.uniform(0, 2))) for port in ports]
+        links = [
+            NetworkLink((port, "a"), float(self.rng.uniform(10, 5000)), float(self.rng.uniform(0, 2))) for port in ports
+        ]
         for _ in range(4):
             one, two = self.rng.permutation(ends)[:2]
-            links.append(Link((str(one), str(two)), float(self.rng.uniform(0, 3000)), float(self.rng.uniform(0, 2))))
-        links.append(Link(("a", "ground"), 500.0, 0.2))
+            links.append(
+                NetworkLink((str(one), str(two)), float(self.rng.uniform(0, 3000)), float(self.rng.uniform(0, 2)))
+            )
+        links.append(NetworkLink(("a", "ground"), 500.0, 0.2))
         masses = (("a", float(self.rng.uniform(0.1, 3.0))), ("b", float(self.rng.uniform(0.1, 3.0))))
         self.E = Network(ports, masses, tuple(links)).environment(T)
         self.D_V = np.zeros((self.m, self.m))
         for block in blocks:
             self.D_V[np.ix_(block, block)] = self.feedthrough(len(block))
-        budgets = [Budget(budget, budget, budget)] * len(blocks) if budget else None
+        budgets = [EnergyBudget(budget, budget, budget)] * len(blocks) if budget else None
         self.core = EnvironmentCore(self.E, self.D_V, np.zeros((self.m, self.m)), T, blocks, ramp, budgets=budgets)
 
     def feedthrough(self, size: int) -> np.ndarray:
@@ -58,7 +62,7 @@ class World:
 class Oracle:
     """The loop of all ports solved as a whole at every tick, from the ratios that the core reports."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ClutchedLoop) -> None:
         self.E, self.D_V, self.blocks = world.E, world.D_V.copy(), world.blocks
         m = world.m
         self.eta = np.zeros(world.E.order)
@@ -111,22 +115,22 @@ deeds = st.lists(st.tuples(st.integers(0, 25), st.integers(0, 9), st.sampled_fro
 
 
 def test_every_phase_knows_what_it_can_be_told() -> None:
-    told = (Event.FREEZE, Event.ENGAGE, Event.DISENGAGE)
-    own = {(Phase.LEAVING, Event.FALLEN), (Phase.JOINING, Event.REFERRED)}
-    assert set(NEXT) == {(phase, event) for phase in Phase for event in told} | own
-    assert all(NEXT[phase, Event.FREEZE] is Phase.FROZEN for phase in Phase)
+    told = (ClutchEvent.FREEZE, ClutchEvent.ENGAGE, ClutchEvent.DISENGAGE)
+    own = {(ClutchPhase.LEAVING, ClutchEvent.FALLEN), (ClutchPhase.JOINING, ClutchEvent.REFERRED)}
+    assert set(NEXT) == {(phase, event) for phase in ClutchPhase for event in told} | own
+    assert all(NEXT[phase, ClutchEvent.FREEZE] is ClutchPhase.FROZEN for phase in ClutchPhase)
     # back from the frost only by way of a reference
-    assert NEXT[Phase.FROZEN, Event.ENGAGE] is Phase.JOINING
-    assert {phase for (phase, _), after in NEXT.items() if after is Phase.COUPLED} == {
-        Phase.COUPLED,
-        Phase.LEAVING,
-        Phase.JOINING,
+    assert NEXT[ClutchPhase.FROZEN, ClutchEvent.ENGAGE] is ClutchPhase.JOINING
+    assert {phase for (phase, _), after in NEXT.items() if after is ClutchPhase.COUPLED} == {
+        ClutchPhase.COUPLED,
+        ClutchPhase.LEAVING,
+        ClutchPhase.JOINING,
     }
 
 
 @pytest.mark.parametrize("ramp", [1, 7, RAMP])
 def test_a_ramp_rises_and_falls_in_its_ticks_and_never_faster_than_it_may(ramp: int) -> None:
-    world = World(1, [[0], [1]], ramp)
+    world = ClutchedLoop(1, [[0], [1]], ramp)
     core, p = world.core, np.zeros(2)
     core.clutches.freeze(0)
     ratios = [core.clutches.ratio(0)]
@@ -149,7 +153,7 @@ def test_a_ramp_rises_and_falls_in_its_ticks_and_never_faster_than_it_may(ramp: 
 
 
 def test_who_leaves_may_turn_round() -> None:
-    core, p = World(2, [[0], [1]], 20).core, np.zeros(2)
+    core, p = ClutchedLoop(2, [[0], [1]], 20).core, np.zeros(2)
     core.clutches.disengage(0)
     for _ in range(8):
         react(core, p)
@@ -163,7 +167,7 @@ def test_who_leaves_may_turn_round() -> None:
 
 def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
     """Between react and settle the tick is decided: the tool rests where this tick has left it."""
-    world = World(3, [[0], [1]])
+    world = ClutchedLoop(3, [[0], [1]])
     core, other = world.core, copy.deepcopy(world.core)
     p = np.array([1e-3, -2e-3])
     for which, early in ((core, True), (other, False)):
@@ -197,7 +201,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
     seed: int, blocks: list[list[int]], plan: list[tuple[int, int, Deed]], pause: int, budget: float
 ) -> None:
     """Whatever freezes, leaves and joins, and whoever is held to an energy budget."""
-    world = World(seed, blocks, budget=budget)
+    world = ClutchedLoop(seed, blocks, budget=budget)
     core, oracle, rng = world.core, Oracle(world), world.rng
     at: dict[int, list[tuple[int, Deed]]] = {}
     tick = 0
@@ -215,7 +219,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         before = states(core, len(blocks))
         allowed = [core.energy.ratio(i) for i in range(len(blocks))]
         for i, block in enumerate(blocks):
-            if pause and core.clutches.all[i].phase is Phase.FROZEN:
+            if pause and core.clutches.all[i].phase is ClutchPhase.FROZEN:
                 told[block] = np.nan if pause == 1 else 1e9
         found = react(core, told).copy()
         expected = oracle.step(p, core, before)
@@ -248,7 +252,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
 
 @pytest.mark.parametrize("blocks", [[[0], [1], [2]], [[2, 0], [1]]])
 def test_without_events_nothing_differs_by_a_bit(blocks: list[list[int]]) -> None:
-    world = World(5, blocks)
+    world = ClutchedLoop(5, blocks)
     plain = EnvironmentCore(world.E, world.D_V, np.zeros((3, 3)), T)
     for _ in range(200):
         p = world.rng.normal(0.0, 1e-3, 3)
@@ -261,7 +265,7 @@ def test_without_events_nothing_differs_by_a_bit(blocks: list[list[int]]) -> Non
 
 
 def test_all_may_be_frozen_and_come_back() -> None:
-    world = World(8, [[0], [2, 1]])
+    world = ClutchedLoop(8, [[0], [2, 1]])
     core, p = world.core, np.array([2e-3, -1e-3, 1e-3])
     for _ in range(50):
         react(core, p)
@@ -291,7 +295,7 @@ def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: 
     With the same history, f_j differs from what it were else by (I + D_jj D_V,j)^-1 D_ji times the difference of the
     tool's motion in that tick: not by any force that was or was not there.
     """
-    world = World(seed, blocks)
+    world = ClutchedLoop(seed, blocks)
     core, rng = world.core, world.rng
     p, v = np.zeros(world.m), np.zeros(world.m)
     frozen, others = blocks[0], sorted(port for block in blocks[1:] for port in block)
@@ -328,7 +332,7 @@ def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: 
 @given(seed=st.integers(0, 2**32 - 1), blocks=partitions)
 def test_who_returns_feels_the_force_rise_with_the_ramp(seed: int, blocks: list[list[int]]) -> None:
     """|f_c(k) - f_c(k-1)| <= |f_e(k) - f_e(k-1)| + pi/(2 RAMP) |f_e(k-1)| at every port that comes back."""
-    world = World(seed, blocks, RAMP)
+    world = ClutchedLoop(seed, blocks, RAMP)
     core, rng = world.core, world.rng
     p, v = np.zeros(world.m), np.zeros(world.m)
     f_c, f_e = np.zeros(world.m), np.zeros(world.m)
@@ -356,7 +360,7 @@ def test_who_returns_feels_the_force_rise_with_the_ramp(seed: int, blocks: list[
 
 
 def returned(
-    world: World, p: Callable[[int], np.ndarray], offset: np.ndarray, ticks: int
+    world: ClutchedLoop, p: Callable[[int], np.ndarray], offset: np.ndarray, ticks: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Freeze block 0, and return with the end displaced by -offset and moved by p, until it is settled.
 
@@ -387,7 +391,7 @@ def returned(
 @pytest.mark.parametrize("push", [-1.0, 0.0, 1.0])
 def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
     """Whichever way the environment pushes, even if it never pushes the other: the last is let go on that side."""
-    world = World(11, [[0], [1]])
+    world = ClutchedLoop(11, [[0], [1]])
 
     def hand(k: int) -> np.ndarray:
         # to and fro by 3 mm, 1.6 times a second; with a push, both tools are off the rest to one side
@@ -411,7 +415,7 @@ def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
 
 
 def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> None:
-    world = World(12, [[0, 2, 1]])
+    world = ClutchedLoop(12, [[0, 2, 1]])
 
     def hand(k: int) -> np.ndarray:
         return 0.03 * np.array([math.sin(0.01 * k), math.sin(0.0173 * k), math.cos(0.0127 * k)])
@@ -440,7 +444,7 @@ def test_an_offset_is_not_let_go_under_a_force_that_has_turned() -> None:
 
 
 def test_a_hand_that_rests_keeps_its_offset_and_full_coupling() -> None:
-    world = World(13, [[0], [1]])
+    world = ClutchedLoop(13, [[0], [1]])
     offsets, _ = returned(world, lambda _: np.zeros(2), np.array([5e-3]), 400)
     assert world.core.clutches.ratio(0) == 1.0
     assert not world.core.clutches.settled(0)
@@ -452,9 +456,9 @@ def test_the_lag_fades_with_the_offset_and_is_bounded() -> None:
 
     def ratio_at(offset: float, step: float) -> float:
         clutch = Clutch([0], 20)
-        clutch.handle(Event.FREEZE)
+        clutch.handle(ClutchEvent.FREEZE)
         clutch.seize([0.0])
-        clutch.handle(Event.ENGAGE)
+        clutch.handle(ClutchEvent.ENGAGE)
         for k in range(200):
             clutch.advance([step * k], [0.0])
             clutch.conclude([0.0])
@@ -474,7 +478,7 @@ def test_the_lag_fades_with_the_offset_and_is_bounded() -> None:
 
 def test_a_frozen_block_may_change_its_feedthrough() -> None:
     """Afterwards the core is one that was made with the new one."""
-    world = World(21, [[0, 2], [1]])
+    world = ClutchedLoop(21, [[0, 2], [1]])
     core, oracle, rng = world.core, Oracle(world), world.rng
     fresh = world.feedthrough(2)
     p, v = np.zeros(3), np.zeros(3)
@@ -500,7 +504,7 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
 
 def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> None:
     """Forces are found, then a block changes its rung, then the tick ends: as it would have without that."""
-    within, behind = World(23, [[0, 2], [1]]), World(23, [[0, 2], [1]])
+    within, behind = ClutchedLoop(23, [[0, 2], [1]]), ClutchedLoop(23, [[0, 2], [1]])
     fresh = within.feedthrough(2)
     p, v = np.zeros(3), np.zeros(3)
     for k in range(120):
@@ -525,7 +529,7 @@ def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> 
 
 
 def test_only_a_frozen_block_may() -> None:
-    world = World(22, [[0, 2], [1]])
+    world = ClutchedLoop(22, [[0, 2], [1]])
     core, fresh = world.core, 2.0 * np.eye(2)
     for _ in range(3):
         with pytest.raises(ValueError, match=r"found block 0 at the ratio .*expected it frozen"):

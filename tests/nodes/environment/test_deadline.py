@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manyhands.nodes.environment.deadline import Deadline, Decision, Step
-from manyhands.nodes.patience import Patience
+from manyhands.nodes.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant
 
 MS = 10**6
@@ -14,10 +14,10 @@ BEGAN, PERIOD, FREEZE, STALE = 100.0, 1.0, 3.0, 5.0  # ms
 
 def in_real_time(due: float = BEGAN) -> Deadline:
     """A wait that begins at BEGAN, for a tick that the devices sample at ``due``, ms."""
-    return waiting(Patience(ns(FREEZE), ns(STALE), ns(FREEZE), ns(FREEZE), ns(2.0)), due)
+    return waiting(Timeouts(ns(FREEZE), ns(STALE), ns(FREEZE), ns(FREEZE), ns(2.0)), due)
 
 
-def waiting(patience: Patience, due: float) -> Deadline:
+def waiting(patience: Timeouts, due: float) -> Deadline:
     return Deadline(patience, ns(PERIOD), at(due), at(BEGAN))
 
 
@@ -137,7 +137,7 @@ def test_whoever_was_given_up_makes_nobody_wait_again_at_once() -> None:
 
 
 def test_under_the_simulated_clock_nobody_is_given_up_forgotten_or_pardoned() -> None:
-    deadline = waiting(Patience(None, None, ns(1.0), ns(1.0), ns(1.0)), BEGAN)
+    deadline = waiting(Timeouts(None, None, ns(1.0), ns(1.0), ns(1.0)), BEGAN)
     deadline.listened = True
     for now in (1.0, 1e6):
         assert decide(deadline, BEGAN + now, "present", "missing") == Decision(Step.LISTEN, False, False)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.environment.energy import POSTING, Budget, Energy
+from manyhands.nodes.environment.energy import POSTING, Energy, EnergyBudget
 
-from ..cases import cases
+from ...support.cases import cases
 
 T = 1e-3
 STORE = 10.0  # J
@@ -19,7 +19,7 @@ joules = st.floats(-1.0, 1.0).map(lambda energy: 0.0 if abs(energy) < 1e-9 else 
 ticks = st.integers(2, 4).flatmap(lambda n: st.lists(st.lists(joules, min_size=n, max_size=n), min_size=1, max_size=40))
 
 
-def accounts(n: int, budgets: list[Budget] | None = None, known: bool = False) -> Energy:
+def accounts(n: int, budgets: list[EnergyBudget] | None = None, known: bool = False) -> Energy:
     return Energy([(i,) for i in range(n)], budgets, T, known)
 
 
@@ -62,7 +62,7 @@ def test_a_single_supplier_is_charged_with_all_that_others_receive(supplies: lis
 @given(supplies=ticks)
 def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> None:
     n = len(supplies[0])
-    energy = accounts(n, [Budget(1e-9, 1e-9, STORE)] * n)
+    energy = accounts(n, [EnergyBudget(1e-9, 1e-9, STORE)] * n)
     for supplied in supplies:
         energy.supply([-abs(supplied[0]), *supplied[1:]])
         assert energy.given[0] == 0.0
@@ -76,7 +76,9 @@ def test_who_puts_nothing_in_is_never_charged(supplies: list[list[float]]) -> No
 )
 def test_a_hand_that_only_gives_way_is_never_charged(pushes: list[tuple[float, float, int]], known: bool) -> None:
     """Party 1 burns, and gives back, some of what it was moved with, however late; parties 0 and 2 push."""
-    energy = accounts(3, [Budget(1.0, 1e9, STORE), Budget(1e-9, 1e-9, STORE), Budget(1.0, 1e9, STORE)], known)
+    energy = accounts(
+        3, [EnergyBudget(1.0, 1e9, STORE), EnergyBudget(1e-9, 1e-9, STORE), EnergyBudget(1.0, 1e9, STORE)], known
+    )
     stored = 0.0
     for push, part, wait in pushes:
         if push >= 0.0:  # it is moved, and stores what it can
@@ -134,7 +136,7 @@ def test_over_every_window_the_others_receive_no_more_than_the_budget(
 
     Its ratio and its room are obeyed.
     """
-    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, size, STORE)])
+    energy = accounts(2, [EnergyBudget(power, size, STORE), EnergyBudget(1.0, size, STORE)])
     received = [0.0]
     stored = 0.0
     for k in range(1000):
@@ -160,7 +162,7 @@ def test_over_every_window_the_others_receive_no_more_than_the_budget(
 @given(power=st.floats(0.1, 50.0), size=st.floats(0.1, 50.0), parts=st.lists(st.floats(0.0, 1.0), min_size=1))
 def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, parts: list[float]) -> None:
     """It puts in at most P, and nearly half a bucket at once in the beginning; the others take it."""
-    energy = accounts(2, [Budget(power, size, STORE), Budget(1.0, 1.0, STORE)])
+    energy = accounts(2, [EnergyBudget(power, size, STORE), EnergyBudget(1.0, 1.0, STORE)])
     put = 0.499 * size
     for k in range(1000):
         energy.supply([put, -put])
@@ -179,7 +181,9 @@ def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, pa
 def test_who_puts_in_half_a_bucket_is_not_scaled_whatever_the_others_do(
     size: float, parts: list[tuple[float, float, float]], known: bool
 ) -> None:
-    energy = accounts(3, [Budget(1e-3, size, STORE), Budget(1.0, 1.0, STORE), Budget(1.0, 1.0, STORE)], known)
+    energy = accounts(
+        3, [EnergyBudget(1e-3, size, STORE), EnergyBudget(1.0, 1.0, STORE), EnergyBudget(1.0, 1.0, STORE)], known
+    )
     whole = max(1.0, sum(part for part, *_ in parts))
     for part, *others in parts:
         energy.supply([0.499 * size * part / whole, *others])
@@ -188,7 +192,7 @@ def test_who_puts_in_half_a_bucket_is_not_scaled_whatever_the_others_do(
 
 
 def test_a_party_that_is_stopped_goes_on_once_half_its_bucket_is_free() -> None:
-    energy = accounts(2, [Budget(1.0, 1.0, STORE), Budget(1.0, 1.0, STORE)])
+    energy = accounts(2, [EnergyBudget(1.0, 1.0, STORE), EnergyBudget(1.0, 1.0, STORE)])
     energy.supply([0.97, -0.97])
     assert energy.ratio(0) == 0.0
     assert energy.stops == [1, 0]
@@ -210,7 +214,7 @@ def test_ports_of_a_block_count_together() -> None:
 
 
 def test_a_tick_that_is_worth_an_eighth_of_a_bucket_is_posted_at_once() -> None:
-    energy = accounts(2, [Budget(1e-6, 1.0, STORE), Budget(1.0, 4.0, STORE)], known=True)
+    energy = accounts(2, [EnergyBudget(1e-6, 1.0, STORE), EnergyBudget(1.0, 4.0, STORE)], known=True)
     for put, ratio in ((0.1, 1.0), (0.1, 1.0), (0.35, pytest.approx(0.9))):  # only the third makes a posting
         energy.enter([-put, 0.0], [1.0, 1.0], [0.0, 0.0])
         assert energy.ratio(0) == ratio
@@ -230,6 +234,6 @@ def test_what_waits_is_posted_before_the_world_burns_it() -> None:
 @pytest.mark.parametrize("found", [0.0, -1.0, math.inf, math.nan])
 def test_a_budget_is_a_positive_number(found: float) -> None:
     with pytest.raises(ValueError, match="expected a finite number greater than 0"):
-        Budget(found, 1.0, STORE)
+        EnergyBudget(found, 1.0, STORE)
     with pytest.raises(ValueError, match="expected a finite number greater than 0"):
-        Budget(1.0, found, STORE)
+        EnergyBudget(1.0, found, STORE)

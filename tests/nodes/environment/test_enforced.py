@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.network import Link, Network
-from manyhands.nodes.environment.black_box import BlackBox, EnforcedCore, LinearLaw
+from manyhands.design.models.network import Network, NetworkLink
 from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, LinearLaw
 from manyhands.nodes.environment.model import MOST_FORCE, AskedModel, ModelError, ModelName, make_model
 
-from .cores import react
+from ...support.reaction import react
 
 T = 1e-3
 PORTS = ("p", "q", "r")
@@ -165,8 +165,8 @@ def test_as_a_safety_net_it_never_acts_and_changes_nothing(
     stiffness: float, damping: float, mass: float, seed: int
 ) -> None:
     """E as it is proved: the same forces as without a controller, through freezes and returns."""
-    links = [Link((port, "hub"), stiffness * (i + 1), damping) for i, port in enumerate(PORTS)]
-    E = Network(PORTS, (("hub", mass),), (*links, Link(("hub", "ground"), stiffness, damping))).environment(T)
+    links = [NetworkLink((port, "hub"), stiffness * (i + 1), damping) for i, port in enumerate(PORTS)]
+    E = Network(PORTS, (("hub", mass),), (*links, NetworkLink(("hub", "ground"), stiffness, damping))).environment(T)
     plain = EnvironmentCore(E, D_V * (D_V > 0), np.zeros((3, 3)), T, BLOCKS, ramp=20)
     netted = EnforcedCore(LinearLaw(E), D_V * (D_V > 0), np.zeros((3, 3)), T, True, BLOCKS, ramp=20)
     rng = np.random.default_rng(seed)

@@ -13,35 +13,24 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.environment.attendance import FIRST_PAUSE, Seat
 from manyhands.nodes.environment.clutch import RAMP
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.late_arrivals import LateArrivals
+from manyhands.nodes.environment.membership import FIRST_PAUSE, LEAD, MOST_AHEAD, Member, Members, Membership
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.environment.places import LEAD, MOST_AHEAD, Place, Places
-from manyhands.nodes.exchange import Heard, Joint
-from manyhands.nodes.feedthrough import feedthrough_digest
-from manyhands.nodes.patience import Patience
+from manyhands.nodes.peer_link import PeerLink, Received
+from manyhands.nodes.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Bounds, Gate
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
-from manyhands.protocol.messages import (
-    PROTOCOL_VERSION,
-    Absent,
-    LinkHello,
-    Reaction,
-    Role,
-    Rung,
-    Shift,
-    Tool,
-    Welcome,
-)
+from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Reaction, Role, Rung, Shift, Tool, Welcome
 
-from .cores import react
-from .held import Held
+from ...support.message_link import MessageLink
+from ...support.reaction import react
 
 T, STIFFNESS, DAMPING = 1e-3, 100.0, 0.1  # s, N/m, N s/m: a spring and a damper to ground at each port
 NAMES = ("cx", "cy")
@@ -50,39 +39,39 @@ RUNGS = {name: tuple(np.array([[D_V / (rung + 1)]]) for rung in (1, 2)) for name
 NOW = Duration(0)
 
 
-class Line:
+class BindingLine:
     """The environment's line to its supervisor, and the links that it binds anew."""
 
     def __init__(self) -> None:
-        self.fresh: dict[str, Held] = {}
+        self.fresh: dict[str, MessageLink] = {}
 
-    def bind_anew(self, peer: Peer) -> tuple[Held, str]:
-        self.fresh[peer.name] = Held()
+    def bind_anew(self, peer: Peer) -> tuple[MessageLink, str]:
+        self.fresh[peer.name] = MessageLink()
         return self.fresh[peer.name], "memory://fresh"
 
     def offer(self, _peer: str, _endpoint: str) -> None:
         pass
 
 
-class World:
+class TwoCouplings:
     """An environment of two couplings with one port each, tick by tick."""
 
     def __init__(self, life: Any, resumes: bool = False, tick: int = 0, independent: bool = True) -> None:
         walls, each = STIFFNESS + DAMPING / T, np.eye(2)
         E = StateSpace(np.zeros((2, 2)), each, -DAMPING / T * each, walls * each)
         self.core = EnvironmentCore(E, D_V * each, None, T, [slice(0, 1), slice(1, 2)])
-        self.life, self.line, self.tick, self.p = life, Line(), tick, np.zeros(2)
-        self.ends = {name: Held() for name in NAMES}
+        self.life, self.line, self.tick, self.p = life, BindingLine(), tick, np.zeros(2)
+        self.ends = {name: MessageLink() for name in NAMES}
         own = LinkHello(PROTOCOL_VERSION, "c", "s", "environment", Role.ENVIRONMENT, ("p",))
         joints = [
-            Joint(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
+            PeerLink(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
             for i, (name, end) in enumerate(self.ends.items())
         ]
-        self.places = Places(joints, self.core, RUNGS, life, resumes, independent)
+        self.places = Members(joints, self.core, RUNGS, life, resumes, independent)
         self.places.know({name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]])))
         self.cx, self.cy = self.places.all
 
-    def hear(self, place: Place) -> Heard:
+    def hear(self, place: Member) -> Received:
         return self.places.hear(place, self.p, self.tick, NOW)
 
     def say(self, name: str, tick: int | None = None, value: float = 0.01) -> None:
@@ -105,7 +94,7 @@ class World:
             for place in self.places.all:
                 if place.joint.peer.name != but:
                     self.say(place.joint.peer.name)
-                    assert self.hear(place) is Heard.SIGNAL
+                    assert self.hear(place) is Received.SIGNAL
             self.finish()
 
     def forces(self, name: str) -> dict[int, float]:
@@ -115,7 +104,7 @@ class World:
     def lose(self, name: str) -> None:
         self.places.obey(Absent(name), self.line, self.tick)  # type: ignore[arg-type]
 
-    def come_back(self, name: str, feedthrough: float = D_V) -> Heard:
+    def come_back(self, name: str, feedthrough: float = D_V) -> Received:
         """A coupling's next process shakes hands."""
         end = self.ends[name] = self.line.fresh[name]
         hello = LinkHello(PROTOCOL_VERSION, "c", "s", name, Role.COUPLING, ("p",), ((feedthrough,),))
@@ -124,11 +113,11 @@ class World:
 
 
 @pytest.fixture
-def world(new_life: Callable[[], Any]) -> World:
-    return World(new_life())
+def world(new_life: Callable[[], Any]) -> TwoCouplings:
+    return TwoCouplings(new_life())
 
 
-def test_together_everybody_is_heard_and_answered(world: World) -> None:
+def test_together_everybody_is_heard_and_answered(world: TwoCouplings) -> None:
     world.together(3)
     assert world.places.all_seated
     assert (world.places.frozen, world.places.absences) == (0, 0)
@@ -137,7 +126,7 @@ def test_together_everybody_is_heard_and_answered(world: World) -> None:
     assert all(force < 0.0 for force in forces.values())
 
 
-def test_who_is_given_up_is_frozen_and_not_answered(world: World) -> None:
+def test_who_is_given_up_is_frozen_and_not_answered(world: TwoCouplings) -> None:
     world.together()
     world.say("cx")
     world.hear(world.cx)
@@ -155,7 +144,7 @@ def test_who_is_given_up_is_frozen_and_not_answered(world: World) -> None:
     assert (world.places.frozen, world.places.absences) == (1, 1)
 
 
-def frozen_for(world: World, ticks: int) -> int:
+def frozen_for(world: TwoCouplings, ticks: int) -> int:
     """The coupling cy is silent for so long; returns the tick that it is at."""
     world.together(200)
     behind = world.tick
@@ -167,12 +156,12 @@ def frozen_for(world: World, ticks: int) -> int:
     return behind
 
 
-def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(world: World) -> None:
+def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
-    assert world.hear(world.cy) is Heard.NOTHING
+    assert world.hear(world.cy) is Received.NOTHING
     due = world.tick + LEAD
-    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
     assert world.forces("cy")[due - 1] == 0.0
     while world.tick < due:
         assert not world.cy.missing(world.tick)  # nobody waits in the meantime
@@ -180,7 +169,7 @@ def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(wo
     assert world.cy.missing(due)
 
 
-def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: World) -> None:
+def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -196,48 +185,48 @@ def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: World) -> None:
     assert world.core.clutches.ratio(1) == 1.0
 
 
-def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: World) -> None:
+def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
     due = world.cy.due
     dropped = dict(world.cy.joint.gate.dropped)
     world.say("cy", due, 0.02)
-    assert world.hear(world.cy) is Heard.TURNED
+    assert world.hear(world.cy) is Received.TURNED
     assert world.cy.joint.gate.dropped == dropped  # it is no stray
     while world.tick < due:
         world.together(but="cy")
         assert world.p[1] == 0.01
-    assert world.hear(world.cy) is Heard.SIGNAL
-    assert (world.p[1], world.cy.attendance.seat) == (0.02, Seat.SEATED)
+    assert world.hear(world.cy) is Received.SIGNAL
+    assert (world.p[1], world.cy.attendance.seat) == (0.02, Membership.SEATED)
 
 
-def test_who_is_ahead_is_expected_at_its_own_tick(world: World) -> None:
+def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
     """It was told to go on there, and frozen again, or by the environment before."""
     frozen_for(world, 20)
     due = world.tick + LEAD
     world.say("cy", due, 0.02)
-    assert world.hear(world.cy) is Heard.TURNED
-    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    assert world.hear(world.cy) is Received.TURNED
+    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
     assert world.cy.joint.gate.dropped["future_tick"] == 0  # it is no stray
     world.say("cy", due + 1, 0.03)  # it knows better still
     world.hear(world.cy)
     while world.tick < due + 1:
         assert not world.cy.missing(world.tick)
         world.together(but="cy")
-    assert world.hear(world.cy) is Heard.SIGNAL
-    assert (world.p[1], world.cy.attendance.seat) == (0.03, Seat.SEATED)
+    assert world.hear(world.cy) is Received.SIGNAL
+    assert (world.p[1], world.cy.attendance.seat) == (0.03, Membership.SEATED)
 
 
-def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: World) -> None:
+def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: TwoCouplings) -> None:
     """It is on its way to that tick, and would be waited for in between."""
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
     due = world.cy.due
     world.say("cy")
-    assert world.hear(world.cy) is Heard.NOTHING
-    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, due)
+    assert world.hear(world.cy) is Received.NOTHING
+    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
     while world.tick < due:
         assert not world.cy.missing(world.tick)
         world.together(but="cy")
@@ -245,7 +234,7 @@ def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: Wor
     assert world.places.all_seated
 
 
-def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(world: World) -> None:
+def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.ends["cx"].say(Absent("dx"))
     world.hear(world.cx)
@@ -256,35 +245,35 @@ def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(
 
 
 @pytest.mark.parametrize("ahead", [MOST_AHEAD + 1, 2**40])
-def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: World, ahead: int) -> None:
+def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: TwoCouplings, ahead: int) -> None:
     frozen_for(world, 20)
     world.say("cy", world.tick + ahead)
-    assert world.hear(world.cy) is Heard.NOTHING
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.FROZEN)
+    assert world.hear(world.cy) is Received.NOTHING
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.FROZEN)
     assert world.cy.joint.gate.dropped["future_tick"] == 1
 
 
-def test_a_signal_of_a_later_tick_from_who_is_seated_is_a_stray(world: World) -> None:
+def test_a_signal_of_a_later_tick_from_who_is_seated_is_a_stray(world: TwoCouplings) -> None:
     world.together(3)
     world.say("cy", world.tick + 1)
-    assert world.hear(world.cy) is Heard.NOTHING
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.SEATED)
+    assert world.hear(world.cy) is Received.NOTHING
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.SEATED)
     assert world.cy.joint.gate.dropped["future_tick"] == 1
 
 
-def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: World) -> None:
+def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: TwoCouplings) -> None:
     """It would wait for that and say nothing more, and whoever waits for its device's return would wait for it."""
     frozen_for(world, 20)
     ahead = world.tick + LEAD
     world.say("cy", ahead)
     world.hear(world.cy)
     world.ends["cy"].say(Absent("dy"))
-    assert world.hear(world.cy) is Heard.TURNED
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Seat.FROZEN)
+    assert world.hear(world.cy) is Received.TURNED
+    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.FROZEN)
     assert world.forces("cy")[ahead] == 0.0
 
 
-def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: World) -> None:
+def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -292,13 +281,13 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: World)
     world.hear(world.cy)
     world.lose("cy")
     for _ in range(LEAD + 2):
-        assert world.hear(world.cy) is Heard.NOTHING
+        assert world.hear(world.cy) is Received.NOTHING
         world.together(but="cy")
-    assert world.cy.attendance.seat is Seat.GONE
+    assert world.cy.attendance.seat is Membership.GONE
     assert world.core.clutches.frozen(1)
 
 
-def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: World) -> None:
+def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -311,20 +300,20 @@ def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: World
     for _ in range(FIRST_PAUSE - 1):
         world.say("cy", behind)
         world.hear(world.cy)
-        assert world.cy.attendance.seat is Seat.FROZEN
+        assert world.cy.attendance.seat is Membership.FROZEN
         world.together(but="cy")
     assert len(world.ends["cy"].said) == said
     world.say("cy", behind)
     world.hear(world.cy)
-    assert world.cy.attendance.seat is Seat.EXPECTED
+    assert world.cy.attendance.seat is Membership.EXPECTED
 
 
-def test_a_signal_that_was_answered_is_answered_again_as_before(world: World) -> None:
+def test_a_signal_that_was_answered_is_answered_again_as_before(world: TwoCouplings) -> None:
     world.together(3)
     said = world.ends["cy"].said
     last = said[-1]
     world.say("cy", world.tick - 1)
-    assert world.hear(world.cy) is Heard.NOTHING
+    assert world.hear(world.cy) is Received.NOTHING
     assert said[-1] == last
     assert len(said) == 4
     world.say("cy", world.tick - 2)  # nobody asks so late
@@ -333,37 +322,37 @@ def test_a_signal_that_was_answered_is_answered_again_as_before(world: World) ->
     assert world.places.all_seated
 
 
-def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: World) -> None:
+def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: TwoCouplings) -> None:
     world.together(200)
     world.ends["cy"].say(Absent("dy"))
-    assert world.hear(world.cy) is Heard.TURNED
-    assert world.cy.attendance.seat is Seat.FROZEN
+    assert world.hear(world.cy) is Received.TURNED
+    assert world.cy.attendance.seat is Membership.FROZEN
     assert not world.cy.missing(world.tick)
     world.say("cy")  # its device is back already
-    assert world.hear(world.cy) is Heard.SIGNAL
-    assert world.cy.attendance.seat is Seat.SEATED
+    assert world.hear(world.cy) is Received.SIGNAL
+    assert world.cy.attendance.seat is Membership.SEATED
 
 
 @pytest.mark.parametrize("left", range(1, LEAD + 1))
-def test_near_the_end_one_is_invited_to_the_last_tick(world: World, left: int) -> None:
+def test_near_the_end_one_is_invited_to_the_last_tick(world: TwoCouplings, left: int) -> None:
     """Not beyond it: who is seated may wait for a device of several blocks, and that one for this block's force."""
     behind = frozen_for(world, 20)
     world.places.last = world.tick + left
     world.say("cy", behind)
     world.hear(world.cy)
-    assert (world.cy.attendance.seat, world.cy.due) == (Seat.EXPECTED, world.places.last - 1)
+    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, world.places.last - 1)
     told = world.ends["cy"].said[-1]
     assert isinstance(told, Reaction)
     assert (told.tick, told.values.tolist()) == (world.places.last - 2, [0.0])
 
 
-def test_a_flood_ends_the_environment(world: World) -> None:
+def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
     world.ends["cy"].coming.extend([b"\xc1"] * (MAX_STRAY_FRAMES + 1))
-    assert world.hear(world.cy) is Heard.NOTHING
+    assert world.hear(world.cy) is Received.NOTHING
     assert world.life.failure.startswith("environment: cy sent 513 stray frames")
 
 
-def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: World) -> None:
+def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: TwoCouplings) -> None:
     world.together(3)
     world.places.let_go(world.tick)
     first = world.tick
@@ -374,28 +363,28 @@ def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: W
 
 
 class Test_a_coupling_that_was_lost:
-    def test_is_welcomed_told_the_tick_and_let_in(self, world: World) -> None:
+    def test_is_welcomed_told_the_tick_and_let_in(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
-        assert world.cy.attendance.seat is Seat.GONE
+        assert world.cy.attendance.seat is Membership.GONE
         world.together(5, but="cy")
-        assert world.come_back("cy") is Heard.MET
-        assert world.cy.attendance.seat is Seat.FROZEN
+        assert world.come_back("cy") is Received.MET
+        assert world.cy.attendance.seat is Membership.FROZEN
         assert world.forces("cy") == {world.tick - 1: 0.0}
         world.together()
         assert world.places.all_seated
         assert world.forces("cy")[world.tick - 1] == 0.0
         assert world.places.absences == 1
 
-    def test_is_not_let_in_with_another_feedthrough(self, world: World) -> None:
+    def test_is_not_let_in_with_another_feedthrough(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
         world.come_back("cy", 2 * D_V)
-        assert (world.cy.attendance.seat, world.cy.joint.reachable) == (Seat.GONE, False)
+        assert (world.cy.attendance.seat, world.cy.joint.reachable) == (Membership.GONE, False)
         world.together(3, but="cy")
         assert world.core.clutches.frozen(1)
 
-    def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: World) -> None:
+    def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: TwoCouplings) -> None:
         world.together(200)
         world.places.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
         world.together(2 * RAMP)
@@ -414,7 +403,7 @@ class Test_a_coupling_that_was_lost:
 
 
 class Test_a_change_of_rung:
-    def test_is_said_at_no_force_and_before_it(self, world: World) -> None:
+    def test_is_said_at_no_force_and_before_it(self, world: TwoCouplings) -> None:
         world.together(200)
         world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.ends["cy"].said.clear()
@@ -433,7 +422,7 @@ class Test_a_change_of_rung:
         assert world.core.clutches.ratio(1) == 1.0
         assert not any(isinstance(told, Rung) for told in world.ends["cx"].said)
 
-    def test_comes_with_the_second_tick_without_force(self, world: World) -> None:
+    def test_comes_with_the_second_tick_without_force(self, world: TwoCouplings) -> None:
         """The first one's step of the force is of the rung before, and its delay is not the new one's to promise."""
         world.together(200)
         world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
@@ -444,7 +433,7 @@ class Test_a_change_of_rung:
         without = [told.values[0] == 0.0 for told in said if isinstance(told, Reaction)]
         assert without[-3:] == [False, True, True]
 
-    def test_that_is_taken_back_leaves_nobody_frozen(self, world: World) -> None:
+    def test_that_is_taken_back_leaves_nobody_frozen(self, world: TwoCouplings) -> None:
         world.together(200)
         for word in (Shift("cy", 1), Shift("cy", 0)):
             world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
@@ -455,7 +444,7 @@ class Test_a_change_of_rung:
     def test_where_no_mixture_is_certified_comes_for_all_in_one_tick(
         self, new_life: Callable[[], Any], between: int
     ) -> None:
-        world = World(new_life(), independent=False)
+        world = TwoCouplings(new_life(), independent=False)
         world.together(200)
         world.places.obey(Shift("cx", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.together(between)
@@ -469,7 +458,7 @@ class Test_a_change_of_rung:
         assert [world.core.clutches.ratio(block) for block in (0, 1)] == [1.0, 1.0]
 
     def test_where_no_mixture_is_certified_waits_for_nobody_who_is_frozen(self, new_life: Callable[[], Any]) -> None:
-        world = World(new_life(), independent=False)
+        world = TwoCouplings(new_life(), independent=False)
         frozen_for(world, 20)
         for name in NAMES:
             world.places.obey(Shift(name, 1), world.line, world.tick)  # type: ignore[arg-type]
@@ -479,12 +468,12 @@ class Test_a_change_of_rung:
         assert (world.cy.rung, world.core.clutches.ratio(1)) == (1, 0.0)
 
     @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
-    def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: World, word: Shift) -> None:
+    def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: TwoCouplings, word: Shift) -> None:
         world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
         world.together(3)
         assert (world.cy.rung, world.cy.wanted, world.core.clutches.ratio(1)) == (0, 0, 1.0)
 
-    def test_of_a_frozen_coupling_waits_until_it_is_seated(self, world: World) -> None:
+    def test_of_a_frozen_coupling_waits_until_it_is_seated(self, world: TwoCouplings) -> None:
         frozen_for(world, 20)
         world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.together(but="cy")
@@ -496,44 +485,44 @@ class Test_a_change_of_rung:
 
 class Test_an_environment_that_comes_back:
     @pytest.fixture
-    def back(self, new_life: Callable[[], Any]) -> World:
-        return World(new_life(), resumes=True, tick=400)
+    def back(self, new_life: Callable[[], Any]) -> TwoCouplings:
+        return TwoCouplings(new_life(), resumes=True, tick=400)
 
-    def test_awaits_everybody_with_nobody_let_in(self, back: World) -> None:
+    def test_awaits_everybody_with_nobody_let_in(self, back: TwoCouplings) -> None:
         assert [place.missing(400) for place in back.places.all] == [True, True]
         assert back.places.seated == []
         assert all(back.core.clutches.frozen(block) for block in (0, 1))
 
-    def test_takes_the_greatest_tick_and_tells_the_others(self, back: World) -> None:
+    def test_takes_the_greatest_tick_and_tells_the_others(self, back: TwoCouplings) -> None:
         back.say("cx", 430)
-        assert back.hear(back.cx) is Heard.TURNED
+        assert back.hear(back.cx) is Received.TURNED
         assert back.places.ahead == 430
         back.tick = 430
         back.places.catch_up(430)
         back.say("cy", 429)
-        assert back.hear(back.cy) is Heard.NOTHING
+        assert back.hear(back.cy) is Received.NOTHING
         assert back.forces("cy") == {429: 0.0}  # it is awaited at 430
         assert back.cy.missing(430)
         back.say("cx", 430)
-        assert back.hear(back.cx) is Heard.SIGNAL
-        assert back.cx.attendance.seat is Seat.SEATED
+        assert back.hear(back.cx) is Received.SIGNAL
+        assert back.cx.attendance.seat is Membership.SEATED
 
-    def test_is_not_led_astray_by_nonsense(self, back: World) -> None:
+    def test_is_not_led_astray_by_nonsense(self, back: TwoCouplings) -> None:
         back.say("cx", 2**62)
-        assert back.hear(back.cx) is Heard.NOTHING
+        assert back.hear(back.cx) is Received.NOTHING
         assert back.places.ahead == 0
 
-    def test_leads_again_once_a_tick_is_done(self, back: World) -> None:
+    def test_leads_again_once_a_tick_is_done(self, back: TwoCouplings) -> None:
         back.places.resumed()
         back.say("cx", 430)
-        assert back.hear(back.cx) is Heard.TURNED
+        assert back.hear(back.cx) is Received.TURNED
         assert (back.places.ahead, back.cx.due) == (0, 430)
 
-    def test_tells_who_was_ahead_of_it_but_behind_another(self, back: World) -> None:
+    def test_tells_who_was_ahead_of_it_but_behind_another(self, back: TwoCouplings) -> None:
         back.say("cx", 429)
-        assert back.hear(back.cx) is Heard.TURNED
+        assert back.hear(back.cx) is Received.TURNED
         back.tick = 430  # as cy has told
-        assert back.hear(back.cx) is Heard.NOTHING
+        assert back.hear(back.cx) is Received.NOTHING
         assert back.forces("cx") == {429: 0.0}
         assert back.cx.missing(430)
 
@@ -565,7 +554,7 @@ events = st.one_of(
 )
 def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
     """Who is seated is answered, who is not is frozen, and rungs change without force alone."""
-    world = World(new_life())
+    world = TwoCouplings(new_life())
     rungs = dict.fromkeys(NAMES, 0)
     absences = 0
     for what, one, other in happening:
@@ -615,7 +604,7 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
                     else:
                         assert not any(isinstance(one, Rung) for one in told)
         for place in world.places.all:
-            seated = place.attendance.seat is Seat.SEATED
+            seated = place.attendance.seat is Membership.SEATED
             assert seated == (place in world.places.seated)
             assert seated or world.core.clutches.frozen(place.index)
             rungs[place.joint.peer.name] = place.rung
@@ -638,24 +627,24 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
-def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(world: World) -> None:
+def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(world: TwoCouplings) -> None:
     for place in world.places.all:
         world.say(place.joint.peer.name)
-        assert world.hear(place) is Heard.SIGNAL
+        assert world.hear(place) is Received.SIGNAL
     world.places.exclude(world.cy, world.tick)
     world.finish()
-    assert (world.cy.attendance.seat, world.cy.frozen_late) == (Seat.FROZEN, 1)
+    assert (world.cy.attendance.seat, world.cy.frozen_late) == (Membership.FROZEN, 1)
     assert 0 not in world.forces("cy")  # nor is it answered
     for _ in range(FIRST_PAUSE - 1):
         world.say("cy")  # it knows the tick
-        assert world.hear(world.cy) is Heard.NOTHING
+        assert world.hear(world.cy) is Received.NOTHING
         world.say("cy", world.tick + 2)
-        assert world.hear(world.cy) is Heard.NOTHING
+        assert world.hear(world.cy) is Received.NOTHING
         world.together(but="cy")
-    assert world.cy.attendance.seat is Seat.FROZEN
+    assert world.cy.attendance.seat is Membership.FROZEN
     world.say("cy")
-    assert world.hear(world.cy) is Heard.SIGNAL
-    assert world.cy.attendance.seat is Seat.SEATED
+    assert world.hear(world.cy) is Received.SIGNAL
+    assert world.cy.attendance.seat is Membership.SEATED
 
 
 class Silence:
@@ -665,13 +654,13 @@ class Silence:
         return None
 
 
-def waiting(world: World) -> int:
+def waiting(world: TwoCouplings) -> int:
     """The tick that an environment which waits in real time goes on at; by a clock that every look puts forward."""
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
     node._late = LateArrivals(len(world.places.all), Duration(10**6), Duration(10**6))
     node._due, node._passed = 0, ()
-    node._period, node._patience = Duration(10**6), Patience(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
+    node._period, node._patience = Duration(10**6), Timeouts(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
     world.life.look = lambda _now: None
     tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
     assert clock.looks < 30
@@ -679,14 +668,14 @@ def waiting(world: World) -> int:
     return tick
 
 
-def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: World) -> None:
+def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.say("cy", world.tick + 2)
     assert waiting(world) == world.tick + 2
-    assert (world.cx.attendance.seat, world.cy.attendance.seat) == (Seat.FROZEN, Seat.SEATED)
+    assert (world.cx.attendance.seat, world.cy.attendance.seat) == (Membership.FROZEN, Membership.SEATED)
 
 
-class Coming(Held):
+class Coming(MessageLink):
     """What comes of a coupling every other time that it is listened to, by how often it was."""
 
     def __init__(self, of: Callable[[int, list[Any]], Tool | None]) -> None:
@@ -703,7 +692,7 @@ def tool(tick: int, value: float = 0.01) -> Tool:
     return Tool(tick, 0, np.array([value]))
 
 
-def test_who_was_given_up_need_not_pause_while_nobody_comes(world: World) -> None:
+def test_who_was_given_up_need_not_pause_while_nobody_comes(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     for _ in range(2):  # it shows up and does not come: it is not expected for some ticks then
         world.say("cy", behind)
@@ -717,11 +706,11 @@ def test_who_was_given_up_need_not_pause_while_nobody_comes(world: World) -> Non
 
     world.cy.joint.link = Coming(say)
     assert waiting(world) == due
-    assert world.cy.attendance.seat is Seat.SEATED
+    assert world.cy.attendance.seat is Membership.SEATED
 
 
 @pytest.mark.parametrize(("silent", "seated"), [(2, False), (20, True)])
-def test_only_after_long_a_signal_may_be_far_from_the_last(world: World, silent: int, seated: bool) -> None:
+def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, silent: int, seated: bool) -> None:
     """Their devices have let go by then, and have moved on unheard."""
     for place in world.places.all:
         place.joint.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
@@ -729,11 +718,11 @@ def test_only_after_long_a_signal_may_be_far_from_the_last(world: World, silent:
     world.cx.joint.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
     world.cy.joint.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
     assert waiting(world) == world.tick
-    assert (world.cx.attendance.seat is Seat.SEATED) == seated
-    assert world.cy.attendance.seat is Seat.SEATED
+    assert (world.cx.attendance.seat is Membership.SEATED) == seated
+    assert world.cy.attendance.seat is Membership.SEATED
 
 
-def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: World) -> None:
+def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.lose("cx")  # nobody to talk to
     end = world.places.last = world.tick

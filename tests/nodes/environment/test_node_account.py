@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
-from manyhands.nodes.environment.account import Account
-from manyhands.nodes.environment.cores import environment_core
+from manyhands.nodes.environment.enforced import environment_core
+from manyhands.nodes.environment.node import EnvironmentTelemetry
 from manyhands.nodes.tick_events import TickEvents
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 0.001
 
 
 def environment(*overrides: str) -> EnvironmentBundle:
     prepared = prepare(load_session(SESSIONS / "example1-centralised.yaml", overrides), uncertified=True)
-    bundle = cut(prepared, Run("simulated", None, ""))["environment"]
+    bundle = cut(prepared, RunPlan("simulated", None, ""))["environment"]
     assert isinstance(bundle, EnvironmentBundle)
     return bundle
 
@@ -41,7 +41,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
     """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, with what is told of x_e and q alone."""
     bundle = environment(*overrides)
     m = len(bundle.common.ports)
-    core, account, line = environment_core(bundle, np.eye(m) * 1e-3), Account(bundle.common), new_line()
+    core, account, line = environment_core(bundle, np.eye(m) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
     rng = np.random.default_rng(1)
     p = np.cumsum(rng.normal(size=(bundle.common.telemetry_first, m)) * 1e-4, axis=0)
     for tick, row in enumerate(p):
@@ -74,7 +74,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
 
 def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[], Any]) -> None:
     bundle = environment()
-    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
     for tick in range(7):
         core.react([0.001 * tick, 0.0, 0.0])
         core.settle()
@@ -89,7 +89,7 @@ def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[],
 
 def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) -> None:
     bundle = environment()
-    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), Account(bundle.common), new_line()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
     assert not account.publish(line, core, {}, {"cz": [3]}, TickEvents())  # nothing is sent: they are for the next one
     core.react([0.0, 0.0, 0.0])
     core.settle()

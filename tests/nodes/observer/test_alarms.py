@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manyhands.nodes.observer.about import About
-from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, Alarms, Level, covered_tau
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms, covered_tau
+from manyhands.nodes.observer.scene import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
 
-from .looked_at import ABOUT, UNCERTIFIED, conditioned, observed
+from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, observed
 
 NO_TRACE: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = {}
 START = Instant(10**9)
@@ -44,22 +43,26 @@ def test_a_session_that_is_well_has_none() -> None:
 @pytest.mark.parametrize(
     ("frame", "level", "words"),
     [
-        (conditioned(notices=("left: a delay",)), Level.WARNING, "left: a delay"),
-        (conditioned(incidents=("vl came back",)), Level.NOTE, "vl came back"),
-        (conditioned(faults=("vl was killed",)), Level.FAULT, "vl was killed"),
-        (conditioned(silent=("vr",)), Level.FAULT, "vr: nothing has been heard"),
-        (conditioned(lost=("left",)), Level.FAULT, "left: lost"),
-        (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), Level.FAULT, "vl: its ledger fell to -0.25 J"),
-        (observed("left", 100, NO_TRACE, tau_worst_us=301.0), Level.WARNING, "later than the 300 us"),
+        (conditioned(notices=("left: a delay",)), AlarmLevel.WARNING, "left: a delay"),
+        (conditioned(incidents=("vl came back",)), AlarmLevel.NOTE, "vl came back"),
+        (conditioned(faults=("vl was killed",)), AlarmLevel.FAULT, "vl was killed"),
+        (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: nothing has been heard"),
+        (conditioned(lost=("left",)), AlarmLevel.FAULT, "left: lost"),
+        (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), AlarmLevel.FAULT, "vl: its ledger fell to -0.25 J"),
+        (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
         (
             observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
-            Level.WARNING,
+            AlarmLevel.WARNING,
             "waited for vl in 53 ticks, 0.117 s in all, and it was frozen for that 2 times",
         ),
-        (observed("environment", 100, NO_TRACE, frozen=2.0), Level.WARNING, "2 of the session's couplings are frozen"),
+        (
+            observed("environment", 100, NO_TRACE, frozen=2.0),
+            AlarmLevel.WARNING,
+            "2 of the session's couplings are frozen",
+        ),
     ],
 )
-def test_what_raises_an_alarm(frame: bytes, level: Level, words: str) -> None:
+def test_what_raises_an_alarm(frame: bytes, level: AlarmLevel, words: str) -> None:
     alarm = only(looked(frame)[1])
     assert (alarm.level, alarm.since, alarm.cleared) == (level, START, None)
     assert words in alarm.text

@@ -16,18 +16,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from manyhands.launch.bundles import Run, bundle_of
-from manyhands.launch.preparation import prepare
+from manyhands.launch.plan.bundles import RunPlan, bundle_of
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import ObserverBundle, save
-from manyhands.nodes.observer.core import ObserverCore
+from manyhands.nodes.observer.node import ObserverCore
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Connect, NodeHello, Observation, Refusal, Role, Stop, Telemetry, Welcome
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
-SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 LONG = Duration(10_000_000_000)
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf])
 traces = hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=3), elements=numbers)
@@ -89,7 +89,7 @@ class Test_its_process:
 
     def bundle(self, folder: Path) -> None:
         session = load_session(SESSIONS / "example1-uncoupled.yaml", ["observers={watch: {reads: [telemetry]}}"])
-        bundle = bundle_of(prepare(session, uncertified=True), Run("realtime", None, ""), "watch")
+        bundle = bundle_of(prepare(session, uncertified=True), RunPlan("realtime", None, ""), "watch")
         assert isinstance(bundle, ObserverBundle)
         save(bundle, folder / "watch.bundle")
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.about import About, LinkAbout, NodeAbout
-from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, Health, Scene
+from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, About, Health, LinkAbout, NodeAbout, Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role, Stop

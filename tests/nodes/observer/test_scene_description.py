@@ -10,16 +10,8 @@ from typing import Any
 
 import pytest
 
-from manyhands.nodes.observer import about as about_file
-from manyhands.nodes.observer.about import (
-    ABOUT,
-    About,
-    AboutError,
-    CertificateAbout,
-    LinkAbout,
-    NodeAbout,
-    SpringAbout,
-)
+from manyhands.nodes.observer import scene as about_file
+from manyhands.nodes.observer.scene import ABOUT, About, AboutError, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.messages import Role
 
 WHOLE = About(

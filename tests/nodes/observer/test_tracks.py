@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manyhands.nodes.observer.decimation import Decimated, Floats
-from manyhands.nodes.observer.tracks import Track, TrackKey, Tracks
+from manyhands.nodes.observer.tracks import Decimated, Floats, Track, TrackKey, Tracks
 from manyhands.protocol.messages import Observation
 
-from .looked_at import ABOUT, UNCERTIFIED
+from ...support.observed_session import ABOUT, UNCERTIFIED
 
 
 def piece(first: int, *values: float) -> Decimated:

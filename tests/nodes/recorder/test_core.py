@@ -18,20 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from manyhands.launch.recordings.file import read_recording
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.nodes.recorder import status
-from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore
-from manyhands.nodes.recorder.file import RecordingFile
-from manyhands.nodes.recorder.layout import (
-    Recorded,
-    decode_condition,
-    decode_figures,
-    encode_condition,
-    encode_figures,
-)
-from manyhands.nodes.recorder.plan import Plan, PlanError
-from manyhands.nodes.recorder.rows import Ticks, row_texts
+from manyhands.launch.recordings.tables import read_recording
+from manyhands.nodes.recorder import node as status
+from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore, Ticks, row_texts
+from manyhands.nodes.recorder.format import Recorded, decode_condition, decode_figures, encode_condition, encode_figures
+from manyhands.nodes.recorder.mcap import RecordingFile
+from manyhands.nodes.recorder.node import Plan, PlanError
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role, Stop, Telemetry
 

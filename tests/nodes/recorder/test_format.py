@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.summary import Summary
 
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.layout import CERTIFICATE_FILE, SESSION_FILE, Recorded
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE, Recorded
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role
 

@@ -12,32 +12,32 @@ import pytest
 from manyhands.protocol.clock import Duration, from_seconds
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.gallery import GALLERY, Gallery, Visit, await_any
+from manyhands.protocol.transport.broadcast import GALLERY, Broadcast, Visit, await_any
 
 LONG = from_seconds(60.0)
 NOT_AT_ALL = Duration(0)
 
 
 @pytest.fixture
-def gallery(tmp_path: Path) -> Iterator[Gallery]:
-    with closing(Gallery(tmp_path)) as gallery:
+def gallery(tmp_path: Path) -> Iterator[Broadcast]:
+    with closing(Broadcast(tmp_path)) as gallery:
         yield gallery
 
 
 @pytest.fixture
-def visitor(tmp_path: Path, gallery: Gallery) -> Iterator[Visit]:
+def visitor(tmp_path: Path, gallery: Broadcast) -> Iterator[Visit]:
     with closing(enter(tmp_path, gallery)) as visit:
         yield visit
 
 
-def enter(directory: Path, gallery: Gallery) -> Visit:
+def enter(directory: Path, gallery: Broadcast) -> Visit:
     """A visit that is sure to hear what is shown from now on."""
     visit = Visit(directory)
     greet(gallery, visit)
     return visit
 
 
-def greet(gallery: Gallery, visit: Visit) -> None:
+def greet(gallery: Broadcast, visit: Visit) -> None:
     """Show something again and again until it is heard, and then clear away what is left of it."""
     for _ in range(60_000):
         gallery.show(b"hello")
@@ -50,7 +50,7 @@ def greet(gallery: Gallery, visit: Visit) -> None:
         pass
 
 
-def test_frames_keep_their_order_and_borders(gallery: Gallery, visitor: Visit) -> None:
+def test_frames_keep_their_order_and_borders(gallery: Broadcast, visitor: Visit) -> None:
     frames = [b"", b"a", b"ab", bytes(MAX_CONTROL_BYTES), b"\x00" * 3, *(b"%d" % n for n in range(50))]
     for frame in frames:
         gallery.show(frame)
@@ -58,14 +58,14 @@ def test_frames_keep_their_order_and_borders(gallery: Gallery, visitor: Visit) -
     assert visitor.recv(NOT_AT_ALL) is None
 
 
-def test_too_long_is_an_error_where_it_is_made(gallery: Gallery, visitor: Visit) -> None:
+def test_too_long_is_an_error_where_it_is_made(gallery: Broadcast, visitor: Visit) -> None:
     with pytest.raises(ValueError, match=f"expected at most {MAX_CONTROL_BYTES}"):
         gallery.show(bytes(MAX_CONTROL_BYTES + 1))
     gallery.show(b"next")
     assert visitor.recv(LONG) == b"next"
 
 
-def test_who_comes_late_hears_what_follows(tmp_path: Path, gallery: Gallery, visitor: Visit) -> None:
+def test_who_comes_late_hears_what_follows(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
     gallery.show(b"before")
     with closing(enter(tmp_path, gallery)) as late:
         gallery.show(b"after")
@@ -76,11 +76,11 @@ def test_who_comes_late_hears_what_follows(tmp_path: Path, gallery: Gallery, vis
 def test_who_comes_before_the_gallery_hears_it_when_it_is_there(tmp_path: Path) -> None:
     with closing(Visit(tmp_path)) as early:
         assert early.recv(NOT_AT_ALL) is None
-        with closing(Gallery(tmp_path)) as gallery:
+        with closing(Broadcast(tmp_path)) as gallery:
             greet(gallery, early)
 
 
-def test_who_leaves_is_not_missed(tmp_path: Path, gallery: Gallery, visitor: Visit) -> None:
+def test_who_leaves_is_not_missed(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
     other = enter(tmp_path, gallery)
     other.close()
     other.close()
@@ -93,7 +93,7 @@ def test_who_leaves_is_not_missed(tmp_path: Path, gallery: Gallery, visitor: Vis
     assert heard == b"still here"
 
 
-def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, gallery: Gallery) -> None:
+def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, gallery: Broadcast) -> None:
     """Far more than any queue holds is shown to one that does not read, and all of it to one that does."""
     with closing(enter(tmp_path, gallery)) as stalled, closing(enter(tmp_path, gallery)) as visitor:
         shown = 20 * LINK_QUEUE_FRAMES
@@ -109,7 +109,7 @@ def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, gallery: G
         assert numbers == sorted(numbers)
 
 
-def test_nobody_there_is_no_error(gallery: Gallery) -> None:
+def test_nobody_there_is_no_error(gallery: Broadcast) -> None:
     for _ in range(2 * LINK_QUEUE_FRAMES):
         gallery.show(b"to nobody")
 
@@ -118,7 +118,7 @@ def test_any_of_several(tmp_path: Path) -> None:
     folders = [tmp_path / "a", tmp_path / "b"]
     for folder in folders:
         folder.mkdir()
-    with closing(Gallery(folders[0])) as first, closing(Gallery(folders[1])) as second:
+    with closing(Broadcast(folders[0])) as first, closing(Broadcast(folders[1])) as second:
         with closing(enter(folders[0], first)) as a, closing(enter(folders[1], second)) as b:
             await_any([a, b], NOT_AT_ALL)
             second.show(b"of b")
@@ -127,7 +127,7 @@ def test_any_of_several(tmp_path: Path) -> None:
 
 
 def test_closing_leaves_no_file_and_a_second_time_does_nothing(tmp_path: Path) -> None:
-    gallery, visit = Gallery(tmp_path), Visit(tmp_path)
+    gallery, visit = Broadcast(tmp_path), Visit(tmp_path)
     assert (tmp_path / GALLERY).is_socket()
     for _ in range(2):
         gallery.close()
@@ -139,18 +139,18 @@ def test_closing_leaves_no_file_and_a_second_time_does_nothing(tmp_path: Path) -
         visit.recv(NOT_AT_ALL)
 
 
-@pytest.mark.parametrize("end", [Gallery, Visit])
-def test_a_path_that_no_socket_can_have(end: type[Gallery] | type[Visit], tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [Broadcast, Visit])
+def test_a_path_that_no_socket_can_have(end: type[Broadcast] | type[Visit], tmp_path: Path) -> None:
     with pytest.raises(TransportError, match="found a socket path of"):
         end(tmp_path / ("long" * 40))
 
 
 def test_a_directory_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(TransportError, match="cannot bind"):
-        Gallery(tmp_path / "none")
+        Broadcast(tmp_path / "none")
 
 
-def test_a_stranger_at_the_socket_ends_nothing(tmp_path: Path, gallery: Gallery, visitor: Visit) -> None:
+def test_a_stranger_at_the_socket_ends_nothing(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
     with socket.socket(socket.AF_UNIX) as stranger:
         stranger.connect(str(tmp_path / GALLERY))
         stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 100)

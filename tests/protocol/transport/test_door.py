@@ -19,10 +19,10 @@ from zmq.utils import z85
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyPair, KeyRing, new_pair
 from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, MAX_CONTROL_BYTES
-from manyhands.protocol.transport import Trouble, monitor
-from manyhands.protocol.transport import doorkeeper as doorkeeper_module
-from manyhands.protocol.transport.door import Refused
-from manyhands.protocol.transport.doorkeeper import Doorkeeper, judge
+from manyhands.protocol.transport import Trouble
+from manyhands.protocol.transport import door as doorkeeper_module
+from manyhands.protocol.transport import door as monitor
+from manyhands.protocol.transport.door import Doorkeeper, Refused, judge
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 MS = 1_000_000

@@ -13,7 +13,7 @@ import pytest
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Grasp, Release, Stop
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.grip import MAX_GRIP_BYTES, GripInlet, GripOutlet, grip_path
+from manyhands.protocol.transport.pointer import MAX_GRIP_BYTES, PointerInlet, PointerOutlet, grip_path
 
 
 def grasp(*position: float) -> Grasp:
@@ -21,18 +21,18 @@ def grasp(*position: float) -> Grasp:
 
 
 @pytest.fixture
-def inlet(tmp_path: Path) -> Iterator[GripInlet]:
-    with closing(GripInlet(tmp_path, "dx")) as inlet:
+def inlet(tmp_path: Path) -> Iterator[PointerInlet]:
+    with closing(PointerInlet(tmp_path, "dx")) as inlet:
         yield inlet
 
 
 @pytest.fixture
-def outlet(tmp_path: Path) -> Iterator[GripOutlet]:
-    with closing(GripOutlet(tmp_path, "dx")) as outlet:
+def outlet(tmp_path: Path) -> Iterator[PointerOutlet]:
+    with closing(PointerOutlet(tmp_path, "dx")) as outlet:
         yield outlet
 
 
-def test_the_latest_word_counts(inlet: GripInlet, outlet: GripOutlet) -> None:
+def test_the_latest_word_counts(inlet: PointerInlet, outlet: PointerOutlet) -> None:
     assert inlet.latest() is None
     for word in (grasp(0.1), Release(), grasp(0.2, -0.3)):
         assert outlet.say(word)
@@ -43,26 +43,26 @@ def test_the_latest_word_counts(inlet: GripInlet, outlet: GripOutlet) -> None:
     assert inlet.malformed == 0
 
 
-def test_nobody_there(tmp_path: Path, outlet: GripOutlet) -> None:
+def test_nobody_there(tmp_path: Path, outlet: PointerOutlet) -> None:
     assert outlet.say(Release()) is False
-    inlet = GripInlet(tmp_path, "dx")
+    inlet = PointerInlet(tmp_path, "dx")
     assert outlet.say(Release()) is True
     inlet.close()
     assert outlet.say(Release()) is False
 
 
-def test_a_process_that_was_killed_leaves_a_file_and_nobody(tmp_path: Path, outlet: GripOutlet) -> None:
+def test_a_process_that_was_killed_leaves_a_file_and_nobody(tmp_path: Path, outlet: PointerOutlet) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as killed:
         killed.bind(str(grip_path(tmp_path, "dx")))
     assert outlet.say(Release()) is False
-    with closing(GripInlet(tmp_path, "dx")) as inlet:  # the device's next process takes its place
+    with closing(PointerInlet(tmp_path, "dx")) as inlet:  # the device's next process takes its place
         assert outlet.say(grasp(1.0)) is True
         assert inlet.latest() == grasp(1.0)
 
 
-def test_a_new_inlet_replaces_an_old_one_which_leaves_it_alone(tmp_path: Path, outlet: GripOutlet) -> None:
-    old = GripInlet(tmp_path, "dx")
-    with closing(GripInlet(tmp_path, "dx")) as new:
+def test_a_new_inlet_replaces_an_old_one_which_leaves_it_alone(tmp_path: Path, outlet: PointerOutlet) -> None:
+    old = PointerInlet(tmp_path, "dx")
+    with closing(PointerInlet(tmp_path, "dx")) as new:
         old.close()
         old.close()
         assert outlet.say(grasp(1.0)) is True
@@ -70,7 +70,9 @@ def test_a_new_inlet_replaces_an_old_one_which_leaves_it_alone(tmp_path: Path, o
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_neither_grasp_nor_release_is_counted(tmp_path: Path, inlet: GripInlet, outlet: GripOutlet) -> None:
+def test_what_is_neither_grasp_nor_release_is_counted(
+    tmp_path: Path, inlet: PointerInlet, outlet: PointerOutlet
+) -> None:
     garbage = [b"", b"\xc1", b"\x00" * (MAX_GRIP_BYTES + 100), encode(Stop("no")), encode(grasp(1.0)) + b"x"]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
         for frame in garbage:
@@ -81,7 +83,7 @@ def test_what_is_neither_grasp_nor_release_is_counted(tmp_path: Path, inlet: Gri
     assert inlet.latest() == grasp(0.5)
 
 
-def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: GripInlet, outlet: GripOutlet) -> None:
+def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: PointerInlet, outlet: PointerOutlet) -> None:
     said = 0
     while outlet.say(grasp(float(said))):
         said += 1
@@ -95,7 +97,7 @@ def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: GripInlet, 
     assert outlet.say(Release())
 
 
-def test_in_its_place_something_else(tmp_path: Path, outlet: GripOutlet) -> None:
+def test_in_its_place_something_else(tmp_path: Path, outlet: PointerOutlet) -> None:
     path = grip_path(tmp_path, "dx")
     path.write_text("no socket")
     assert outlet.say(Release()) is False
@@ -108,28 +110,28 @@ def test_in_its_place_something_else(tmp_path: Path, outlet: GripOutlet) -> None
     path.mkdir()
     assert outlet.say(Release()) is False
     with pytest.raises(TransportError, match="cannot bind"):
-        GripInlet(tmp_path, "dx")
+        PointerInlet(tmp_path, "dx")
 
 
-def test_a_closed_end_says_nothing(tmp_path: Path, inlet: GripInlet) -> None:
-    outlet = GripOutlet(tmp_path, "dx")
+def test_a_closed_end_says_nothing(tmp_path: Path, inlet: PointerInlet) -> None:
+    outlet = PointerOutlet(tmp_path, "dx")
     outlet.close()
     outlet.close()
     assert outlet.say(Release()) is False
 
 
-@pytest.mark.parametrize("end", [GripInlet, GripOutlet])
+@pytest.mark.parametrize("end", [PointerInlet, PointerOutlet])
 @pytest.mark.parametrize("name", ["", "a/b", "..", "é", "x" * 200])
-def test_names_that_cannot_be(end: type[GripInlet] | type[GripOutlet], name: str, tmp_path: Path) -> None:
+def test_names_that_cannot_be(end: type[PointerInlet] | type[PointerOutlet], name: str, tmp_path: Path) -> None:
     with pytest.raises(TransportError, match="found the name"):
         end(tmp_path, name)
 
 
-@pytest.mark.parametrize("end", [GripInlet, GripOutlet])
+@pytest.mark.parametrize("end", [PointerInlet, PointerOutlet])
 def test_paths_too_long_and_directories_that_are_not_there(
-    end: type[GripInlet] | type[GripOutlet], tmp_path: Path
+    end: type[PointerInlet] | type[PointerOutlet], tmp_path: Path
 ) -> None:
     with pytest.raises(TransportError, match="found a socket path of"):
         end(tmp_path / ("long" * 40), "dx")
     with pytest.raises(TransportError, match="cannot bind"):
-        GripInlet(tmp_path / "none", "dx")
+        PointerInlet(tmp_path / "none", "dx")

@@ -13,7 +13,7 @@ from zmq.utils.monitor import parse_monitor_message, recv_monitor_message
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SOCKET_PATH
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.monitor import event_of
+from manyhands.protocol.transport.door import event_of
 from manyhands.protocol.transport.zeromq import ZmqHub, ZmqTransport
 
 LONG = Duration(10_000_000_000)

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.bundle import DeviceBundle
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.process import main
 

@@ -19,19 +19,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from manyhands.launch import supervisor as supervisor_module
-from manyhands.launch.conductor import NodeState, Phase
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import Reach, reach
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import Reach, reach
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.states import NodeState, SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence, Simulation
-from manyhands.launch.supervisor import Supervisor
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import from_seconds
 
-from ..rows import rows_of
+from ...support.rows import rows_of
 
 HERE: Final = Path(__file__).parent
 NODES: Final = frozenset({"dx", "dy", "cx", "cy", "environment"})
@@ -103,7 +103,7 @@ class Script:
 
     def show(self, progress: Progress) -> None:
         """For the supervisor: how it goes."""
-        if self._interrupted or progress.phase in (Phase.ENDING, Phase.OVER):
+        if self._interrupted or progress.phase in (SessionPhase.ENDING, SessionPhase.OVER):
             return
         if self.taken < len(self.steps):
             when, then = self.steps[self.taken]
@@ -155,7 +155,7 @@ def at(tick: int) -> When:
     def when(progress: Progress) -> bool:
         told = progress.telemetry
         return (
-            progress.phase is Phase.RUNNING
+            progress.phase is SessionPhase.RUNNING
             and all(state == NodeState.RUNNING.value for state in progress.states.values())
             and told.keys() == progress.states.keys()
             and all(one.tick >= tick for one in told.values())

@@ -10,7 +10,7 @@ import signal
 import numpy as np
 import pytest
 
-from manyhands.launch.conductor import NodeState
+from manyhands.launch.run.states import NodeState
 
 from .stage import (
     PORTS,

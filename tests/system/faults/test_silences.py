@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch import supervisor as supervisor_module
-from manyhands.launch.conductor import Conductor, Instruction
-from manyhands.launch.outcome import Progress
-from manyhands.launch.reach import reach
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import Instruction
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.codec import Received
 from manyhands.protocol.messages import NodeHello
 
-from ..rows import rows_of
+from ...support.rows import rows_of
 from .proxy import Cable
 from .stage import (
     HERE,

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.conductor import Phase
-from manyhands.launch.run_directory import sweep_directories
+from manyhands.launch.run.directory import sweep_directories
+from manyhands.launch.run.states import SessionPhase
 
-from ...cases import cases
-from ..commands import read_until, started
+from ...support.cases import cases
+from ...support.commands import read_until, started
 from .stage import DEADLINE, HERE, NODES, all_on, nothing, play
 
 STARTS = int(os.environ.get("MANYHANDS_STARTS", cases(3, 5)))
@@ -60,7 +60,7 @@ def test_starts_and_stops_in_a_row_leave_nothing() -> None:
 
     before: tuple[set[str], set[str], set[str]] | None = None
     for start in range(STARTS):
-        at_once = (lambda progress: progress.phase is Phase.RUNNING, nothing)
+        at_once = (lambda progress: progress.phase is SessionPhase.RUNNING, nothing)
         outcome = play(at_once if start % 2 else (all_on(0), nothing))
         assert (outcome.code, outcome.faults) == (130, ())
         found = left()

@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
-from manyhands.nodes.control import ControlLine
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.device.driver import Driver
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.life import Life
+from manyhands.nodes.lifetime import Life
 from manyhands.nodes.process import key_ring, main
+from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
@@ -54,7 +53,7 @@ LEAVE: Final = 10
 """Ticks that a held device does at each leave."""
 
 
-class Held:
+class SteppedDriver:
     """A driver that samples only by leave, so that a test knows what happens between which ticks.
 
     Reads a byte for every :data:`LEAVE` ticks and writes one when they are done; the end of the file is leave for ever.
@@ -206,7 +205,7 @@ def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
 def held() -> int:
     """An honest device in a test's hand."""
     done, leaves = int(sys.argv.pop()), int(sys.argv.pop())
-    return main(DeviceBundle, lambda bundle: DeviceNode(bundle, Held(driver_of(bundle), leaves, done)))
+    return main(DeviceBundle, lambda bundle: DeviceNode(bundle, SteppedDriver(driver_of(bundle), leaves, done)))
 
 
 ACTS: Final[Mapping[str, Callable[[], int]]] = {

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import zmq
 
-from manyhands.launch.outcome import Progress
+from manyhands.launch.run.outcome import Progress
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -31,7 +31,7 @@ from manyhands.protocol.messages import (
 
 from .acts import OUT_OF_TURN
 from .links import DEADLINE_MS
-from .stage import OBSERVER, SUPERVISOR, Stage, prepared
+from .stage import OBSERVER, SUPERVISOR, RogueSession, prepared
 from .strangers import Claim, Fate, Knock, Stranger, crowd, fates, halfway, without_key
 from .tries import AT_THE_HUB, CROWDS, CY_DY, HALFWAY, HUB, TRIES, WATCH, WITHOUT_KEYS, Door, Try, crowded
 
@@ -85,7 +85,7 @@ class Told:
     queued: int
 
 
-def attack(stage: Stage) -> Told:
+def attack(stage: RogueSession) -> Told:
     """Everything, while the session runs."""
     with Stranger() as stranger:
         line, told, observations = _look_on(stage, stranger)
@@ -110,7 +110,7 @@ def _settled(refused: Mapping[str, int]) -> bool:
     return refused.get("unfinished", 0) >= crowded(HUB) and refused.get("out_of_turn", 0) >= len(LIES) + len(WRITES)
 
 
-def _look_on(stage: Stage, stranger: Stranger) -> tuple[Knock, Knock, tuple[Observation, ...]]:
+def _look_on(stage: RogueSession, stranger: Stranger) -> tuple[Knock, Knock, tuple[Observation, ...]]:
     """As the observer, honestly: its line to the hub, its own link, and one observation of each node at least."""
     line = stranger.knock(stage.hub, Claim.of(stage, OBSERVER, SUPERVISOR))
     _must(line.fate(DEADLINE_MS) is Fate.ADMITTED, "found an observer that is not admitted; expected it to be")
@@ -128,7 +128,7 @@ def _look_on(stage: Stage, stranger: Stranger) -> tuple[Knock, Knock, tuple[Obse
     return line, told, tuple(observations)
 
 
-def _knock(stage: Stage, stranger: Stranger) -> Mapping[Try, Fate]:
+def _knock(stage: RogueSession, stranger: Stranger) -> Mapping[Try, Fate]:
     """Every attempt with a key; those who are let in for a moment use it."""
     found = {}
     for door in dict.fromkeys(one.door for one in TRIES):
@@ -152,7 +152,7 @@ def _answer(line: Knock, lie: NodeHello) -> str:
     return answer.code if isinstance(answer, Refusal) else f"found {answer}; expected a refusal"
 
 
-def _say_as_member(stage: Stage, stranger: Stranger) -> None:
+def _say_as_member(stage: RogueSession, stranger: Stranger) -> None:
     """On a second connection of a member: what is out of turn, what is no frame, and what is too long."""
     second = stranger.knock(stage.hub, Claim.of(stage, "cy", SUPERVISOR))
     _must(second.fate(DEADLINE_MS) is Fate.ADMITTED, "found a real key that is not admitted; expected it to be")
@@ -163,7 +163,7 @@ def _say_as_member(stage: Stage, stranger: Stranger) -> None:
     second.close()
 
 
-def _crowd(stage: Stage) -> None:
+def _crowd(stage: RogueSession) -> None:
     """Open connections and leave them, while the session waits, which goes on with all of them at its doors."""
     with ExitStack() as stack:
         for says, size in CROWDS.values():
@@ -174,7 +174,7 @@ def _crowd(stage: Stage) -> None:
             stage.go_on()
 
 
-def _flood(stage: Stage, line: Knock, before: Mapping[str, int]) -> int:
+def _flood(stage: RogueSession, line: Knock, before: Mapping[str, int]) -> int:
     """Junk as fast as it goes, while the session goes on; returns how much of it left."""
     queued = 0
     for index in range(FLOOD):

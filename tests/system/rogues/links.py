@@ -11,14 +11,13 @@ import numpy as np
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from manyhands.nodes.greeting import HANDSHAKE_TIME
+from manyhands.nodes.peer_link import HANDSHAKE_TIME
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
-from manyhands.protocol.codec import LAYOUTS, encode
+from manyhands.protocol.codec import LAYOUTS, encode, read_head, type_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Force, Reaction, Sample, SignalMessage, Tool
-from manyhands.protocol.signal_head import read_head, type_of
 from manyhands.protocol.transport import Link, TransportError, Trouble
-from manyhands.protocol.transport.sockets import ZmqLink
+from manyhands.protocol.transport.zeromq import ZmqLink
 
 from .strays import STRAYS, Honest
 

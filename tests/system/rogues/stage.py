@@ -23,17 +23,18 @@ from typing import Any, Final
 
 import pytest
 
-from manyhands.launch import supervisor as supervisor_module
-from manyhands.launch.bundles import Run, cut
-from manyhands.launch.conductor import Conductor, Instruction, Phase
-from manyhands.launch.keys import Keys, ephemeral
-from manyhands.launch.outcome import Outcome, Progress
-from manyhands.launch.plan import Plan
-from manyhands.launch.preparation import Prepared, prepare
-from manyhands.launch.reach import reach
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.keys import Keys, ephemeral
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import reach
+from manyhands.launch.plan.topology import roster
+from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.states import Instruction, SessionPhase
+from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.supervisor import Supervisor
-from manyhands.launch.topology import roster
 from manyhands.nodes.bundle import Bundle
 from manyhands.protocol.codec import Received
 from manyhands.protocol.messages import NodeHello
@@ -70,7 +71,7 @@ class Ended(Exception):
 
 
 @dataclass
-class Stage:
+class RogueSession:
     """What an attack knows of a session, and how it goes on with it.
 
     Attributes:
@@ -119,7 +120,7 @@ class Stage:
         done = sum(telemetry.tick for telemetry in progress.telemetry.values())
         if done != self._seen[0]:
             self._seen = done, time.monotonic()
-        elif progress.phase is Phase.RUNNING and time.monotonic() > self._seen[1] + STANDSTILL:
+        elif progress.phase is SessionPhase.RUNNING and time.monotonic() > self._seen[1] + STANDSTILL:
             os.kill(os.getpid(), signal.SIGINT)
         with self._changed:
             self._progress = progress
@@ -132,7 +133,7 @@ class Stage:
             self._changed.notify_all()
 
 
-Attack = Callable[[Stage], Any]
+Attack = Callable[[RogueSession], Any]
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ def play(
         attack: what happens meanwhile, in a thread of its own. While it lasts, the session goes on by leave alone.
     """
     session = prepared().session
-    stage = Stage(ephemeral(roster(session), session.name))
+    stage = RogueSession(ephemeral(roster(session), session.name))
     acts = {**(acts or {}), **({HELD: "held"} if attack else {})}
     supervisor = Supervisor(
         prepared(),
@@ -203,9 +204,9 @@ def play(
             return Played(outcome, told.result(), stage.ticks)
 
 
-def _carry_out(attack: Attack, stage: Stage) -> Any:
+def _carry_out(attack: Attack, stage: RogueSession) -> Any:
     try:
-        stage.wait_for(lambda progress: progress.phase is Phase.RUNNING)
+        stage.wait_for(lambda progress: progress.phase is SessionPhase.RUNNING)
         return attack(stage)
     finally:
         os.close(stage._leaves)  # the rest of the ticks need no leave
@@ -229,10 +230,10 @@ def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, 
     patch.setattr(subprocess, "Popen", start)
 
 
-def _overhear(patch: pytest.MonkeyPatch, stage: Stage, forge: Forge) -> None:
+def _overhear(patch: pytest.MonkeyPatch, stage: RogueSession, forge: Forge) -> None:
     """Tell the stage where everybody is, as somebody who reads along would know it."""
 
-    def cut_and_forge(prepared: Prepared, run: Run) -> dict[str, Bundle]:
+    def cut_and_forge(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         stage.hub = run.control
         bundles = {
             name: replace(bundle, common=replace(bundle.common, telemetry_ticks=ATTENTIVE, telemetry_first=ATTENTIVE))

@@ -24,7 +24,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Message
 
 from .links import DEADLINE_MS
-from .stage import DEADLINE, Stage
+from .stage import DEADLINE, RogueSession
 
 PATIENCE_MS: Final = (50, 50, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 25600)
 """How long to look for an answer between one leave and the next."""
@@ -73,17 +73,17 @@ class Claim:
     shown: str | None = None
 
     @classmethod
-    def of(cls, stage: Stage, name: str, server: str) -> Self:
+    def of(cls, stage: RogueSession, name: str, server: str) -> Self:
         """The real keys of ``name``."""
         return cls(stage.keys.pair(name), stage.keys.public.keys[server])
 
     @classmethod
-    def unknown(cls, stage: Stage, server: str) -> Self:
+    def unknown(cls, stage: RogueSession, server: str) -> Self:
         """Keys that nobody has heard of."""
         return cls(new_pair(), stage.keys.public.keys[server])
 
     @classmethod
-    def pretended(cls, stage: Stage, name: str, server: str) -> Self:
+    def pretended(cls, stage: RogueSession, name: str, server: str) -> Self:
         """The public key of ``name``, without its secret."""
         return cls(new_pair(), stage.keys.public.keys[server], stage.keys.public.keys[name])
 
@@ -143,7 +143,7 @@ class Knock:
         return decode(self.socket.recv(), MAX_CONTROL_BYTES)
 
 
-def fates(stage: Stage, knocks: Sequence[Knock], held: bool) -> list[Fate]:
+def fates(stage: RogueSession, knocks: Sequence[Knock], held: bool) -> list[Fate]:
     """What became of attempts to connect.
 
     Args:

@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from manyhands.protocol.codec import LAYOUTS, encode
+from manyhands.protocol.codec import ARRAY_OF_4, BIN16, LAYOUTS, UINT64, USUAL, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Fault, Force, Reaction, Sample, SignalMessage, Stop, Tool
-from manyhands.protocol.signal_head import ARRAY_OF_4, BIN16, UINT64, USUAL
 
 JUMP: Final = 0.01
 """m in one tick: within every bound of magnitude of the test's session, and beyond every bound of step."""

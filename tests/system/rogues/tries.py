@@ -8,7 +8,7 @@ from typing import Final
 
 import zmq
 
-from .stage import OBSERVER, SUPERVISOR, Stage
+from .stage import OBSERVER, SUPERVISOR, RogueSession
 from .strangers import GREETING, OVERSIZED, Claim, Fate
 
 
@@ -23,7 +23,7 @@ class Door:
     def __str__(self) -> str:
         return f"the door of {self.of} for {self.to}"
 
-    def endpoint(self, stage: Stage) -> str:
+    def endpoint(self, stage: RogueSession) -> str:
         """Where it is."""
         if self == HUB:
             return stage.hub
@@ -44,7 +44,7 @@ class Try:
 
     what: str
     door: Door
-    claim: Callable[[Stage, str], Claim]
+    claim: Callable[[RogueSession, str], Claim]
     fate: Fate
     reason: str
     kind: int | None = None

@@ -1,0 +1,5 @@
+"""From a checked session to what each process is handed: everything is settled before a process starts.
+
+Read ``prepare`` first (the certificate), then ``topology`` (nodes and links), ``access`` (rights), ``reach`` and
+``keys`` (addresses and keys), and ``bundles`` (one for each process).
+"""
