@@ -1,7 +1,7 @@
 """One link of a running node: its signals of the tick, and what else may come of a peer.
 
-A peer does its part in time, is silent, has fallen behind, is lost, or comes back on a new link. A joint hears all of
-that and says which (:class:`Received`); what is done about it is the node's own business (:class:`Listener`).
+A peer does its part in time, is silent, has fallen behind, is lost, or comes back on a new link. A peer link hears all
+of that and says which (:class:`Received`); what is done about it is the node's own business (:class:`Listener`).
 
 How a node and its peers come together: links bound, hands shaken, before the first tick and again later.
 
@@ -38,18 +38,18 @@ class Received(Enum):
 
     SIGNAL = "the signal of the tick, put in its place"
     NOTHING = "nothing of use in the time allowed"
-    TURNED = "the listener wants no more of this tick"
-    MET = "the peer is back: hands were shaken on the new link"
+    DECLINED = "the listener wants no more of this tick"
+    RECONNECTED = "the peer is back: hands were shaken on the new link"
 
 
 class Listener(Protocol):
     """What a node makes of a frame that is not the signal of the tick."""
 
-    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
         """A proper signal of tick ``told`` came while ``awaited`` was waited for; whether to stop waiting for it."""
         ...
 
-    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """A word besides the signals; whether to stop waiting."""
         ...
 
@@ -71,9 +71,9 @@ class PeerLink:
         hello: what a peer said who came back.
         new: whether nothing has been admitted yet of a peer who came back: it may be at another tick.
         tick: that of the latest signal; -1 before the first.
-        told: the tick of the signal that was last astray.
-        zero: whether all values of that signal were zero.
-        stray: its frame.
+        other_tick: the tick of the last signal that was not of the tick awaited.
+        other_zero: whether all values of that signal were zero.
+        other_frame: its frame.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class PeerLink:
         self.handshake: LinkHandshake | None = None
         self.hello: LinkHello | None = None
         self.new = False
-        self.tick, self.told, self.zero, self.stray = -1, 0, False, b""
+        self.tick, self.other_tick, self.other_zero, self.other_frame = -1, 0, False, b""
         self._admits, self._bounds, self._clock = admits, bounds, clock
         self.gate = Gate(admits, len(peer.ports), bounds, clock)
         self._part = indices if isinstance(indices, slice) else None
@@ -168,12 +168,12 @@ class PeerLink:
         if link is not None:
             link.send(encode(message))
 
-    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
-        """Listen for the peer's signal of ``tick``, at most ``patience``, and put it into the node's ``values``."""
+    def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
+        """Listen for the peer's signal of ``tick``, at most ``timeout``, and put it into the node's ``values``."""
         link = self.link
         if link is None:
             return Received.NOTHING
-        frame = link.recv(patience)
+        frame = link.recv(timeout)
         if frame is None:
             return Received.NOTHING
         if self.handshake is None:
@@ -186,7 +186,7 @@ class PeerLink:
                     values[part] = admitted
                 self.tick = tick
                 return Received.SIGNAL
-        return self._hear_on(frame, values, tick, patience, listener)
+        return self._hear_on(frame, values, tick, timeout, listener)
 
     def take(self, frame: bytes, values: Floats, tick: int) -> bool:
         """Put a signal that came early into the node's ``values``, now that it is its turn; whether it is admitted."""
@@ -213,25 +213,25 @@ class PeerLink:
         for message in handshake.start():
             link.send(encode(message))
 
-    def _hear_on(self, frame: bytes, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
+    def _hear_on(self, frame: bytes, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Look at a frame that was not the signal of the tick, and listen on for the rest of the time."""
-        due = Instant(self._clock.now() + patience)
+        due = Instant(self._clock.now() + timeout)
         strays = 0
         if self._junk_tick != tick:
             self._junk_tick, self._junk = tick, 0
         while True:
-            signal = None if self.handshake is not None else self.gate.astray(frame)
-            heard = self._take(frame, signal, tick, listener)
-            if heard is not None:
-                return heard
+            signal = None if self.handshake is not None else self.gate.of_other_tick(frame)
+            received = self._take(frame, signal, tick, listener)
+            if received is not None:
+                return received
             strays += 1
             self._junk += signal is None  # who is only behind says the same again and again
             if max(strays, self._junk) > MAX_STRAY_FRAMES:
                 listener.flooded(self._flood(tick))
                 return Received.NOTHING
             link = self.link
-            left = Duration(max(0, due - self._clock.now())) if patience else patience
-            if link is None or (patience and not left):
+            left = Duration(max(0, due - self._clock.now())) if timeout else timeout
+            if link is None or (timeout and not left):
                 return Received.NOTHING
             following = link.recv(left)
             if following is None:
@@ -248,13 +248,13 @@ class PeerLink:
         if self.handshake is not None:
             return self._shake(frame, self.handshake)
         if signal is not None and signal[0] != tick:
-            (self.told, self.zero), self.stray = signal, frame
-            return Received.TURNED if listener.astray(self, signal[0], tick) else None
+            (self.other_tick, self.other_zero), self.other_frame = signal, frame
+            return Received.DECLINED if listener.on_other_tick(self, signal[0], tick) else None
         if signal is None and len(frame) <= _LONGEST_WORD and type_of(frame) in _WORDS:
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, Rung | Absent):
                 self.gate.dropped["wrong_kind"] -= 1  # it was counted as a stray, and is none
-                return Received.TURNED if listener.aside(self, message) else None
+                return Received.DECLINED if listener.on_notice(self, message) else None
         return None
 
     def _shake(self, frame: bytes, handshake: LinkHandshake) -> Received | None:
@@ -274,7 +274,7 @@ class PeerLink:
         before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
         self._last, self.tick = b"", -1
-        return Received.MET
+        return Received.RECONNECTED
 
     def _flood(self, tick: int) -> str:
         kinds = ", ".join(f"{reason} {count}" for reason, count in self.gate.dropped.items() if count)
@@ -286,7 +286,7 @@ class PeerLink:
 
 
 def await_all(
-    joints: Sequence[PeerLink],
+    peer_links: Sequence[PeerLink],
     last: PeerLink,
     values: Floats,
     tick: int,
@@ -297,7 +297,7 @@ def await_all(
     """Wait until every peer has sent its signal of one tick; listen in turn to those that have not.
 
     Args:
-        joints: the links.
+        peer_links: the links.
         last: the one that was listened to last; the first round begins behind it.
         values: the node's values, where the signals are put.
         tick: the tick that is awaited.
@@ -310,15 +310,15 @@ def await_all(
     Returns:
         The tick that everybody has sent a signal of; None where the node waits no longer.
     """
-    behind = joints.index(last) + 1
-    order = (*joints[behind:], *joints[:behind])
-    while any(joint.tick != tick for joint in order):
+    behind = peer_links.index(last) + 1
+    order = (*peer_links[behind:], *peer_links[:behind])
+    while any(peer_link.tick != tick for peer_link in order):
         left = pause(tick)
         if left is None:
             return None
-        for joint in order:
-            if joint.tick != tick:
-                tick = react(joint, joint.hear(values, tick, left, listener), tick)
+        for peer_link in order:
+            if peer_link.tick != tick:
+                tick = react(peer_link, peer_link.hear(values, tick, left, listener), tick)
     return tick
 
 
@@ -326,9 +326,9 @@ _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
 _LONGEST_WORD = 128  # bytes
 
 
-def joint_of(joints: Sequence[PeerLink], peer: str) -> PeerLink | None:
-    """The joint with ``peer``; None if there is no such peer."""
-    return next((joint for joint in joints if joint.peer.name == peer), None)
+def peer_link_of(peer_links: Sequence[PeerLink], peer: str) -> PeerLink | None:
+    """The peer link with ``peer``; None if there is no such peer."""
+    return next((peer_link for peer_link in peer_links if peer_link.peer.name == peer), None)
 
 
 HANDSHAKE_TIME = from_seconds(20.0)
@@ -384,23 +384,24 @@ def establish(
         common: the node's bundle.
         links: a link for each peer; a peer without one is absent, and met later.
         admits: the signal to expect from each peer.
-        clock: for the time limit, and for waiting on the joints; a realtime one, for processes start and wait in real
+        clock: for the time limit, and for waiting on the peer links; a realtime one, for processes start and wait in
+        real
             time whatever the session's clock.
         feedthrough: D_V, told to the environment alone.
         bounds: what the signals of a peer keep within; those of peers without an entry are not bounded.
 
     Returns:
-        The joints in the order of the peers, and the hellos of those who are there.
+        The peer links in the order of the peers, and the hellos of those who are there.
 
     Raises:
         HandshakeRefused, HandshakeTimeout: told clearly, at both ends.
     """
-    joints: list[PeerLink] = []
+    peer_links: list[PeerLink] = []
     hellos: dict[str, LinkHello] = {}
     deadline = Instant(clock.now() + HANDSHAKE_TIME)
     for peer in common.peers:
         link = links.get(peer.name)
-        joint = PeerLink(
+        peer_link = PeerLink(
             hello_to(common, peer, feedthrough),
             peer,
             link,
@@ -409,16 +410,16 @@ def establish(
             clock,
             (bounds or {}).get(peer.name),
         )
-        joints.append(joint)
+        peer_links.append(peer_link)
         if link is not None:
-            hellos[peer.name] = shake_hands(link, handshake_of(joint), clock, deadline)
-    return joints, hellos
+            hellos[peer.name] = shake_hands(link, handshake_of(peer_link), clock, deadline)
+    return peer_links, hellos
 
 
-def handshake_of(joint: PeerLink) -> LinkHandshake:
-    """A handshake with the joint's peer, at its beginning."""
-    peer = joint.peer
-    return LinkHandshake(joint.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
+def handshake_of(peer_link: PeerLink) -> LinkHandshake:
+    """A handshake with the peer at the other end, at its beginning."""
+    peer = peer_link.peer
+    return LinkHandshake(peer_link.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
 
 
 def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHello:

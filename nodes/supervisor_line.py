@@ -166,10 +166,10 @@ class ControlLine:
         self._read(NOT_AT_ALL)
         return Sight.ENDING if self._asked_to_stop else self.connection()
 
-    def listen(self, patience: Duration = NOT_AT_ALL) -> Word | None:
-        """What the supervisor says to a node in its loop; at most ``patience`` is waited, by default not at all."""
+    def listen(self, timeout: Duration = NOT_AT_ALL) -> Word | None:
+        """What the supervisor says to a node in its loop; at most ``timeout`` is waited, by default not at all."""
         if not self._words:
-            self._read(patience)
+            self._read(timeout)
         return self._words.popleft() if self._words else None
 
     def bind_anew(self, peer: Peer) -> tuple[Link, str]:
@@ -198,9 +198,9 @@ class ControlLine:
         """Tell where the link for ``peer`` is bound anew."""
         self._send(Offer(peer, endpoint))
 
-    def _read(self, patience: Duration) -> None:
+    def _read(self, timeout: Duration) -> None:
         for _ in range(_WORDS_AT_ONCE):
-            frame = self._link.recv(patience)
+            frame = self._link.recv(timeout)
             if frame is None:
                 return
             message = decode(frame, MAX_CONTROL_BYTES)
@@ -210,7 +210,7 @@ class ControlLine:
                 self._asked_to_stop = True
             elif not isinstance(message, Echo):
                 self.malformed += 1
-            patience = NOT_AT_ALL
+            timeout = NOT_AT_ALL
 
     def report(self, report: Report, life: Life) -> None:
         """Send the node's last word, and stay until it was heard."""

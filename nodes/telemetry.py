@@ -171,16 +171,16 @@ def shown(telemetry: Telemetry) -> Telemetry:
     return Telemetry(telemetry.tick, telemetry.figures, traces)
 
 
-def stray_frames(joints: Iterable[PeerLink]) -> dict[str, float]:
+def stray_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
     """How many frames no gate admitted, whatever the reason."""
-    return {NOT_ADMITTED: float(sum(count for joint in joints for count in joint.gate.dropped.values()))}
+    return {NOT_ADMITTED: float(sum(count for peer_link in peer_links for count in peer_link.gate.dropped.values()))}
 
 
-def dropped_frames(joints: Iterable[PeerLink]) -> dict[str, int]:
+def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, int]:
     """Frames that no gate admitted, by reason, over all links."""
     out: dict[str, int] = {}
-    for joint in joints:
-        for reason, count in joint.gate.dropped.items():
+    for peer_link in peer_links:
+        for reason, count in peer_link.gate.dropped.items():
             out[f"dropped_{reason}"] = out.get(f"dropped_{reason}", 0) + count
     return out
 

@@ -73,7 +73,7 @@ class TickEvents:
         """The environment sends ``coupling`` no force from ``tick`` on."""
         self._figures[f"{Kind.FROZEN}:{coupling}@{tick}"] = 1.0
 
-    def seat(self, tick: int, coupling: str) -> None:
+    def activate(self, tick: int, coupling: str) -> None:
         """The environment sends ``coupling`` its force again from ``tick`` on."""
         self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
 

@@ -47,7 +47,7 @@ class Timeouts:
 
 
 def timeouts(common: Common) -> Timeouts:
-    """The patience of a session's nodes."""
+    """The timeouts of a session's nodes."""
     if common.clock == SIMULATED:
         return Timeouts(None, None, _LOST_IN_SIMULATION, LOOK, LOOK)
     period = from_seconds(common.period)

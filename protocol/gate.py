@@ -208,7 +208,7 @@ class Gate:
             return 1
         return min(max(round((stamp - self.stamp) / self._period), 1), MOST_PERIODS)
 
-    def astray(self, frame: bytes) -> tuple[int, bool] | None:
+    def of_other_tick(self, frame: bytes) -> tuple[int, bool] | None:
         """Of a frame not admitted: its tick, and whether all its values are zero; None if it is no such signal.
 
         For who has lost the thread, and for who has to tell a peer that has; nothing is counted here.

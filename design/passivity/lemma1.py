@@ -28,7 +28,7 @@ so that Lemma 1 of [Bianchini2010]_ parts, too: a storage matrix of the whole ex
 (A_f, B_f, C_f, D) does, at the same levels, and some P_u > 0 has A_u^T P_u A_u <= P_u. Nothing that is measured at the
 ports can tell how large P_u ought to be, and a program that is asked for both at once is lost in that freedom.
 
-The unfelt states are found as a subspace N that is invariant and unobservable, beside an invariant one that holds
+The unreachable states are found as a subspace N that is invariant and unobservable, beside an invariant one that holds
 every state which inputs can reach, the kernel of L^T; both by a staircase, one singular value
 decomposition for each step, each decided for itself. N is used where L^T N is square and far from singular,
 which it is in all that is reciprocal, as networks are. Elsewhere nothing is taken apart.
@@ -186,7 +186,7 @@ def _factor(P: Matrix) -> Matrix:
 
 
 _RADIUS_ROUNDING = 1e-11  # of a spectral radius: no farther from 1 is on the circle; of a port's row: there is none
-UNFELT = 1e-11
+UNREACHABLE = 1e-11
 """Of A's norm: what is felt by less is rounding."""
 
 _APART = 1e-4  # least cosine between N and L: T's condition stays below its inverse
@@ -195,34 +195,35 @@ _INDEPENDENT = 1e-6  # the same for the eigenvectors of a motion that is to be s
 
 @dataclass(frozen=True, eq=False)
 class Parted:
-    """A discrete system and its unfelt motions.
+    """A discrete system and its unreachable motions.
 
     Attributes:
-        felt: (A_f, B_f, C_f, D).
+        reachable: (A_f, B_f, C_f, D).
         T_inverse: n x n, (psi_f, psi_u) = T_inverse psi.
-        P_u: storage matrix of the unfelt motions, A_u^T P_u A_u <= P_u, P_u > 0.
+        P_u: storage matrix of the unreachable motions, A_u^T P_u A_u <= P_u, P_u > 0.
     """
 
-    felt: StateSpace
+    reachable: StateSpace
     T_inverse: Matrix
     P_u: Matrix
 
     def storage(self, P_f: Matrix) -> Matrix:
         """The whole system's storage matrix, from one of its felt part."""
-        felt, unfelt = self.T_inverse[: len(P_f)], self.T_inverse[len(P_f) :]
-        return symmetric_part(felt.T @ P_f @ felt + unfelt.T @ self.P_u @ unfelt)
+        reachable, unreachable = self.T_inverse[: len(P_f)], self.T_inverse[len(P_f) :]
+        return symmetric_part(reachable.T @ P_f @ reachable + unreachable.T @ self.P_u @ unreachable)
 
 
-def parted(system: StateSpace, tolerance: float = UNFELT) -> Parted:
-    """Take the unfelt motions of a discrete ``system`` apart, as far as they have a storage of their own.
+def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
+    """Take the unreachable motions of a discrete ``system`` apart, as far as they have a storage of their own.
 
-    Where there is none, or none with a storage matrix, ``felt`` is the system itself.
+    Where there is none, or none with a storage matrix, ``reachable`` is the system itself.
 
     Args:
         system: (A, B, C, D).
         tolerance: of A's norm in balanced units; a step of the staircase below that leads nowhere. Above
-            :data:`UNFELT` what is felt a little is taken for unfelt: a storage matrix that is found so may still be
-            the whole's, if it is put into the inequality, but what is refused for the felt part is not for the whole.
+            :data:`UNREACHABLE` what is felt a little is taken for unreachable: a storage matrix that is found so may
+            still be the whole's, if it is put into the inequality, but what is refused for the felt part is not for the
+            whole.
     """
     whole = Parted(system, np.eye(system.order), np.zeros((0, 0)))
     if system.order == 0:
@@ -350,7 +351,7 @@ def analyse(
         # with a storage matrix that is checked on the whole, what is felt a little may be left to itself, too
         for tolerance in _HARDLY_FELT:
             fewer = parted(discrete, tolerance)
-            if fewer.felt.order < parts.felt.order:
+            if fewer.reachable.order < parts.reachable.order:
                 parts = fewer
                 other = _decide(discrete, parts, Delta, Phi, time, rate)
                 if other is not None and other.holds:
@@ -365,7 +366,7 @@ def analyse(
 
 def _decide(whole: StateSpace, parts: Parted, Delta: Matrix, Phi: Matrix, time: Time, rate: float) -> Analysis | None:
     """Decide it for the felt part of a discrete system, and where the answer is yes check it on the whole."""
-    discrete = parts.felt
+    discrete = parts.reachable
     units = scaled(discrete)
     Q = supply_form(units.system, units.output_level(Delta), units.input_level(Phi))
     size = float(np.linalg.norm(Q, 2))

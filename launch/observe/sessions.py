@@ -3,7 +3,7 @@
 Each has a directory of its own below the temporary one (:mod:`manyhands.launch.run.directory`), which nobody else may
 enter; there it says what it is (:class:`manyhands.nodes.observer.scene.About`).
 
-The loop of whoever looks on at one running session: frames of its gallery, until there is a reason to stop.
+The loop of whoever looks on at one running session: frames of its broadcast, until there is a reason to stop.
 
 It ends when the session says that it is over, when the supervisor's process has ended, or at a deadline. It waits for
 frames alone and reads no clock but the one that it is handed.

@@ -1,4 +1,4 @@
-"""Recording a session that runs already, from another terminal: what its gallery shows is written down as it comes.
+"""Recording a session that runs already, from another terminal: what its broadcast shows is written down as it comes.
 
 The session does not know of it and cannot be disturbed by it: what this process has no time for is missing from the
 file, and told. The file begins where the recorder came in; it is whole up to a second ago whenever the recorder is
@@ -219,7 +219,7 @@ def record_attached(
 
     Raises:
         NoSession: the session is over already.
-        TransportError: its gallery cannot be entered.
+        TransportError: its broadcast cannot be entered.
         OSError: the file cannot be written; it is whole up to there.
     """
     supervisor = SupervisorWatch(running)
@@ -244,7 +244,7 @@ def record_attached(
 
 
 class Shown(Protocol):
-    """Where frames come from: a visit to a gallery."""
+    """Where frames come from: a visit to a broadcast."""
 
     def recv(self, timeout: Duration) -> bytes | None:
         """The next frame, or None if none came within ``timeout``."""

@@ -123,7 +123,7 @@ def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]
 
 
 class Showing:
-    """One session's gallery, from before its nodes are started to after their end."""
+    """One session's broadcast, from before its nodes are started to after their end."""
 
     def __init__(self, directory: Path, about: About, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Open it in the session's directory.
@@ -136,24 +136,24 @@ class Showing:
         Raises:
             OSError, TransportError: it cannot be opened there.
         """
-        self._gallery = Broadcast(directory)
+        self._broadcast = Broadcast(directory)
         try:
             for name, data in files.items():
                 with open_new(directory / name, mode=0o600) as file:
                     file.write(data)
             about.save(directory)
         except OSError:
-            self._gallery.close()
+            self._broadcast.close()
             raise
 
     def tell(self, frame: bytes | None) -> None:
         """Show a node's observation, or how the session is; nothing where that is too long to be shown."""
         if frame is not None:
-            self._gallery.show(frame)
+            self._broadcast.show(frame)
 
     def close(self) -> None:
         """Close it. A second time does nothing."""
-        self._gallery.close()
+        self._broadcast.close()
 
 
 TRACE_OF: Mapping[str, str] = {

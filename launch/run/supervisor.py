@@ -177,7 +177,7 @@ class Supervisor:
         self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
-        self._audience = ObserverBroadcast(session)
+        self._observer_broadcast = ObserverBroadcast(session)
         self._heard, self._told = Attention(), Attention()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
@@ -218,7 +218,7 @@ class Supervisor:
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
             members = (*self._graph.nodes, *self._session.observers)
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
-            self._conductor.observers = self._audience.serve(transport, reach, self._graph)
+            self._conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
             self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
             run = RunPlan(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
@@ -346,7 +346,7 @@ class Supervisor:
             for sentence in self._energy.hear(sender, message):
                 self._conductor.tell(sentence, self._clock.now())
             message = names.shown(message)
-            self._audience.tell(sender, message)
+            self._observer_broadcast.tell(sender, message)
             told = observation_frame(sender, message)
             self._recorder.tell(told)
             if self._showing is not None:

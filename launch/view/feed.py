@@ -3,7 +3,7 @@
 A picture is made when a page can take it, from rings of bounded length: a page that does not read for a while misses
 nothing but what has left the rings since, and nothing waits for it in memory.
 
-Looking on at one session within an event loop: its gallery and the end of its supervisor, until the loop ends.
+Looking on at one session within an event loop: its broadcast and the end of its supervisor, until the loop ends.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Feed:
         self._tracks, self._alarms, self._wall = Tracks(about), Alarms(), wall
 
     def take(self, frame: bytes, now: Instant) -> None:
-        """A frame of the gallery's."""
+        """A frame of the broadcast's."""
         message = self.scene.take(frame, now)
         if isinstance(message, Observation):
             self._tracks.take(message)
@@ -162,7 +162,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 LOOK_EVERY: Final = 0.25
-"""How often alarms and grips are looked after, s."""
+"""How often alarms and pointers are looked after, s."""
 
 _MOST_AT_ONCE: Final = 64  # frames that are taken in before pages get their turn
 
@@ -177,7 +177,7 @@ class Watch:
     """
 
     def __init__(self, running: Running, clock: Clock) -> None:
-        """Enter the session's gallery.
+        """Enter the session's broadcast.
 
         Raises:
             TransportError: there can be none.

@@ -453,7 +453,7 @@ def serve(
 
     Raises:
         ViewError: it cannot listen there.
-        TransportError: the session has no gallery.
+        TransportError: the session has no broadcast.
     """
     with listen(host, port) as listening, without_tracebacks(refused):
         doorstep = Doorstep(host, listening.getsockname()[1])

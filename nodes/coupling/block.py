@@ -74,25 +74,26 @@ class Block:
         """The same once more: it, or its answer, may have been lost, or the session has gone on."""
         self.environment.send(Tool, tick, self._stamp, self._p)
 
-    def hear(self, tick: int, patience: Duration) -> Received:
+    def hear(self, tick: int, timeout: Duration) -> Received:
         """Listen for f_v(k).
 
         Returns:
-            SIGNAL when :attr:`applied` is the force of ``tick``; TURNED when it is zero, and the one of a later tick,
-            ``environment.told``; NOTHING; MET when the environment is back, and was told p(k) if that was said before.
+            SIGNAL when :attr:`applied` is the force of ``tick``; DECLINED when it is zero, and the one of a later tick,
+            ``environment.other_tick``; NOTHING; RECONNECTED when the environment is back, and was told p(k) if that was
+            said before.
         """
         environment = self.environment
-        heard = environment.hear(self._f, tick, patience, self)
-        if heard is Received.SIGNAL:
+        received = environment.hear(self._f, tick, timeout, self)
+        if received is Received.SIGNAL:
             self.applied = self.core.limited(self._f)
-        elif heard is Received.TURNED:
+        elif received is Received.DECLINED:
             self.applied = [0.0] * len(self._f)
             self.jumps += 1
-        elif heard is Received.MET:
+        elif received is Received.RECONNECTED:
             self._next_rung = 0  # the one that this environment reckons with, until it is told of another
             if self.said == tick:
                 self.say_again(tick)
-        return heard
+        return received
 
     def climb(self, tick: int) -> int | None:
         """The rung to go on at from ``tick``, at rest, where the environment has just changed it; None otherwise."""
@@ -113,11 +114,11 @@ class Block:
         self._energy[row] = 0.0 if ledger is None else ledger.total
         self._filled += 1
 
-    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
         """The environment is at another tick: zero force of a later one says that this block was left behind."""
-        return told > awaited and joint.zero
+        return told > awaited and peer_link.other_zero
 
-    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """The environment has changed to another rung: the zero force that follows is its first."""
         if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
             self._next_rung = message.rung

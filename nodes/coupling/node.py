@@ -28,12 +28,12 @@ class CouplingNode:
     def __init__(self, bundle: CouplingBundle) -> None:
         """Make the node; its block waits for the link to the environment."""
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._patience = RealtimeClock(), timeouts(bundle.common)
+        self._clock, self._timeouts = RealtimeClock(), timeouts(bundle.common)
         self._devices: tuple[PeerLink, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # its own tick is nobody's yet
-        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a joint that only shakes hands
+        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a peer link that only shakes hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the environment, which is told D_V, and with the block's devices."""
@@ -43,9 +43,9 @@ class CouplingNode:
         limits = self._bundle.limits
         step = [self._common.period * speed for speed in limits.speed]
         bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
-        joints, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
-        self._devices = tuple(j for j in joints if j.peer.role is Role.DEVICE)
-        (environment,) = (j for j in joints if j.peer.role is Role.ENVIRONMENT)
+        peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
+        self._devices = tuple(j for j in peer_links if j.peer.role is Role.DEVICE)
+        (environment,) = (j for j in peer_links if j.peer.role is Role.ENVIRONMENT)
         self._block = Block(self._bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -54,7 +54,7 @@ class CouplingNode:
         if block is None:
             raise ValueError("the coupling was started before its handshakes")
         x: Floats = [0.0] * len(self._common.ports)
-        clock, turn, give_way = self._clock, self._patience.turn, way_giver()
+        clock, turn, give_way = self._clock, self._timeouts.turn, way_giver()
         self._life = life
         block.begin(life)
         self._resumes = start.tick > 0
@@ -64,19 +64,19 @@ class CouplingNode:
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 self._obey(word, block, control)
             sampled: int | None = tick
-            for joint in devices:
-                heard = joint.hear(x, tick, turn, self)
-                if heard is not Received.SIGNAL:
-                    sampled = self._await_samples(joint, heard, x, tick, block, life, control)
+            for peer_link in devices:
+                received = peer_link.hear(x, tick, turn, self)
+                if received is not Received.SIGNAL:
+                    sampled = self._await_samples(peer_link, received, x, tick, block, life, control)
                     break
             if sampled is None:
                 break
             tick = sampled
             stamp = devices[0].gate.stamp
             block.say(x, tick, stamp)
-            heard = block.hear(tick, turn)
-            if heard is not Received.SIGNAL:
-                told = self._await_reaction(heard, tick, block, life, control)
+            received = block.hear(tick, turn)
+            if received is not Received.SIGNAL:
+                told = self._await_reaction(received, tick, block, life, control)
                 if told is None:
                     break
                 if told > tick:
@@ -84,15 +84,16 @@ class CouplingNode:
                     block.publish_rest(control, devices)  # rows follow each other
                     tick = told
             rung = block.climb(tick)
-            for joint in devices:
+            for peer_link in devices:
                 if rung is not None:
-                    joint.say(Rung(rung))
-                joint.send(Force, tick, stamp, block.applied)
+                    peer_link.say(Rung(rung))
+                peer_link.send(Force, tick, stamp, block.applied)
             give_way()
             block.settle(tick)
             self._resumes = False
-            for joint in devices:
-                joint.new = joint.new and joint.tick < 0  # one who has come back since the samples is not heard yet
+            for peer_link in devices:
+                # one who has come back since the samples is not heard yet
+                peer_link.new = peer_link.new and peer_link.tick < 0
             tick += 1
             block.publish(control, devices)
         block.publish_rest(control, devices)
@@ -101,19 +102,19 @@ class CouplingNode:
         """The block's."""
         return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
 
-    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
         """A device is at another tick: who is behind is told so; after a return, who is ahead is followed."""
         if told > awaited:
-            return self._resumes or joint.new
-        if told == awaited - 1 and joint.tick == told:  # it was answered, by this very process
-            joint.send_again()
+            return self._resumes or peer_link.new
+        if told == awaited - 1 and peer_link.tick == told:  # it was answered, by this very process
+            peer_link.send_again()
         else:
-            joint.send_zero(Force, awaited - 1)
+            peer_link.send_zero(Force, awaited - 1)
         return False
 
-    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """A device of several blocks was told by another one that the session is further on: it is followed there."""
-        joint.new = joint.new or isinstance(message, Absent)
+        peer_link.new = peer_link.new or isinstance(message, Absent)
         return False
 
     def flooded(self, text: str) -> None:
@@ -122,45 +123,48 @@ class CouplingNode:
             self._life.fail(text)
 
     def _await_samples(
-        self, last: PeerLink, heard: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
+        self, last: PeerLink, received: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
     ) -> int | None:
-        """Wait for the sample of every device, after ``heard`` came of ``last`` in place of its sample.
+        """Wait for the sample of every device, after ``received`` came of ``last`` in place of its sample.
 
         Returns:
             The tick that they are of: for a coupling that resumes, the devices' own. None if the node should end.
         """
         began = self._clock.now()
 
-        def react(joint: PeerLink, heard: Received, tick: int) -> int:
-            if heard is Received.TURNED:  # the device knows better; nobody will ever send the tick that was awaited
+        def react(peer_link: PeerLink, received: Received, tick: int) -> int:
+            # the device knows better; nobody will ever send the tick that was awaited
+            if received is Received.DECLINED:
                 if block.environment.tick == tick - 1:  # the device answered last is waited for in between
-                    block.environment.say(Absent(joint.peer.name))
+                    block.environment.say(Absent(peer_link.peer.name))
                 self._forget()
                 block.publish_rest(control, self._devices)  # rows follow each other
                 for other in self._devices:
                     if other.tick == tick:
-                        other.send_zero(Force, joint.told - 1)
-                tick = joint.told
-                joint.take(joint.stray, x, tick)
-            elif heard is Received.MET:
-                joint.send_zero(Force, tick - 1)
+                        other.send_zero(Force, peer_link.other_tick - 1)
+                tick = peer_link.other_tick
+                peer_link.take(peer_link.other_frame, x, tick)
+            elif received is Received.RECONNECTED:
+                peer_link.send_zero(Force, tick - 1)
             return tick
 
         def pause(tick: int) -> Duration | None:
             self._forget_after(began)
-            self._pause(block, life, control, idle=not any(joint.link for joint in self._devices))
-            if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.MET:
+            self._pause(block, life, control, idle=not any(peer_link.link for peer_link in self._devices))
+            if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.RECONNECTED:
                 # not heard is as good as not here: the device may wait for another block, and that one for this one
-                self._tell_absences(block, [joint for joint in self._devices if joint.tick == tick])
-            return None if life.stopping else self._patience.look
+                self._tell_absences(block, [peer_link for peer_link in self._devices if peer_link.tick == tick])
+            return None if life.stopping else self._timeouts.look
 
-        found = await_all(self._devices, last, x, react(last, heard, tick), self, react, pause)
+        found = await_all(self._devices, last, x, react(last, received, tick), self, react, pause)
         return None if life.stopping else found
 
-    def _await_reaction(self, heard: Received, tick: int, block: Block, life: Life, control: ControlLine) -> int | None:
+    def _await_reaction(
+        self, received: Received, tick: int, block: Block, life: Life, control: ControlLine
+    ) -> int | None:
         """Wait for the environment's answer; ask again after a while, for who was lost or late may be behind.
 
-        ``heard`` is what it was heard to say so far.
+        ``received`` is what it was heard to say so far.
 
         Returns:
             The tick answered: ``tick``, or a later one with zero force. None if the node should end.
@@ -168,44 +172,44 @@ class CouplingNode:
         asked = began = self._clock.now()
         while True:
             self._forget_after(began)
-            if heard is Received.SIGNAL:
+            if received is Received.SIGNAL:
                 return tick
-            if heard is Received.TURNED:
-                return block.environment.told
-            if heard is Received.MET:
-                self._tell_absences(block, [joint for joint in self._devices if joint.here])
-            for joint in self._devices:
-                if joint.handshake is not None:
-                    joint.hear(self._nothing, tick, NOT_AT_ALL, self)
+            if received is Received.DECLINED:
+                return block.environment.other_tick
+            if received is Received.RECONNECTED:
+                self._tell_absences(block, [peer_link for peer_link in self._devices if peer_link.here])
+            for peer_link in self._devices:
+                if peer_link.handshake is not None:
+                    peer_link.hear(self._nothing, tick, NOT_AT_ALL, self)
             self._pause(block, life, control, idle=block.environment.link is None)
             if life.stopping:
                 return None
             now = self._clock.now()
-            if now - asked >= self._patience.again:
+            if now - asked >= self._timeouts.again:
                 asked = now
                 block.say_again(tick)
-            heard = block.hear(tick, self._patience.look)
+            received = block.hear(tick, self._timeouts.look)
 
     def _forget_after(self, began: Instant) -> None:
         """After so long a wait the devices have let go, and have moved on unheard."""
-        if self._patience.stale is not None and self._clock.now() - began > self._patience.stale:
+        if self._timeouts.stale is not None and self._clock.now() - began > self._timeouts.stale:
             self._forget()
 
     def _forget(self) -> None:
         """The next samples are first ones: the environment lets the block in from where its devices are."""
-        for joint in self._devices:
-            joint.gate.forget()
+        for peer_link in self._devices:
+            peer_link.gate.forget()
 
     def _tell_absences(self, block: Block, present: Collection[PeerLink]) -> None:
         """An environment that is back does not know whose samples are missing."""
-        for joint in self._devices:
-            if joint not in present:
-                block.environment.say(Absent(joint.peer.name))
+        for peer_link in self._devices:
+            if peer_link not in present:
+                block.environment.say(Absent(peer_link.peer.name))
 
     def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:
         """Where the node has waited in vain: look after the supervisor, and do as it says."""
         life.check()
-        word = control.listen(self._patience.look) if idle else control.listen()
+        word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:
             self._obey(word, block, control)
             word = control.listen()

@@ -92,19 +92,19 @@ class Within(PeerLink):
         """Say p(k) again."""
         self._block.say_again(self._block.said)
 
-    def hear(self, values: Floats, tick: int, patience: Duration, listener: Listener) -> Received:
+    def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Listen for the environment's answer, and put the block's force into the device's ``values``."""
-        heard = self._block.hear(tick, patience)
-        if heard is Received.SIGNAL or heard is Received.TURNED:
+        result = self._block.hear(tick, timeout)
+        if result is Received.SIGNAL or result is Received.DECLINED:
             self.put(values, self._block.applied)
-            rung = self._block.climb(tick if heard is Received.SIGNAL else self._block.environment.told)
+            rung = self._block.climb(tick if result is Received.SIGNAL else self._block.environment.other_tick)
             if rung is not None:
-                listener.aside(self, Rung(rung))
-        if heard is Received.SIGNAL:
+                listener.on_notice(self, Rung(rung))
+        if result is Received.SIGNAL:
             self.tick = tick
-        elif heard is Received.TURNED:
-            self.told, self.zero = self._block.environment.told, True
-        return heard
+        elif result is Received.DECLINED:
+            self.other_tick, self.other_zero = self._block.environment.other_tick, True
+        return result
 
     def settle(self, tick: int) -> None:
         """The force is applied: step the block, and tell of it when it is time."""
@@ -126,7 +126,7 @@ class ColocatedNode(DeviceNode):
         super().establish(links)
         for carried in self._carried:
             if carried.block is not None:
-                self._joints.append(Within(carried, self._bundle, carried.block))
+                self._peer_links.append(Within(carried, self._bundle, carried.block))
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """The device's loop."""

@@ -26,7 +26,7 @@ from typing import Protocol
 from manyhands.nodes.arithmetic import Floats, dot, linear_map
 from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, SimulatedHand
 from manyhands.nodes.device.intent import SampledSignal
-from manyhands.nodes.device.pointer import BrowserDriver, grip_of
+from manyhands.nodes.device.pointer import BrowserDriver, pointer_of
 from manyhands.nodes.device.simulated import simulated_driver
 
 
@@ -135,7 +135,7 @@ def driver_of(bundle: DeviceBundle) -> Driver:
 
     Raises:
         ValueError: the bundle's numbers make no device.
-        TransportError: its grip cannot be opened.
+        TransportError: its pointer cannot be opened.
     """
     T = bundle.common.period
     match bundle.source:
@@ -144,4 +144,4 @@ def driver_of(bundle: DeviceBundle) -> Driver:
         case RecordedMotion() as motion:
             return TraceDriver(motion, T)
         case BrowserHand(physics):
-            return BrowserDriver(physics, bundle.limits, T, grip_of(bundle.common))
+            return BrowserDriver(physics, bundle.limits, T, pointer_of(bundle.common))

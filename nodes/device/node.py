@@ -41,10 +41,10 @@ class DeviceNode:
         self._common, self._driver, self._rungs = common, driver, bundle.rungs
         self._core = DeviceCore(bundle.level, bundle.K, common.period)
         self._guard = Guard(bundle.limits, common.period, common.ports)
-        self._realtime, self._patience = RealtimeClock(), timeouts(common)
+        self._realtime, self._timeouts = RealtimeClock(), timeouts(common)
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self._joints: list[PeerLink] = []
+        self._peer_links: list[PeerLink] = []
         self._account = DeviceTelemetry(common, from_seconds(common.tau), driver.figures)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
@@ -54,7 +54,7 @@ class DeviceNode:
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
         admits = {peer.name: Force for peer in self._common.peers}
-        self._joints, _ = establish(self._common, links, admits, self._realtime)
+        self._peer_links, _ = establish(self._common, links, admits, self._realtime)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks; however they end, the device exerts no force any more."""
@@ -62,15 +62,15 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self._driver.release()
-        self._account.publish_rest(control, self._core, self._guard, self._joints)
+        self._account.publish_rest(control, self._core, self._guard, self._peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
-        account, joints = self._account, self._joints
+        account, peer_links = self._account, self._peer_links
         self._life, give_way = life, way_giver()
         epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
-        tick, turns, slot, turn = start.tick, 0, 0, self._patience.turn
+        tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
         if tick > 0:  # the session goes on already
             slot = max(0, -((epoch - clock.now()) // period))
@@ -88,17 +88,17 @@ class DeviceNode:
             before = sampled
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
-            for joint in joints:
-                if joint.tick != tick:
-                    joint.send(Sample, tick, sampled, told_x)
+            for peer_link in peer_links:
+                if peer_link.tick != tick:
+                    peer_link.send(Sample, tick, sampled, told_x)
             sent = clock.now()
             turns += 1
             told: int | None = tick
-            for joint in joints:
+            for peer_link in peer_links:
                 # who runs free waits once, to the end of the period
-                heard = joint.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
-                if heard is not Received.SIGNAL:
-                    told = self._await_forces(joint, heard, f, told_x, tick, sampled, life, control)
+                result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
+                if result is not Received.SIGNAL:
+                    told = self._await_forces(peer_link, result, f, told_x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
@@ -120,8 +120,8 @@ class DeviceNode:
             give_way()
             core.sample(x)  # here, for ZeroMQ's thread may only send x(k) once this one waits
             core.apply(held, driver.intended_work())
-            for joint in joints:
-                joint.settle(tick)
+            for peer_link in peer_links:
+                peer_link.settle(tick)
             driver.idle()
             if self._next_rung != self._rung:
                 self._change_rung(tick)
@@ -129,17 +129,17 @@ class DeviceNode:
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
-            account.publish(control, core, guard, joints)
+            account.publish(control, core, guard, peer_links)
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
-        return self._account.report(self._core, self._guard, self._joints, self._rung)
+        return self._account.report(self._core, self._guard, self._peer_links, self._rung)
 
-    def astray(self, joint: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
         """Zero force of a later tick: the session has gone on without this device."""
-        return told > awaited and joint.zero
+        return told > awaited and peer_link.other_zero
 
-    def aside(self, joint: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """The coupling has changed to another rung: the zero force that follows is its first."""
         if isinstance(message, Rung) and message.rung < len(self._rungs):
             self._next_rung = message.rung
@@ -157,7 +157,7 @@ class DeviceNode:
     def _await_forces(
         self,
         last: PeerLink,
-        heard: Received,
+        result: Received,
         f: Floats,
         x: Floats,
         tick: int,
@@ -165,26 +165,26 @@ class DeviceNode:
         life: Life,
         control: ControlLine,
     ) -> int | None:
-        """Wait for the force of every coupling, after ``heard`` came of ``last`` in place of its force.
+        """Wait for the force of every coupling, after ``result`` came of ``last`` in place of its force.
 
         Returns:
             The tick that they answer: ``tick``, or a later one with zero force. None if there is none in time, and
             the device has let go, or if the node should end.
         """
-        patience, joints = self._patience, self._joints
+        timeouts, peer_links = self._timeouts, self._peer_links
         asked = self._realtime.now()
-        due = None if patience.stale is None else Instant(sampled + (self._period if self._free else patience.stale))
+        due = None if timeouts.stale is None else Instant(sampled + (self._period if self._free else timeouts.stale))
 
-        def react(joint: PeerLink, heard: Received, tick: int) -> int:
-            if heard is Received.TURNED:
-                tick = joint.tick = joint.told
-                joint.put(f, [0.0] * len(joint.peer.ports))
-                for other in joints:  # a coupling that has answered the earlier tick is asked about this one
+        def react(peer_link: PeerLink, result: Received, tick: int) -> int:
+            if result is Received.DECLINED:
+                tick = peer_link.tick = peer_link.other_tick
+                peer_link.put(f, [0.0] * len(peer_link.peer.ports))
+                for other in peer_links:  # a coupling that has answered the earlier tick is asked about this one
                     if other.tick != tick:
                         other.say(Absent(self._common.name))  # from the ticks in between
                         other.send(Sample, tick, sampled, x)
-            elif heard is Received.MET:
-                joint.send(Sample, tick, sampled, x)
+            elif result is Received.RECONNECTED:
+                peer_link.send(Sample, tick, sampled, x)
             return tick
 
         def pause(tick: int) -> Duration | None:
@@ -197,19 +197,19 @@ class DeviceNode:
                 return None
             if life.stopping:
                 return None
-            if due is None and now - asked >= patience.again:
+            if due is None and now - asked >= timeouts.again:
                 asked = now
-                for joint in joints:
-                    if joint.tick != tick:
-                        joint.send_again()
-            return patience.look if due is None else min(Duration(due - now), patience.look)
+                for peer_link in peer_links:
+                    if peer_link.tick != tick:
+                        peer_link.send_again()
+            return timeouts.look if due is None else min(Duration(due - now), timeouts.look)
 
-        return await_all(joints, last, f, react(last, heard, tick), self, react, pause)
+        return await_all(peer_links, last, f, react(last, result, tick), self, react, pause)
 
     @property
     def _anybody(self) -> bool:
         """Whether there is a peer to wait for."""
-        return any(joint.reachable for joint in self._joints)
+        return any(peer_link.reachable for peer_link in self._peer_links)
 
     def _let_go(self) -> None:
         """The force is stale: better none than an old one."""
@@ -220,14 +220,14 @@ class DeviceNode:
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
         """Do as the supervisor says."""
-        word = control.listen(self._patience.look) if idle else control.listen()
+        word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:
-            follow(word, self._joints, control)
+            follow(word, self._peer_links, control)
             word = control.listen()
 
     def _jump(self, control: ControlLine) -> None:
         """The session is at a later tick."""
-        self._account.jump(control, self._core, self._guard, self._joints)
+        self._account.jump(control, self._core, self._guard, self._peer_links)
 
     def _change_rung(self, tick: int) -> None:
         """Another promise from now on: the force is zero."""

@@ -8,7 +8,7 @@ Held by nobody the hand is open: the device is a mass with its damping. An openi
 its operator's state, and a closing one begins at rest on the device, its spring slack. So either way the energy that is
 stored in it is lost or 0, and the hand, whose parameters change with time, is passive all the same. Its mass stays.
 
-Whether a person holds a device, and where to: what was said at its grip, tick by tick. Pure.
+Whether a person holds a device, and where to: what was said at its pointer, tick by tick. Pure.
 
 A page may go without a word, with the computer it is shown on: a grasp that is not said again is over after
 :data:`PATIENCE`, in ticks of the device's own time.
@@ -96,7 +96,7 @@ class Pointer:
         self._said += 1
 
     def figures(self, malformed: int) -> Mapping[str, float]:
-        """Whether it is held, and what was said; ``malformed``: datagrams that were nothing of a grip's."""
+        """Whether it is held, and what was said; ``malformed``: datagrams that were nothing of a pointer's."""
         return {
             names.GRASPED: 0.0 if self.goal is None else 1.0,
             names.GRASPS: float(self._said),
@@ -188,22 +188,22 @@ class BrowserDriver(PlantDriver):
         super().__init__(self._bare)
         speed = [min(SPEED, SPEED * limit) for limit in limits.speed]
         self._follower = Follower([REACH * most for most in limits.displacement], speed, ACCELERATION, RATE, T)
-        self._grip = Pointer(self.axes, self._follower.within, T)
+        self._pointer = Pointer(self.axes, self._follower.within, T)
         self._at_rest = Intention(self._zero, self._zero)
 
     def figures(self) -> Mapping[str, float]:
-        """Whether it is held, and what was said at its grip."""
-        return self._grip.figures(0 if self._inlet is None else self._inlet.malformed)
+        """Whether it is held, and what was said at its pointer."""
+        return self._pointer.figures(0 if self._inlet is None else self._inlet.malformed)
 
     def close(self) -> None:
-        """Close the grip. A second time does nothing."""
+        """Close the pointer. A second time does nothing."""
         if self._inlet is not None:
             self._inlet.close()
 
     def _intend(self, tick: int) -> Intention:
         if self._inlet is not None:
-            self._grip.tick(self._inlet.latest())
-        goal = self._grip.goal
+            self._pointer.tick(self._inlet.latest())
+        goal = self._pointer.goal
         if goal is None:
             self._become(self._bare)
             return self._at_rest
@@ -219,7 +219,7 @@ class BrowserDriver(PlantDriver):
             self._plant, self._state = plant, plant.holding(self._state[:m], self._state[m : 2 * m])
 
 
-def grip_of(common: Common) -> PointerInlet | None:
+def pointer_of(common: Common) -> PointerInlet | None:
     """Where the device of a bundle can be held; None under the simulated clock, and without a session's directory.
 
     Raises:

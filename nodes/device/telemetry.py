@@ -178,18 +178,20 @@ class DeviceTelemetry:
         self._events.release(tick)
         self._sampled = None
 
-    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
+    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
         """The session is at a later tick: what was kept is told first, for rows follow each other."""
-        self.publish_rest(control, core, guard, joints)
+        self.publish_rest(control, core, guard, peer_links)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
+    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
         """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
-            self.publish_rest(control, core, guard, joints)
+            self.publish_rest(control, core, guard, peer_links)
 
-    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink]) -> None:
+    def publish_rest(
+        self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]
+    ) -> None:
         """Telemetry of the ticks since the last, if there are any."""
         rows = self._filled
         if rows == 0:
@@ -210,7 +212,7 @@ class DeviceTelemetry:
             f"{names.PERIOD}_p50": self._true_period.quantile(0.5),
             f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
             **names.ledger_figures(core.ledger),
-            **names.stray_frames(joints),
+            **names.stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
             **self._told(),
         }
@@ -223,7 +225,7 @@ class DeviceTelemetry:
         control.publish(Telemetry(self.ticks, figures, traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
 
-    def report(self, core: DeviceCore, guard: Guard, joints: Sequence[PeerLink], rung: int) -> Report:
+    def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink], rung: int) -> Report:
         """The device's last word."""
         return Report(
             self.ticks,
@@ -243,7 +245,7 @@ class DeviceTelemetry:
                 names.PERIOD_BREACHES: self._period_breaches,
                 names.CLIPPED: guard.clipped,
                 names.LET_GO: guard.let_go,
-                **names.dropped_frames(joints),
+                **names.dropped_frames(peer_links),
             },
             {names.TAU: self._tau.percentiles(), names.PERIOD: self._true_period.percentiles()},
         )

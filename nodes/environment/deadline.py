@@ -50,7 +50,7 @@ class Deadline:
             node may have been away itself, while another process had its processor.
     """
 
-    __slots__ = ("_began", "_due", "_first", "_patience", "_period", "listened")
+    __slots__ = ("_began", "_due", "_first", "_period", "_timeouts", "listened")
 
     def __init__(self, patience: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
         """Begin to wait; nobody is there yet.
@@ -61,7 +61,7 @@ class Deadline:
             due: when the devices sample the present tick.
             began: when the tick before was answered.
         """
-        self._patience, self._period, self._due, self._began = patience, period, due, began
+        self._timeouts, self._period, self._due, self._began = patience, period, due, began
         self._first = _NOBODY_WAITS  # since when somebody who is there waits
         self.listened = False
 
@@ -79,7 +79,7 @@ class Deadline:
             later: whether no coupling is awaited before a later tick.
             early: whether any coupling has sent a signal of a later tick; it waits, too.
         """
-        freeze, stale = self._patience.freeze, self._patience.stale
+        freeze, stale = self._timeouts.freeze, self._timeouts.stale
         elapsed = now - self._began
         forget = stale is not None and elapsed > stale
         pardon = freeze is not None and elapsed > freeze and not present

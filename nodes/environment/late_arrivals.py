@@ -84,7 +84,7 @@ class LateArrivals:
         self._all = [0] * number  # late ticks that not everybody has had yet
 
     def begin(self, index: int, tick: int) -> None:
-        """A coupling is seated since ``tick``: what it is charged with does not lapse while it is away."""
+        """A coupling is active since ``tick``: what it is charged with does not lapse while it is away."""
         self._at[index] = max(self._at[index], tick)
 
     def judge(self, tick: int, due: int, crossed: bool, arrivals: Sequence[tuple[int, int]]) -> list[int]:

@@ -102,13 +102,13 @@ class EnvironmentNode:
     def __init__(self, bundle: EnvironmentBundle) -> None:
         """Make the node; its core waits for the couplings' feedthrough."""
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._patience = RealtimeClock(), timeouts(bundle.common)
+        self._clock, self._timeouts = RealtimeClock(), timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
         self._due = 0  # when the devices sample the present tick
-        self._joints: list[PeerLink] = []
+        self._peer_links: list[PeerLink] = []
         self._feedthrough: dict[str, Values] = {}
         self._core: Core | None = None
-        self._places: Members | None = None
+        self._members: Members | None = None
         self._account = EnvironmentTelemetry(bundle.common)
         self._frozen_ticks = 0
         self._passed: tuple[Member, ...] = ()  # who was waited for in this tick before all others were read
@@ -123,17 +123,17 @@ class EnvironmentNode:
         """
         admits = {peer.name: Tool for peer in self._common.peers}
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
-        self._joints, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
+        self._peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
-        for joint in self._joints:
-            if joint.link is None:  # absent; it says its D_V when it comes
+        for peer_link in self._peer_links:
+            if peer_link.link is None:  # absent; it says its D_V when it comes
                 continue
-            self._require_feedthrough(hellos[joint.peer.name])
-            ports = np.arange(m)[joint.indices]
-            own = self._feedthrough[joint.peer.name] = np.array(hellos[joint.peer.name].feedthrough)
+            self._require_feedthrough(hellos[peer_link.peer.name])
+            ports = np.arange(m)[peer_link.indices]
+            own = self._feedthrough[peer_link.peer.name] = np.array(hellos[peer_link.peer.name].feedthrough)
             D_V[np.ix_(ports, ports)] = own
-        blocks = [joint.indices for joint in self._joints]
+        blocks = [peer_link.indices for peer_link in self._peer_links]
         self._core = environment_core(self._bundle, D_V, blocks)
 
     def _require_feedthrough(self, hello: LinkHello) -> None:
@@ -152,11 +152,11 @@ class EnvironmentNode:
             raise ValueError("the environment was started before its handshakes")
         bundle = self._bundle
         rungs, independent = bundle.feedthrough_rungs, bundle.independent
-        places = self._places = Members(self._joints, core, rungs, life, start.tick > 0, independent)
-        places.last, places.log = start.ticks, control.log
-        places.know(self._feedthrough, bundle.feedthrough)
+        members = self._members = Members(self._peer_links, core, rungs, life, start.tick > 0, independent)
+        members.last, members.log = start.ticks, control.log
+        members.know(self._feedthrough, bundle.feedthrough)
         clock, account, late = self._clock, self._account, self._late
-        stale, give_way = self._patience.stale, way_giver()
+        stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
         # not before the first tick is due: devices are not silent until then
         epoch, period = start.epoch, self._period
@@ -165,105 +165,109 @@ class EnvironmentNode:
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
-                places.obey(word, control, tick)
-            if not (places.all_seated and self._all_heard(places, p, tick)):
-                found = self._wait(places, p, tick, now, life, control)
+                members.obey(word, control, tick)
+            if not (members.all_active and self._all_heard(members, p, tick)):
+                found = self._wait(members, p, tick, now, life, control)
                 self._passed = ()
                 if found is None:
                     break
                 if found != tick:
-                    self._publish(control, core, places)  # rows follow each other
+                    self._publish(control, core, members)  # rows follow each other
                     tick, self._due = found, clock.now()
                 if tick > start.tick:  # whoever returns comes when it can: the wait is not the others' delay
-                    late.gone(tick, [place.index for place in places.seated if place.attendance.since == tick])
+                    late.gone(tick, [member.index for member in members.active if member.membership.since == tick])
                 now = clock.now()
             else:
-                now = places.order[-1].arrived
+                now = members.order[-1].arrived
             if stale is not None and now - self._due > late.allowance:  # else nobody was late
-                self._judge(places, tick, self._due - answered < CROSSING * period)
+                self._judge(members, tick, self._due - answered < CROSSING * period)
             if stale is not None and now - answered > stale:
-                places.let_go(tick)
+                members.let_go(tick)
             f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")
-            places.shift()
-            for place in places.seated:
-                place.joint.send(Reaction, tick, place.joint.gate.stamp, f)
+            members.shift()
+            for member in members.active:
+                member.peer_link.send(Reaction, tick, member.peer_link.gate.stamp, f)
             answered = now
             self._due = now + (epoch - now) % period
             give_way()
             core.settle()
-            self._frozen_ticks += not places.all_seated
+            self._frozen_ticks += not members.all_active
             account.tick(tick, core)
             tick += 1
             if account.due:
-                self._publish(control, core, places)
-        self._publish(control, core, places)
-        if tick == start.ticks and not places.all_seated:
-            self._say_goodbye(places, p, tick)
+                self._publish(control, core, members)
+        self._publish(control, core, members)
+        if tick == start.ticks and not members.all_active:
+            self._say_goodbye(members, p, tick)
 
-    def _say_goodbye(self, places: Members, p: Floats, tick: int) -> None:
+    def _say_goodbye(self, members: Members, p: Floats, tick: int) -> None:
         """The session is over: who is frozen is told so, if it asks soon, and ends with the others."""
         end = self._clock.now() + _GOODBYE
-        behind = [place for place in places.all if place.attendance.seat is not Membership.SEATED and place.joint.here]
-        for place in behind:
-            place.joint.send_zero(Reaction, tick - 1)
+        behind = [
+            member
+            for member in members.all
+            if member.membership.state is not Membership.ACTIVE and member.peer_link.here
+        ]
+        for member in behind:
+            member.peer_link.send_zero(Reaction, tick - 1)
         while behind and self._clock.now() < end:
-            for place in behind:
-                places.hear(place, p, tick, _TURN)
-                place.joint.send_zero(Reaction, tick - 1)
+            for member in behind:
+                members.hear(member, p, tick, _TURN)
+                member.peer_link.send_zero(Reaction, tick - 1)
 
-    def _all_heard(self, places: Members, p: Floats, tick: int) -> bool:
+    def _all_heard(self, members: Members, p: Floats, tick: int) -> bool:
         """The ordinary tick: everybody's signal, one after the other; False as soon as one does not come."""
-        turn, clock = self._patience.turn, self._clock
-        for place in places.order:
-            if places.hear(place, p, tick, turn) is not Received.SIGNAL:
-                self._pass_over(place, places, p, tick)
+        turn, clock = self._timeouts.turn, self._clock
+        for member in members.order:
+            if members.hear(member, p, tick, turn) is not Received.SIGNAL:
+                self._pass_over(member, members, p, tick)
                 return False
-            place.arrived = clock.now()
+            member.arrived = clock.now()
         return True
 
-    def _pass_over(self, absent: Member, places: Members, p: Floats, tick: int) -> None:
+    def _pass_over(self, absent: Member, members: Members, p: Floats, tick: int) -> None:
         """One does not come: read the others, who count as there since its turn came, and it last from now on.
 
         Where it was the first, nobody knows since when the others are there; they are not known to have waited.
         """
-        at = places.order.index(absent)
+        at = members.order.index(absent)
         if at == 0:
             self._due = max(self._due, self._clock.now())
-        since = places.order[at - 1].arrived if at else Instant(self._due)
-        for place in places.order[at + 1 :]:
-            if places.hear(place, p, tick, NOT_AT_ALL) is Received.SIGNAL:
-                place.arrived = since
-        places.read_last(absent)
+        since = members.order[at - 1].arrived if at else Instant(self._due)
+        for member in members.order[at + 1 :]:
+            if members.hear(member, p, tick, NOT_AT_ALL) is Received.SIGNAL:
+                member.arrived = since
+        members.read_last(absent)
         self._passed = (absent,)
 
-    def _judge(self, places: Members, tick: int, crossed: bool) -> None:
+    def _judge(self, members: Members, tick: int, crossed: bool) -> None:
         """Somebody came late: charge who did, freeze who does so again and again, and read the latest last."""
         late = self._late
         arrivals = [
-            (place.arrived, place.index) for place in places.order if place.attendance.seat is Membership.SEATED
+            (member.arrived, member.index) for member in members.order if member.membership.state is Membership.ACTIVE
         ]
         if not arrivals:
             return
         arrivals.sort(key=lambda arrival: arrival[0])  # of equal instants, the one that was read first
-        for place in places.seated:
-            late.begin(place.index, place.attendance.since)
+        for member in members.active:
+            late.begin(member.index, member.membership.since)
         for index in late.judge(tick, self._due, crossed, arrivals):
-            places.exclude(places.all[index], tick)
+            members.exclude(members.all[index], tick)
         # who was read at once is not known to be early, and keeps its turn behind those who are
         least = AT_ONCE * self._period
-        places.order.sort(key=lambda place: max(least, late.added[place.index]))
+        members.order.sort(key=lambda member: max(least, late.added[member.index]))
 
     def _wait(
-        self, places: Members, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
+        self, members: Members, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
     ) -> int | None:
         """Wait for the awaited, listen to the others, give up who is silent while others are there.
 
         When to do what is decided by :mod:`manyhands.nodes.environment.deadline`.
 
         Args:
-            places: the couplings.
+            members: the couplings.
             p: where the signals of the tick are put.
             tick: k.
             began: when the tick before was answered.
@@ -274,53 +278,53 @@ class EnvironmentNode:
             The tick for which everybody has sent its signal; another than ``tick`` for an environment that resumes.
             None if the node should end.
         """
-        deadline = Deadline(self._patience, self._period, Instant(self._due), began)
+        deadline = Deadline(self._timeouts, self._period, Instant(self._due), began)
         awaited = set(self._passed)  # in this tick
         while not life.stopping:
-            missing = [place for place in places.order if place.missing(tick)]
-            present = any(place.joint.tick == tick for place in places.all)
+            missing = [member for member in members.order if member.missing(tick)]
+            present = any(member.peer_link.tick == tick for member in members.all)
             awaited.update(missing)
             if deadline.complete(present, bool(missing)):
-                self._late.gone(tick, [place.index for place in awaited if place.joint.tick != tick])
-                places.resumed()
+                self._late.gone(tick, [member.index for member in awaited if member.peer_link.tick != tick])
+                members.resumed()
                 return tick
             now = self._clock.now()
-            soonest = tick if present else places.soonest(tick)
-            decision = deadline.decide(now, present, bool(missing), soonest != tick, places.anybody_early)
+            soonest = tick if present else members.soonest(tick)
+            decision = deadline.decide(now, present, bool(missing), soonest != tick, members.anybody_early)
             if decision.forget:
-                places.forget()
+                members.forget()
             if decision.pardon:
-                places.pardon()
+                members.pardon()
             match decision.step:
                 case Step.MOVE:
                     tick = soonest
                     awaited.clear()
                 case Step.GIVE_UP:
-                    self._late.missed(tick, [place.index for place in missing], decision.waited)
-                    for place in missing:
-                        places.give_up(place, tick)
+                    self._late.missed(tick, [member.index for member in missing], decision.waited)
+                    for member in missing:
+                        members.give_up(member, tick)
                 case Step.LISTEN:
                     life.look(now)
                     while (word := control.listen()) is not None:
-                        places.obey(word, control, tick)
-                    anybody = self._listen(places, p, tick, missing, now if present else None)
+                        members.obey(word, control, tick)
+                    anybody = self._listen(members, p, tick, missing, now if present else None)
                     deadline.listened = True
-                    if anybody and places.ahead > tick:
-                        tick = places.ahead
+                    if anybody and members.ahead > tick:
+                        tick = members.ahead
                         deadline.restart(now)
                         awaited.clear()
-                        places.catch_up(tick)
+                        members.catch_up(tick)
                     elif not (anybody or present):  # wait for what the supervisor reports
-                        word = control.listen(self._patience.look)
+                        word = control.listen(self._timeouts.look)
                         if word is not None:
-                            places.obey(word, control, tick)
+                            members.obey(word, control, tick)
         return None
 
-    def _listen(self, places: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
+    def _listen(self, members: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
         """Listen once to everybody whose signal of ``tick`` is not there, to those who are missing first.
 
         Args:
-            places: the couplings.
+            members: the couplings.
             p: where the signals of the tick are put.
             tick: k.
             missing: those who are waited for.
@@ -330,43 +334,43 @@ class EnvironmentNode:
             Whether there was anybody to listen to.
         """
         turn, anybody = _TURN if missing or since is None else NOT_AT_ALL, False
-        for place in (*missing, *places.all):
-            joint = place.joint
-            if not joint.reachable or (joint.tick == tick and joint.here):
+        for member in (*missing, *members.all):
+            peer_link = member.peer_link
+            if not peer_link.reachable or (peer_link.tick == tick and peer_link.here):
                 continue  # a coupling that has sent its signal and is lost since may be on its way back
-            if places.hear(place, p, tick, turn) is Received.SIGNAL:
+            if members.hear(member, p, tick, turn) is Received.SIGNAL:
                 # after the turn of another coupling it counts as there since that turn began
-                place.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
+                member.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
             turn, anybody = NOT_AT_ALL, True
-            if places.ahead > tick:
+            if members.ahead > tick:
                 break
         return anybody
 
     def report(self) -> Report:
         """Ticks, ledger, how often couplings were frozen, and what each made the others wait."""
-        places = self._places
-        lateness = self._lateness(places)
+        members = self._members
+        lateness = self._lateness(members)
         return Report(
             self._account.ticks,
             {**self._figures(), **names.lateness_times(lateness)},
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
-                names.ABSENCES: 0 if places is None else places.absences,
+                names.ABSENCES: 0 if members is None else members.absences,
                 **names.lateness_counts(lateness),
-                **names.dropped_frames(self._joints),
+                **names.dropped_frames(self._peer_links),
             },
             {},
         )
 
-    def _lateness(self, places: Members | None) -> dict[str, names.CouplingLateness]:
+    def _lateness(self, members: Members | None) -> dict[str, names.CouplingLateness]:
         """By coupling, of those that made the others wait."""
-        late, all_ = self._late, () if places is None else places.all
+        late, all_ = self._late, () if members is None else members.all
         return {
-            place.joint.peer.name: names.CouplingLateness(
-                late.ticks[place.index], late.waited[place.index] / 1e3, place.frozen_late
+            member.peer_link.peer.name: names.CouplingLateness(
+                late.ticks[member.index], late.waited[member.index] / 1e3, member.frozen_late
             )
-            for place in all_
-            if late.ticks[place.index]
+            for member in all_
+            if late.ticks[member.index]
         }
 
     def _figures(self) -> dict[str, float]:
@@ -376,21 +380,27 @@ class EnvironmentNode:
         return {
             **names.ledger_figures(core.ledger),
             **names.enforcement_figures(core.controller),
-            **names.energy_figures(core.energy, [joint.peer.name for joint in self._joints]),
+            **names.energy_figures(core.energy, [peer_link.peer.name for peer_link in self._peer_links]),
         }
 
-    def _publish(self, control: ControlLine, core: Core, places: Members) -> None:
-        lateness = self._lateness(places)
+    def _publish(self, control: ControlLine, core: Core, members: Members) -> None:
+        lateness = self._lateness(members)
         figures = {
-            names.FROZEN: float(places.frozen),
+            names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
-            **{f"{names.RUNG}_{place.joint.peer.name}": float(place.rung) for place in places.all if place.rung},
+            **{
+                f"{names.RUNG}_{member.peer_link.peer.name}": float(member.rung)
+                for member in members.all
+                if member.rung
+            },
             **names.lateness_counts(lateness),
             **names.lateness_times(lateness),
             **self._figures(),
-            **names.stray_frames(self._joints),
+            **names.stray_frames(self._peer_links),
         }
-        late = {place.joint.peer.name: ticks for place in places.all if (ticks := self._late.lately[place.index])}
-        if self._account.publish(control, core, figures, late, places.events):
+        late = {
+            member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])
+        }
+        if self._account.publish(control, core, figures, late, members.events):
             for ticks in late.values():
                 ticks.clear()

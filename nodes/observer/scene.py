@@ -1,10 +1,10 @@
 """What a running session says of itself to whoever may enter its directory: who takes part, in what world, how surely.
 
 One JSON file, written by the supervisor before its nodes are started. What changes while the session runs comes from
-its gallery (:mod:`manyhands.protocol.transport.broadcast`); what is here does not change. It holds no key and no block
-of V.
+its broadcast (:mod:`manyhands.protocol.transport.broadcast`); what is here does not change. It holds no key and no
+block of V.
 
-What somebody who looks on knows of a running session: a state that frames of its gallery are taken into. Pure.
+What somebody who looks on knows of a running session: a state that frames of its broadcast are taken into. Pure.
 
 Who shows it (a table, a page, a line a tick) reads it; nothing here waits, prints or knows of sockets.
 """
@@ -349,7 +349,7 @@ class Scene:
         about: what does not change.
         nodes: every node, in the session's order.
         condition: the latest that the supervisor has said; None before it has.
-        malformed: frames that were nothing of a gallery's.
+        malformed: frames that were nothing of a broadcast's.
     """
 
     def __init__(self, about: About) -> None:

@@ -17,7 +17,7 @@ from manyhands.protocol.transport import milliseconds, require_path, require_sen
 from manyhands.protocol.transport.descriptors import require_room
 from manyhands.protocol.transport.zeromq import failed
 
-GALLERY: Final = "gallery"
+BROADCAST: Final = "gallery"
 """The socket's name in its session's directory."""
 
 _FAREWELL_MS: Final = 200  # how long the last word may take to visitors; one that is stopped makes it that long
@@ -32,7 +32,7 @@ class Broadcast:
         Raises:
             TransportError: the socket cannot be bound there, or this process may not open enough files.
         """
-        self._path = directory.absolute() / GALLERY
+        self._path = directory.absolute() / BROADCAST
         require_path(self._path)
         require_room()
         self._context = zmq.Context()
@@ -70,12 +70,12 @@ class Visit:
     """The end that listens."""
 
     def __init__(self, directory: Path) -> None:
-        """Enter the gallery of the session in ``directory``, now or as soon as it is there.
+        """Enter the broadcast of the session in ``directory``, now or as soon as it is there.
 
         Raises:
             TransportError: there can be none, or this process may not open enough files.
         """
-        path = directory.absolute() / GALLERY
+        path = directory.absolute() / BROADCAST
         require_path(path)
         require_room()
         self._context = zmq.Context()

@@ -19,7 +19,7 @@ MAX_GRIP_BYTES: Final = 8192
 _MOST_AT_ONCE: Final = 16  # datagrams read in one look: what the kernel keeps, by default
 
 
-def grip_path(directory: Path, device: str) -> Path:
+def pointer_path(directory: Path, device: str) -> Path:
     """Where the device of this name can be held.
 
     Raises:
@@ -44,7 +44,7 @@ class PointerInlet:
         Raises:
             TransportError: the socket cannot be bound there.
         """
-        self._path = grip_path(directory, device)
+        self._path = pointer_path(directory, device)
         self.malformed = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -88,7 +88,7 @@ class PointerOutlet:
         Raises:
             TransportError: no device can be there.
         """
-        self._path = str(grip_path(directory, device))
+        self._path = str(pointer_path(directory, device))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 

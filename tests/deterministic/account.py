@@ -13,21 +13,21 @@ LATELY: Final = 40  # notes
 
 
 def account(world: SimulatedSession, everything: bool = False) -> str:
-    """Every node with its tick, what it waits for and its links; the environment's seats; what happened before."""
+    """Every node with its tick, what it waits for and its links; the environment's members; what happened before."""
     lines = [f"at {world.scheduler.now / 1e6:.3f} ms, after {world.scheduler.steps} steps:"]
     for name, state in world.conductor.states.items():
         process = world.processes.get(name)
         lines.append(f"  {name} ({state}): {'no process' if process is None else _where(process, world)}")
-    places = world.places
-    if places is not None:
-        for place in places.all:
-            seat = place.attendance.seat
-            due = f", due {place.due}" if seat is Membership.EXPECTED else ""
-            early = f", early {place.early[0]}" if place.early else ""
+    members = world.members
+    if members is not None:
+        for member in members.all:
+            state = member.membership.state
+            due = f", due {member.due}" if state is Membership.REJOINING else ""
+            early = f", early {member.early[0]}" if member.early else ""
             lines.append(
-                f"  seat of {place.joint.peer.name}: {seat.value}{due}{early}, not before {place.attendance._until}"
+                f"  member {member.peer_link.peer.name}: {state.value}{due}{early}, from {member.membership._until}"
             )
-        lines.append(f"  resumes {places._resumes}, ahead {places.ahead}, ticks {world.tick}")
+        lines.append(f"  resumes {members._resumes}, ahead {members.ahead}, ticks {world.tick}")
     links = world.conductor._recovery._links._states.items()
     states = (f"{binder}-{connector} {state}" for (binder, connector), state in links)
     lines.append(f"  links: {', '.join(states)}")
@@ -40,13 +40,13 @@ def _where(process: Process, world: SimulatedSession) -> str:
     turn = process.turn
     stack = [] if turn is None else turn.stack()
     where = " < ".join(f"{function}@{tick}" for function, tick in stack) or "not in its loop"
-    joints = ", ".join(
-        f"{joint.peer.name}:{joint.tick}"
-        + ("" if joint.link is not None else " absent")
-        + ("" if joint.handshake is None else f" shaking hands ({joint.handshake.state})")
-        + (" new" if joint.new else "")
-        + (f" told {joint.told}" if joint.told > joint.tick else "")
-        for joint in process.joints
+    peer_links = ", ".join(
+        f"{peer_link.peer.name}:{peer_link.tick}"
+        + ("" if peer_link.link is not None else " absent")
+        + ("" if peer_link.handshake is None else f" shaking hands ({peer_link.handshake.state})")
+        + (" new" if peer_link.new else "")
+        + (f" told {peer_link.other_tick}" if peer_link.other_tick > peer_link.tick else "")
+        for peer_link in process.peer_links
     )
     stopped = f", stopped until {process.held / 1e6:.3f} ms" if process.held > world.scheduler.now else ""
-    return f"{where}; heard {joints or 'nobody'}{stopped}"
+    return f"{where}; heard {peer_links or 'nobody'}{stopped}"

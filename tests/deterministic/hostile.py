@@ -209,8 +209,8 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
 
 def refused(world: SimulatedSession) -> bool:
     """Whether a sample of the guest was refused: under the simulated clock the others then wait for it for ever."""
-    joints = [joint for process in world.processes.values() for joint in process.joints]
-    return any(joint.peer.name == GUEST and joint.gate.dropped["out_of_range"] for joint in joints)
+    peer_links = [peer_link for process in world.processes.values() for peer_link in process.peer_links]
+    return any(peer_link.peer.name == GUEST and peer_link.gate.dropped["out_of_range"] for peer_link in peer_links)
 
 
 def slow_start(world: SimulatedSession, random: Random) -> None:

@@ -120,8 +120,8 @@ class Innocence:
         """Count what the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
-            places = node._places
-            if self._acted < 0 and places is not None and not places.all_seated:
+            members = node._members
+            if self._acted < 0 and members is not None and not members.all_active:
                 self._acted = tick
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
             self.most_received = max(self.most_received, self.received)
@@ -147,17 +147,21 @@ class Innocence:
     def verdict(self, world: SimulatedSession, returns: int) -> list[tuple[Wrong, str]]:
         """What did not hold, once the session is over; ``returns``: how often the guest came back."""
         found: list[tuple[Wrong, str]] = []
-        places = world.places
+        members = world.members
         acted = False
-        absent = sum(p.attendance.absences for p in places.all if p.joint.peer.name not in self.honest) if places else 0
+        absent = (
+            sum(p.membership.absences for p in members.all if p.peer_link.peer.name not in self.honest)
+            if members
+            else 0
+        )
         allowed = len(self._guests) * (TRANSIENT + SHARE * world.tick) + AGAIN * max(absent, returns)
         for device, count in self.late.items():
             if count > allowed and self.guest is not None:  # honest ones may be late
                 found.append(
                     (Wrong.LATE, f"{device} was late in {count} ticks of {allowed:.0f}, last in {self.last_late}")
                 )
-        for place in [] if places is None else places.all:
-            name, absences = place.joint.peer.name, place.attendance.absences
+        for member in [] if members is None else members.all:
+            name, absences = member.peer_link.peer.name, member.membership.absences
             if name in self.honest and absences:
                 found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
             acted = acted or (name not in self.honest and absences > 0)

@@ -206,7 +206,7 @@ class Process:
         self._transport.die(chance)
 
     @property
-    def joints(self) -> Sequence[PeerLink]:
+    def peer_links(self) -> Sequence[PeerLink]:
         """Its links, once it has shaken hands."""
         node = self.node
         if isinstance(node, CouplingNode):

@@ -24,7 +24,7 @@ def test_a_session_withstands_faults(session: str, clock: str, seed: int) -> Non
 @pytest.mark.parametrize(
     ("session", "clock", "seed"),
     [
-        ("example-1", "simulated", 100012),  # seated in a tick before the one it was told to go on at
+        ("example-1", "simulated", 100012),  # active in a tick before the one it was told to go on at
         ("example-1", "simulated", 200020),  # a device one tick behind a coupling that is new
         ("crossed", "simulated", 100004),  # sent on by one of its blocks, awaited by the other in the ticks between
         ("crossed", "realtime", 100005),  # a pause counted in ticks that do not come

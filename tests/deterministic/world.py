@@ -154,9 +154,9 @@ class SimulatedSession:
         return process.node if process is not None and isinstance(process.node, EnvironmentNode) else None
 
     @property
-    def places(self) -> Members | None:
+    def members(self) -> Members | None:
         """The environment's, once it is in its loop."""
-        return None if self.environment is None else self.environment._places
+        return None if self.environment is None else self.environment._members
 
     @property
     def tick(self) -> int:
@@ -166,13 +166,13 @@ class SimulatedSession:
     @property
     def whole(self) -> bool:
         """Whether everybody takes part."""
-        places, states = self.places, self.conductor.states
+        members, states = self.members, self.conductor.states
         if self.conductor.phase is not SessionPhase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
             return False
-        if places is None or not places.all_seated or len(self.processes) < len(states):
+        if members is None or not members.all_active or len(self.processes) < len(states):
             return False
         for process in self.processes.values():
-            if process.held > self.scheduler.now or not all(joint.here for joint in process.joints):
+            if process.held > self.scheduler.now or not all(peer_link.here for peer_link in process.peer_links):
                 return False
             if isinstance(process.node, DeviceNode) and process.node._free:
                 return False

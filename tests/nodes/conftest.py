@@ -34,7 +34,7 @@ class Kept:
         self.dropped = 0
         self.log = Log(None, "s", "n", RealtimeClock())
 
-    def listen(self, _patience: object = None) -> None:
+    def listen(self, _timeouts: object = None) -> None:
         """Nothing is said."""
 
     def publish(self, telemetry: Telemetry) -> None:

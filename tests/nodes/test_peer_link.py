@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.bundle import Peer
-from manyhands.nodes.peer_link import PeerLink, Received, await_all, handshake_of, joint_of
+from manyhands.nodes.peer_link import PeerLink, Received, await_all, handshake_of, peer_link_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
@@ -91,11 +91,11 @@ class Ears:
         self.told: list[tuple[int, int]] = []
         self.words: list[object] = []
 
-    def astray(self, _joint: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, _peer_link: PeerLink, told: int, awaited: int) -> bool:
         self.told.append((told, awaited))
         return self._turns
 
-    def aside(self, _joint: PeerLink, message: object) -> bool:
+    def on_notice(self, _peer_link: PeerLink, message: object) -> bool:
         self.words.append(message)
         return self._turns
 
@@ -106,13 +106,13 @@ class Ears:
 def waiting(
     frames: Iterator[tuple[int, bytes]], turns: bool = False
 ) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, Time]:
-    """A joint whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
+    """A peer link whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
     time = Time()
     link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
     peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
-    joint = PeerLink(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
-    return lambda: joint.hear(values, TICK, PATIENCE, ears), link, ears, values, time
+    peer_link = PeerLink(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
+    return lambda: peer_link.hear(values, TICK, PATIENCE, ears), link, ears, values, time
 
 
 def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
@@ -152,8 +152,8 @@ def test_a_trickle_of_strays_is_no_sign_of_life(stray: bytes, apart: int) -> Non
     assert ears.failure == ""
 
 
-def test_the_patience_counts_from_the_beginning() -> None:
-    """One stray after 4 of 5 ms, and then nothing: silence a patience after the stray at the latest."""
+def test_the_timeout_counts_from_the_beginning() -> None:
+    """One stray after 4 of 5 ms, and then nothing: silence a timeout after the stray at the latest."""
     wait, _, _, _, time = waiting(iter([(4 * MS, JUNK)]))
     assert wait() is Received.NOTHING
     assert time.ns <= Time().ns + 9 * MS
@@ -177,7 +177,7 @@ def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
 @pytest.mark.parametrize("frame", [STALE, encode(Rung(1)), encode(Absent("dx"))])
 def test_a_listener_may_end_the_wait(frame: bytes) -> None:
     wait, link, ears, _, _ = waiting(iter([(0, frame), (0, HONEST)]), turns=True)
-    assert wait() is Received.TURNED
+    assert wait() is Received.DECLINED
     assert link.reads == 1
     assert (ears.told, ears.words) in (([(TICK - 1, TICK)], []), ([], [Rung(1)]), ([], [Absent("dx")]))
     assert wait() is Received.SIGNAL
@@ -222,58 +222,58 @@ def joined(link: FrameLink | None, binds: bool = True) -> PeerLink:
     return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
 
 
-def heard_by(joint: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
-    return joint.hear(values, tick, Duration(0), ears)
+def heard_by(peer_link: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
+    return peer_link.hear(values, tick, Duration(0), ears)
 
 
 class Test_a_peer_that_comes_back:
     @pytest.mark.parametrize("binds", [True, False])
-    def test_is_met_and_then_heard(self, binds: bool) -> None:
-        joint, ears, values = joined(FrameLink(HONEST), binds), Ears(), np.zeros(1)
-        assert heard_by(joint, ears, values) is Received.SIGNAL
-        joint.lose()
+    def test_reconnects_and_is_then_received(self, binds: bool) -> None:
+        peer_link, ears, values = joined(FrameLink(HONEST), binds), Ears(), np.zeros(1)
+        assert heard_by(peer_link, ears, values) is Received.SIGNAL
+        peer_link.lose()
         answer = [encode(HIS), encode(Welcome())] if binds else [encode(HIS)]
         fresh = FrameLink(*answer, encode(Sample(9, 0, np.array([0.25]))))
-        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert (joint.reachable, joint.here, joint.new) == (True, False, False)
-        assert heard_by(joint, ears, values, 9) is Received.MET
-        assert (joint.reachable, joint.here, joint.new) == (True, True, True)
-        assert joint.hello == HIS
+        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+        assert (peer_link.reachable, peer_link.here, peer_link.new) == (True, False, False)
+        assert heard_by(peer_link, ears, values, 9) is Received.RECONNECTED
+        assert (peer_link.reachable, peer_link.here, peer_link.new) == (True, True, True)
+        assert peer_link.hello == HIS
         said = [decode(frame, MAX_CONTROL_BYTES) for frame in fresh.said]
         assert said == ([OWN] if binds else [OWN, Welcome()])
-        assert heard_by(joint, ears, values, 9) is Received.SIGNAL
-        assert (values[0], joint.tick) == (0.25, 9)
+        assert heard_by(peer_link, ears, values, 9) is Received.SIGNAL
+        assert (values[0], peer_link.tick) == (0.25, 9)
 
     def test_is_told_nothing_before_hands_are_shaken(self) -> None:
-        joint = joined(FrameLink())
-        joint.send(Sample, TICK, 0, np.zeros(1))
+        peer_link = joined(FrameLink())
+        peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink()
-        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert not joint.send(Sample, TICK, 0, np.zeros(1))
-        joint.send_again()
-        joint.send_zero(Force, TICK)
-        joint.say(Rung(1))
+        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+        assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
+        peer_link.send_again()
+        peer_link.send_zero(Force, TICK)
+        peer_link.say(Rung(1))
         assert fresh.said == []
 
     def test_is_not_answered_for_the_one_before(self) -> None:
         """What was said last on the old link is not repeated on the new one."""
-        joint = joined(FrameLink())
-        joint.send(Sample, TICK, 0, np.zeros(1))
+        peer_link = joined(FrameLink())
+        peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink(encode(HIS), encode(Welcome()))
-        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Received.MET
+        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.RECONNECTED
         before = list(fresh.said)
-        joint.send_again()
+        peer_link.send_again()
         assert fresh.said == before
 
     def test_is_another_for_the_gate_which_goes_on_counting(self) -> None:
-        joint, ears = joined(FrameLink(JUNK, STALE)), Ears()
-        heard_by(joint, ears, np.zeros(1))
-        joint.greet(FrameLink(encode(HIS), encode(Welcome())), handshake_of(joint))  # type: ignore[arg-type]
-        gate = joint.gate
-        assert heard_by(joint, ears, np.zeros(1)) is Received.MET
-        assert joint.gate is not gate  # a step from the last signal of the one before would be no step
-        assert (joint.gate.dropped["malformed"], joint.gate.dropped["old_tick"]) == (1, 1)
+        peer_link, ears = joined(FrameLink(JUNK, STALE)), Ears()
+        heard_by(peer_link, ears, np.zeros(1))
+        peer_link.greet(FrameLink(encode(HIS), encode(Welcome())), handshake_of(peer_link))  # type: ignore[arg-type]
+        gate = peer_link.gate
+        assert heard_by(peer_link, ears, np.zeros(1)) is Received.RECONNECTED
+        assert peer_link.gate is not gate  # a step from the last signal of the one before would be no step
+        assert (peer_link.gate.dropped["malformed"], peer_link.gate.dropped["old_tick"]) == (1, 1)
 
     @pytest.mark.parametrize(
         "wrong",
@@ -282,88 +282,88 @@ class Test_a_peer_that_comes_back:
     )
     def test_is_absent_if_it_is_not_the_one(self, wrong: Message | None) -> None:
         wrong = replace(HIS, certificate="other") if wrong is HIS else wrong
-        joint, fresh = joined(FrameLink()), FrameLink(JUNK if wrong is None else encode(wrong), HONEST)
-        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
-        assert not joint.reachable
+        peer_link, fresh = joined(FrameLink()), FrameLink(JUNK if wrong is None else encode(wrong), HONEST)
+        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
+        assert not peer_link.reachable
         assert fresh.closed
         refused = [isinstance(decode(frame, MAX_CONTROL_BYTES), Refusal) for frame in fresh.said]
         assert any(refused) == (not isinstance(wrong, Refusal))
 
     def test_is_absent_if_it_goes_in_the_middle_of_it(self) -> None:
-        joint, fresh = joined(FrameLink()), FrameLink(encode(HIS), room=0)
-        joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-        assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
-        assert not joint.reachable
+        peer_link, fresh = joined(FrameLink()), FrameLink(encode(HIS), room=0)
+        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
+        assert not peer_link.reachable
 
     def test_closes_the_place_that_waited_for_it_if_it_is_lost_once_more(self) -> None:
-        joint, first, second = joined(FrameLink()), FrameLink(), FrameLink()
-        joint.greet(first, handshake_of(joint))  # type: ignore[arg-type]
-        joint.greet(second, handshake_of(joint))  # type: ignore[arg-type]
+        peer_link, first, second = joined(FrameLink()), FrameLink(), FrameLink()
+        peer_link.greet(first, handshake_of(peer_link))  # type: ignore[arg-type]
+        peer_link.greet(second, handshake_of(peer_link))  # type: ignore[arg-type]
         assert (first.closed, second.closed) == (True, False)
 
 
 def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
     link = FrameLink(HONEST)
-    joint = joined(link)
-    joint.lose()
-    joint.lose()
+    peer_link = joined(link)
+    peer_link.lose()
+    peer_link.lose()
     assert link.closed
-    assert (joint.reachable, joint.here) == (False, False)
-    assert heard_by(joint, Ears(), np.zeros(1)) is Received.NOTHING
-    assert not joint.send(Sample, TICK, 0, np.zeros(1))
-    joint.send_again()
-    joint.send_zero(Force, TICK)
-    joint.say(Absent("dx"))
+    assert (peer_link.reachable, peer_link.here) == (False, False)
+    assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
+    assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
+    peer_link.send_again()
+    peer_link.send_zero(Force, TICK)
+    peer_link.say(Absent("dx"))
 
 
 def test_the_last_signal_is_said_again_as_it_was() -> None:
     link = FrameLink()
-    joint = joined(link)
-    joint.send_again()  # nothing was said yet
-    joint.send(Sample, TICK, 7, np.array([0.5]))
-    joint.say(Rung(1))
-    joint.send_zero(Force, TICK + 3)
-    joint.send_again()
+    peer_link = joined(link)
+    peer_link.send_again()  # nothing was said yet
+    peer_link.send(Sample, TICK, 7, np.array([0.5]))
+    peer_link.say(Rung(1))
+    peer_link.send_zero(Force, TICK + 3)
+    peer_link.send_again()
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2
 
 
 def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
     link = FrameLink()
-    joint = joined(link)
-    joint.send_zero(Force, -1)  # before the first tick nothing is over
-    joint.send_zero(Force, 4)
+    peer_link = joined(link)
+    peer_link.send_zero(Force, -1)  # before the first tick nothing is over
+    peer_link.send_zero(Force, 4)
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in link.said] == [Force(4, 0, [0.0])]
 
 
 @pytest.mark.parametrize(("values", "zero"), [([0.0], True), ([-0.0], True), ([5e-324], False)])
-def test_whether_a_signal_astray_is_a_zero_force(values: list[float], zero: bool) -> None:
-    joint = joined(FrameLink(encode(Sample(TICK + 2, 0, np.array(values)))))
-    heard_by(joint, Ears(), np.zeros(1))
-    assert (joint.told, joint.zero) == (TICK + 2, zero)
+def test_whether_a_signal_of_another_tick_is_a_zero_force(values: list[float], zero: bool) -> None:
+    peer_link = joined(FrameLink(encode(Sample(TICK + 2, 0, np.array(values)))))
+    heard_by(peer_link, Ears(), np.zeros(1))
+    assert (peer_link.other_tick, peer_link.other_zero) == (TICK + 2, zero)
 
 
 def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
     """It floods nobody by it, tick by tick; junk of one tick adds up over several waits, until the tick is there."""
-    joint, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
-    heard_by(joint, ears, np.zeros(1))
+    peer_link, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
+    heard_by(peer_link, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure  # in one wait it does
     link, ears = FrameLink(), Ears()
-    joint = joined(link)
+    peer_link = joined(link)
     for _ in range(3):
         link.coming.extend([STALE] * MAX_STRAY_FRAMES)
-        assert heard_by(joint, ears, np.zeros(1)) is Received.NOTHING
+        assert heard_by(peer_link, ears, np.zeros(1)) is Received.NOTHING
     assert ears.failure == ""
     for _ in range(2):
         link.coming.extend([JUNK] * (MAX_STRAY_FRAMES // 2 + 1))
-        heard_by(joint, ears, np.zeros(1))
+        heard_by(peer_link, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure
 
 
-def test_joints_are_found_by_their_peers() -> None:
-    joint = joined(None)
-    assert joint_of([joint], "dx") is joint
-    assert joint_of([joint], "dz") is None
+def test_peer_links_are_found_by_their_peers() -> None:
+    peer_link = joined(None)
+    assert peer_link_of([peer_link], "dx") is peer_link
+    assert peer_link_of([peer_link], "dz") is None
 
 
 frames = st.one_of(
@@ -381,24 +381,24 @@ frames = st.one_of(
 def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
     coming: list[bytes], turns: bool, greets: bool
 ) -> None:
-    joint, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
+    peer_link, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
     link = FrameLink(*coming)
     if greets:
-        joint.greet(link, handshake_of(joint))  # type: ignore[arg-type]
+        peer_link.greet(link, handshake_of(peer_link))  # type: ignore[arg-type]
     else:
-        joint.link = link  # type: ignore[assignment]
-    while link.coming and joint.reachable:
+        peer_link.link = link  # type: ignore[assignment]
+    while link.coming and peer_link.reachable:
         before, left = values.copy(), len(link.coming)
-        shaking = joint.handshake is not None
-        heard = heard_by(joint, ears, values)
+        shaking = peer_link.handshake is not None
+        heard = heard_by(peer_link, ears, values)
         assert len(link.coming) < left
         if heard is Received.SIGNAL:
-            assert (values[0], joint.tick) == (0.5, TICK)
+            assert (values[0], peer_link.tick) == (0.5, TICK)
         else:
             assert values[0] == before[0]
-        assert heard is not Received.MET or (shaking and joint.hello == HIS)
+        assert heard is not Received.RECONNECTED or (shaking and peer_link.hello == HIS)
         assert heard is not Received.SIGNAL or not shaking
-    assert all(count >= 0 for count in joint.gate.dropped.values())
+    assert all(count >= 0 for count in peer_link.gate.dropped.values())
 
 
 @pytest.mark.parametrize("indices", [slice(1, 3), np.array([2, 0])], ids=["a slice", "scattered"])
@@ -408,13 +408,13 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
     sent: list[bytes] = []
     link.send = lambda frame: sent.append(frame) or True  # type: ignore[method-assign, func-returns-value]
-    joint = PeerLink(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
+    peer_link = PeerLink(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
     values, expected = [10.0, 11.0, 12.0, 13.0], np.array([10.0, 11.0, 12.0, 13.0])
     expected[indices] = [0.5, -1.0]
-    assert joint.hear(values, TICK, PATIENCE, Ears()) is Received.SIGNAL
+    assert peer_link.hear(values, TICK, PATIENCE, Ears()) is Received.SIGNAL
     assert values == expected.tolist()
     forces = [20.0, 21.0, 22.0, 23.0]
-    assert joint.send(Force, TICK, 7, forces)
+    assert peer_link.send(Force, TICK, 7, forces)
     assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]
 
 
@@ -425,7 +425,7 @@ class Scripted:
         self.name, self._script, self._listened = name, script, listened
         self.tick = -1
 
-    def hear(self, _values: object, tick: int, _patience: Duration, _listener: object) -> Received:
+    def hear(self, _values: object, tick: int, _timeouts: Duration, _listener: object) -> Received:
         self._listened.append(self.name)
         heard = self._script.pop(0)
         if heard is Received.SIGNAL:
@@ -447,7 +447,11 @@ def awaited(
 
 
 def test_all_are_awaited_in_turn_behind_the_last() -> None:
-    script = {"a": [Received.SIGNAL], "b": [Received.MET, Received.SIGNAL], "c": [Received.NOTHING, Received.SIGNAL]}
+    script = {
+        "a": [Received.SIGNAL],
+        "b": [Received.RECONNECTED, Received.SIGNAL],
+        "c": [Received.NOTHING, Received.SIGNAL],
+    }
     assert awaited(script, 9) == (7, "cabcb")
 
 
@@ -456,6 +460,10 @@ def test_the_wait_ends_when_no_round_is_left() -> None:
 
 
 def test_at_another_tick_all_are_awaited_anew() -> None:
-    script = {"a": [Received.TURNED, Received.SIGNAL], "b": [Received.SIGNAL], "c": [Received.SIGNAL, Received.SIGNAL]}
-    moved = awaited(script, 9, lambda heard, tick: tick + (heard is Received.TURNED))
+    script = {
+        "a": [Received.DECLINED, Received.SIGNAL],
+        "b": [Received.SIGNAL],
+        "c": [Received.SIGNAL, Received.SIGNAL],
+    }
+    moved = awaited(script, 9, lambda heard, tick: tick + (heard is Received.DECLINED))
     assert moved == (8, "cabca")

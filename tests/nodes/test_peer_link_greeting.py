@@ -108,16 +108,16 @@ def hello(peer: Peer) -> LinkHello:
     return LinkHello(PROTOCOL_VERSION, "id", "s", peer.name, peer.role, peer.ports)
 
 
-def test_a_peer_that_is_absent_is_not_waited_for_and_has_its_joint(transport: MemoryTransport) -> None:
+def test_a_peer_that_is_absent_is_not_waited_for_and_has_its_peer_link(transport: MemoryTransport) -> None:
     links, endpoints = bind_links(common(LEFT, RIGHT), transport)
     del links["left"]
     answering(transport.connect(endpoints["right"], "c"), hello(RIGHT), Welcome(), Sample(0, 0, np.array([0.5])))
-    joints, hellos = establish(common(LEFT, RIGHT), links, ADMITS, RealtimeClock(), D_V)
-    assert [joint.peer for joint in joints] == [LEFT, RIGHT]
-    assert [joint.here for joint in joints] == [False, True]
+    peer_links, hellos = establish(common(LEFT, RIGHT), links, ADMITS, RealtimeClock(), D_V)
+    assert [peer_link.peer for peer_link in peer_links] == [LEFT, RIGHT]
+    assert [peer_link.here for peer_link in peer_links] == [False, True]
     assert hellos == {"right": hello(RIGHT)}
     x = np.zeros(3)
-    assert joints[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
+    assert peer_links[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
     assert list(x) == [0.0, 0.5, 0.0]
 
 

@@ -57,7 +57,7 @@ def line(transport: MemoryTransport) -> OfferingLine:
 
 
 @pytest.fixture
-def joints(transport: MemoryTransport) -> list[PeerLink]:
+def peer_links(transport: MemoryTransport) -> list[PeerLink]:
     links = [transport.bind("cx-dx", "dx")[0], transport.connect(transport.bind("environment-cx", "cx")[1], "e")]
     return [
         PeerLink(OWN, peer, link, Sample, slice(0, 1), RealtimeClock())
@@ -65,12 +65,12 @@ def joints(transport: MemoryTransport) -> list[PeerLink]:
     ]
 
 
-def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[PeerLink], line: OfferingLine) -> None:
-    before = joints[0].link
-    assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
-    assert joints[0].link is line.bound[0] is not before
-    assert joints[0].reachable
-    assert not joints[0].here  # not before hands are shaken
+def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[PeerLink], line: OfferingLine) -> None:
+    before = peer_links[0].link
+    assert part(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
+    assert peer_links[0].link is line.bound[0] is not before
+    assert peer_links[0].reachable
+    assert not peer_links[0].here  # not before hands are shaken
     ((peer, endpoint),) = line.offers
     returned = line.transport.connect(endpoint, "dx")
     assert peer == "dx"
@@ -79,42 +79,42 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(joints: list[PeerLin
         before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
 
 
-def test_who_connects_waits_to_be_told(joints: list[PeerLink], line: OfferingLine) -> None:
-    assert part(Absent("environment"), joints, line) is joints[1]  # type: ignore[arg-type]
-    assert not joints[1].reachable
+def test_who_connects_waits_to_be_told(peer_links: list[PeerLink], line: OfferingLine) -> None:
+    assert part(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
+    assert not peer_links[1].reachable
     assert not line.offers
     bound, endpoint = line.transport.bind("environment-cx.1", "cx")
-    meet(Return("environment", endpoint), joints, line)  # type: ignore[arg-type]
-    assert joints[1].reachable
-    assert not joints[1].here
+    meet(Return("environment", endpoint), peer_links, line)  # type: ignore[arg-type]
+    assert peer_links[1].reachable
+    assert not peer_links[1].here
     frame = bound.recv(NOT_AT_ALL)
     assert frame is not None
     assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
 
 
-def test_every_absence_of_the_same_peer_has_a_place_of_its_own(joints: list[PeerLink], line: OfferingLine) -> None:
+def test_every_absence_of_the_same_peer_has_a_place_of_its_own(peer_links: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
-        part(Absent("dx"), joints, line)  # type: ignore[arg-type]
+        part(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3
-    assert joints[0].link is line.bound[-1]
+    assert peer_links[0].link is line.bound[-1]
     for old in line.bound[:-1]:
         with pytest.raises(TransportError):
             old.recv(NOT_AT_ALL)
 
 
-def test_a_peer_for_whom_there_is_no_place_stays_away(joints: list[PeerLink], line: OfferingLine) -> None:
+def test_a_peer_for_whom_there_is_no_place_stays_away(peer_links: list[PeerLink], line: OfferingLine) -> None:
     line.full = True
-    assert part(Absent("dx"), joints, line) is joints[0]  # type: ignore[arg-type]
-    assert not joints[0].reachable
+    assert part(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
+    assert not peer_links[0].reachable
     assert not line.offers
 
 
-def test_strangers_and_wrong_ends_are_nobodys_business(joints: list[PeerLink], line: OfferingLine) -> None:
-    before = [joint.link for joint in joints]
-    assert part(Absent("dz"), joints, line) is None  # type: ignore[arg-type]
-    meet(Return("dz", "memory://nowhere"), joints, line)  # type: ignore[arg-type]
-    meet(Return("dx", "memory://nowhere"), joints, line)  # type: ignore[arg-type] -- its own to bind
-    meet(Return("environment", "carrier pigeon"), joints, line)  # type: ignore[arg-type]
-    assert [joint.link for joint in joints] == before
-    assert all(joint.here for joint in joints)
+def test_strangers_and_wrong_ends_are_nobodys_business(peer_links: list[PeerLink], line: OfferingLine) -> None:
+    before = [peer_link.link for peer_link in peer_links]
+    assert part(Absent("dz"), peer_links, line) is None  # type: ignore[arg-type]
+    meet(Return("dz", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type]
+    meet(Return("dx", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type] -- its own to bind
+    meet(Return("environment", "carrier pigeon"), peer_links, line)  # type: ignore[arg-type]
+    assert [peer_link.link for peer_link in peer_links] == before
+    assert all(peer_link.here for peer_link in peer_links)
     assert not line.offers

@@ -23,7 +23,7 @@ SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 1000
 HELD = 300  # the tick at which dz waits for the test
 ROUNDING = -1e-12  # J: ledgers add some thousand terms of about 1e-4 J
-SEATED_SOON = (Membership.EXPECTED, Membership.SEATED)
+SEATED_SOON = (Membership.REJOINING, Membership.ACTIVE)
 CHAIN = {"dx": "cx", "cx": "cx"}
 
 
@@ -76,7 +76,7 @@ def test_a_node_that_is_lost_comes_back_and_the_session_is_done(
         stage.lose(who)
         stage.bring_back(who, HELD)
         if who in CHAIN:
-            stage.await_seat(CHAIN[who], *SEATED_SOON)
+            stage.await_state(CHAIN[who], *SEATED_SOON)
         stage.release("dz")
         reports = stage.reports()
         check(reports)
@@ -94,7 +94,7 @@ def test_a_node_is_lost_twice(prepared: Prepared, new_life: Callable[[], Any]) -
         for _ in range(2):
             stage.lose("cx")
             stage.bring_back("cx", HELD)
-            stage.await_seat("cx", *SEATED_SOON)
+            stage.await_state("cx", *SEATED_SOON)
         stage.release("dz")
         check(stage.reports())
 
@@ -111,7 +111,7 @@ def test_both_ends_of_a_link_are_lost_at_once(
         stage.lose(first, second)
         stage.bring_back(first, HELD, absent=[second])
         stage.bring_back(second, HELD)
-        stage.await_seat("cx", *SEATED_SOON)
+        stage.await_state("cx", *SEATED_SOON)
         stage.release("dz")
         reports = stage.reports()
         check(reports)
@@ -129,7 +129,7 @@ def test_a_peer_lost_in_the_middle_of_its_return_is_met_at_the_next(
         assert stage.lines[ENVIRONMENT].offers.get(timeout=60)[0] == "cx"
         stage.lines[ENVIRONMENT].words.put(Absent("cx"))
         stage.bring_back("cx", HELD)
-        stage.await_seat("cx", *SEATED_SOON)
+        stage.await_state("cx", *SEATED_SOON)
         stage.release("dz")
         check(stage.reports())
 
@@ -209,7 +209,7 @@ def test_a_process_of_several_nodes_is_lost_and_comes_back(
         if who == ENVIRONMENT:  # nobody goes on without it, and cz shakes hands with it in the process of dz
             stage.release("dz")
         stage.bring_back(who, HELD)
-        stage.await_seat("cx", *SEATED_SOON)
+        stage.await_state("cx", *SEATED_SOON)
         stage.release("dz")
         check(stage.reports())
         check_rows(stage)
@@ -242,7 +242,7 @@ class Test_in_real_time:
         stage.prepare = pause_dx
         with stage:
             stage.paused("dx")
-            stage.await_seat("cx", Membership.FROZEN)
+            stage.await_state("cx", Membership.FROZEN)
             tick = stage.reach("dy", stage.lines["dy"].told[-1].tick + 100)  # the others go on
             stage.release("dx")
             stage.reach("dx", tick + 100)

@@ -28,7 +28,7 @@ def test_rungs_and_frozen_couplings_are_told() -> None:
     events.take(0, 10)
     events.change_rung(11, 2)
     events.freeze(12, "c.x")
-    events.seat(14, "c.x")
+    events.activate(14, "c.x")
     expected = [
         TickEvent(Kind.RUNG, 11, 2),
         TickEvent(Kind.FROZEN, 12, 1, "c.x"),

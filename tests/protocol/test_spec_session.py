@@ -26,7 +26,7 @@ from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.membership import TRANSITIONS as SEATS
+from manyhands.nodes.environment.membership import TRANSITIONS as MEMBERSHIPS
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log
@@ -200,9 +200,9 @@ def test_what_becomes_of_a_link() -> None:
     assert table("| a link that is | hears of | is then |") == expected
 
 
-def test_what_becomes_of_a_seat() -> None:
-    expected = [[seat, event, following] for (seat, event), following in SEATS.items()]
-    assert table("| a seat that is | hears | is then |") == expected
+def test_what_becomes_of_a_member() -> None:
+    expected = [[state, event, following] for (state, event), following in MEMBERSHIPS.items()]
+    assert table("| a member that is | hears | is then |") == expected
 
 
 def test_the_domain_of_a_link_that_is_bound_anew(prepared: Prepared) -> None:

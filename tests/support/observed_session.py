@@ -1,4 +1,4 @@
-"""A session to look on at that needs no processes: its description, and frames as its gallery would show them."""
+"""A session to look on at that needs no processes: its description, and frames as its broadcast would show them."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def condition(phase: str = "running", elapsed: float = 0.0) -> bytes:
 
 
 def frames(ticks: int, each: int, recorded: Recorded = RECORDED) -> Iterable[bytes]:
-    """What a gallery shows of a session of ``ticks``, ``each`` in an observation."""
+    """What a broadcast shows of a session of ``ticks``, ``each`` in an observation."""
     for tick in range(each, ticks + 1, each):
         for node in recorded.roles:
             yield observation(node, tick, each, late=float(tick))

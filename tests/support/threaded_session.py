@@ -58,10 +58,10 @@ class TestLine:
         self.looking: Callable[[], None] = lambda: None
         self.given_up = False
 
-    def listen(self, patience: Duration = NOT_AT_ALL) -> Word | None:
+    def listen(self, timeout: Duration = NOT_AT_ALL) -> Word | None:
         self.looking()
         try:
-            return self.words.get(timeout=seconds(patience)) if patience else self.words.get_nowait()
+            return self.words.get(timeout=seconds(timeout)) if timeout else self.words.get_nowait()
         except queue.Empty:
             return None
 
@@ -275,16 +275,16 @@ class ThreadedSession:
     def peers(self, name: str) -> list[str]:
         return [plan.connector if plan.binder == name else plan.binder for plan in self.graph.links_of(name)]
 
-    def seat(self, coupling: str) -> Membership | None:
+    def state(self, coupling: str) -> Membership | None:
         """Where a coupling stands at the environment, as of now."""
-        places = getattr(self.nodes[ENVIRONMENT], "_places", None)
-        if places is None:
+        members = getattr(self.nodes[ENVIRONMENT], "_places", None)
+        if members is None:
             return None
-        return next(place.attendance.seat for place in places.all if place.joint.peer.name == coupling)
+        return next(member.membership.state for member in members.all if member.peer_link.peer.name == coupling)
 
-    def await_seat(self, coupling: str, *seats: Membership) -> None:
+    def await_state(self, coupling: str, *states: Membership) -> None:
         """Wait until the environment, which looks at its line again and again, has ``coupling`` stand so."""
-        self.see(ENVIRONMENT, lambda: self.seat(coupling) in seats)
+        self.see(ENVIRONMENT, lambda: self.state(coupling) in states)
 
     def reports(self, *names: str) -> dict[str, Report]:
         """The last words of all, or of ``names``, after their end."""

@@ -22,7 +22,7 @@ from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Grasp, Observation
 from manyhands.protocol.transport.broadcast import Visit
-from manyhands.protocol.transport.pointer import PointerOutlet, grip_path
+from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
 
 from ..support.commands import read_until, run, started
 
@@ -81,7 +81,7 @@ def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None
                         moved = bool(np.abs(force).max() > 1.0 and x.max() > 0.01)
                     case Observation("left"):
                         held = told.figures[names.GRASPED] == 1.0 and told.figures[names.GRASPS] > 0.0
-            assert grip_path(running.directory, "left").is_socket()
+            assert pointer_path(running.directory, "left").is_socket()
         finally:
             visit.close()
             outlet.close()

@@ -60,7 +60,7 @@ def core_of(duration: float | None = None) -> AttachedCore:
 
 
 class Frames:
-    """A gallery of which these frames are seen, each ``each`` after the one before; then nothing."""
+    """A broadcast of which these frames are seen, each ``each`` after the one before; then nothing."""
 
     def __init__(self, clock: SimulatedClock, frames: Iterable[bytes | None], each: Duration) -> None:
         self._clock, self._frames, self._each = clock, deque(frames), each

@@ -51,10 +51,10 @@ def test_nothing_is_said_where_nothing_may_be_read() -> None:
 
 def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
     told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
-    audience, transport = ObserverBroadcast(told), MemoryTransport()
-    endpoints = audience.serve(transport, IPC, topology(told))
+    observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
+    endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     links = {name: transport.connect_outlet(endpoint, "supervisor") for name, endpoint in endpoints.items()}
-    audience.tell("dx", OF_DEVICE)
+    observer_broadcast.tell("dx", OF_DEVICE)
     heard = {name: link.recv(Duration(0)) for name, link in links.items()}
     transport.close()
     assert heard.pop("other") is None
@@ -66,12 +66,12 @@ def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> Non
 
 def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
     told = session("{watch: {reads: [telemetry]}}")
-    audience, transport = ObserverBroadcast(told), MemoryTransport()
-    audience.serve(transport, IPC, topology(told))
+    observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
+    observer_broadcast.serve(transport, IPC, topology(told))
     for _ in range(3):
-        audience.tell("dx", OF_DEVICE)
+        observer_broadcast.tell("dx", OF_DEVICE)
     transport.close()
-    assert audience.missed == 3
+    assert observer_broadcast.missed == 3
 
 
 def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
@@ -90,12 +90,12 @@ def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
     assert isinstance(full, Telemetry)
     with pytest.raises(ValueError, match="found a frame of"):
         encode(Observation("dx", full.tick, full.figures, full.traces))
-    audience, transport = ObserverBroadcast(told), MemoryTransport()
-    endpoints = audience.serve(transport, IPC, topology(told))
+    observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
+    endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     link = transport.connect_outlet(endpoints["watch"], "supervisor")
-    audience.tell("dx", full)
+    observer_broadcast.tell("dx", full)
     assert link.recv(Duration(0)) is None
-    assert audience.missed == 1
-    audience.tell("dx", OF_DEVICE)
+    assert observer_broadcast.missed == 1
+    observer_broadcast.tell("dx", OF_DEVICE)
     assert link.recv(Duration(0)) is not None
     transport.close()

@@ -78,4 +78,4 @@ def test_one_that_is_too_long_is_nobodys_loss(prepared: Prepared) -> None:
     assert condition_frame(long) is None
     supervisor._tell(long)
     assert (ear.told, eye.shown) == ([], [None])
-    Showing.tell(eye, None)  # which shows nothing, and needs no gallery for it
+    Showing.tell(eye, None)  # which shows nothing, and needs no broadcast for it

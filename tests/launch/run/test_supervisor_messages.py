@@ -88,8 +88,8 @@ class Heard:
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
         self.hub, _ = self.transport.bind_hub("control", [])
-        audience = self.supervisor._audience
-        self.supervisor._conductor.observers = audience.serve(self.transport, Reach("ipc"), self.graph)
+        observer_broadcast = self.supervisor._observer_broadcast
+        self.supervisor._conductor.observers = observer_broadcast.serve(self.transport, Reach("ipc"), self.graph)
         self.processes = NoProcesses()
         if run:
             for name, role in self.graph.nodes.items():

@@ -286,13 +286,13 @@ def test_a_page_that_does_not_read_is_given_up(watch: Watch, monkeypatch: pytest
     assert (page.most, page.waiting, page.closed) == (1, 0, served.GIVEN_UP)
 
 
-def test_a_watch_takes_in_what_a_gallery_shows_and_notices_its_end(tmp_path: Path) -> None:
+def test_a_watch_takes_in_what_a_broadcast_shows_and_notices_its_end(tmp_path: Path) -> None:
     read, write = os.pipe()
     child = os.posix_spawnp(
         "cat", ["cat"], {}, file_actions=[(os.POSIX_SPAWN_DUP2, read, 0), (os.POSIX_SPAWN_CLOSE, write)]
     )
     os.close(read)
-    gallery = Broadcast(tmp_path)
+    broadcast = Broadcast(tmp_path)
     watch = Watch(Running(tmp_path, replace(ABOUT, pid=child)), RealtimeClock())
 
     async def until(what: Callable[[], bool]) -> None:
@@ -304,7 +304,7 @@ def test_a_watch_takes_in_what_a_gallery_shows_and_notices_its_end(tmp_path: Pat
         tick = 0
         while watch.feed.scene.tick == 0:  # a visitor that is just coming in misses what is shown meanwhile
             tick += 100
-            gallery.show(moving(tick))
+            broadcast.show(moving(tick))
             await asyncio.sleep(0.005)
         assert not watch.feed.over
         os.close(write)  # and so the process ends
@@ -318,7 +318,7 @@ def test_a_watch_takes_in_what_a_gallery_shows_and_notices_its_end(tmp_path: Pat
     finally:
         os.waitpid(child, 0)
         watch.close()
-        gallery.close()
+        broadcast.close()
 
 
 def test_the_address_that_is_printed() -> None:

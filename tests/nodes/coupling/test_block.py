@@ -92,8 +92,8 @@ def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, wo
     step(block, world, 0, 0.001, 1.5)
     block.say(np.array([0.001]), 1, 0)
     world.say(force(7, 0.0))
-    assert block.hear(1, NOW) is Received.TURNED
-    assert block.environment.told == 7
+    assert block.hear(1, NOW) is Received.DECLINED
+    assert block.environment.other_tick == 7
     assert block.applied == [0.0]
     assert (block.jumps, block.report().counts["jumps"]) == (1, 1)
     block.settle(7)
@@ -167,12 +167,14 @@ def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world
 
 
 def meet_environment(block: Block, tick: int) -> MessageLink:
-    joint, fresh = block.environment, MessageLink()
-    joint.greet(fresh, handshake_of(joint))  # type: ignore[arg-type]
-    own = joint.own
-    hello = LinkHello(own.version, own.certificate, own.session, joint.peer.name, joint.peer.role, joint.peer.ports)
+    peer_link, fresh = block.environment, MessageLink()
+    peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
+    own = peer_link.own
+    hello = LinkHello(
+        own.version, own.certificate, own.session, peer_link.peer.name, peer_link.peer.role, peer_link.peer.ports
+    )
     fresh.say(hello)
-    assert block.hear(tick, NOW) is Received.MET
+    assert block.hear(tick, NOW) is Received.RECONNECTED
     return fresh
 
 

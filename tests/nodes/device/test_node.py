@@ -116,7 +116,7 @@ class Alone:
         node._realtime = node._clock = self.time  # type: ignore[assignment]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
-        node._joints = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node._peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
         node.loop(Start(0, 0), life, line)
 
 

@@ -1,4 +1,4 @@
-"""A device at the grip of a person's browser: held, let go, forgotten, told nonsense; its promise all the while."""
+"""A device at the pointer of a person's browser: held, let go, forgotten, told nonsense; its promise all the while."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, BrowserDriver, Pointer
 from manyhands.protocol.messages import Grasp, Release
-from manyhands.protocol.transport.pointer import PointerOutlet, grip_path
+from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 1e-3
@@ -135,17 +135,17 @@ def test_a_hand_that_falls_silent_is_open_after_two_seconds_of_ticks() -> None:
 
 
 def test_what_makes_no_sense_is_counted_and_changes_nothing() -> None:
-    grip = Pointer(2, lambda position: [min(max(x, -0.1), 0.1) for x in position], T)
+    pointer = Pointer(2, lambda position: [min(max(x, -0.1), 0.1) for x in position], T)
     for said in (at(0.1), at(0.1, 0.1, 0.1), at(float("nan"), 0.0), at(0.0, float("inf"))):
-        grip.tick(said)
-        assert grip.goal is None
-    grip.tick(at(0.05, -0.02))
-    assert grip.goal == [0.05, -0.02]
-    grip.tick(at(7.0, -0.02))
-    assert grip.goal == [0.1, -0.02]
-    grip.tick(at(1.0))
-    assert grip.goal == [0.1, -0.02]
-    assert grip.figures(3) == {
+        pointer.tick(said)
+        assert pointer.goal is None
+    pointer.tick(at(0.05, -0.02))
+    assert pointer.goal == [0.05, -0.02]
+    pointer.tick(at(7.0, -0.02))
+    assert pointer.goal == [0.1, -0.02]
+    pointer.tick(at(1.0))
+    assert pointer.goal == [0.1, -0.02]
+    assert pointer.figures(3) == {
         names.GRASPED: 1.0, names.GRASPS: 2.0, names.GRASPS_CLIPPED: 1.0, names.GRASPS_REFUSED: 8.0,
         names.GRASPS_LAPSED: 0.0,
     }  # fmt: skip
@@ -188,7 +188,7 @@ def bundle_of(prepared: Prepared, clock: str, directory: Path | None) -> DeviceB
     return bundle
 
 
-def test_what_is_said_at_the_grip_moves_the_device(prepared: Prepared, tmp_path: Path) -> None:
+def test_what_comes_from_the_pointer_moves_the_device(prepared: Prepared, tmp_path: Path) -> None:
     """From the datagram to the displacement, through a bundle's file."""
     save(bundle_of(prepared, "realtime", tmp_path), tmp_path / "left.bundle")
     driver = driver_of(load(tmp_path / "left.bundle", DeviceBundle))
@@ -208,7 +208,7 @@ def test_what_is_said_at_the_grip_moves_the_device(prepared: Prepared, tmp_path:
     finally:
         driver.close()
         outlet.close()
-    assert not grip_path(tmp_path, "left").exists()
+    assert not pointer_path(tmp_path, "left").exists()
 
 
 @pytest.mark.parametrize(("clock", "here"), [("simulated", True), ("realtime", False), ("simulated", False)])

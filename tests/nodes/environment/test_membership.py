@@ -63,16 +63,18 @@ class TwoCouplings:
         self.life, self.line, self.tick, self.p = life, BindingLine(), tick, np.zeros(2)
         self.ends = {name: MessageLink() for name in NAMES}
         own = LinkHello(PROTOCOL_VERSION, "c", "s", "environment", Role.ENVIRONMENT, ("p",))
-        joints = [
+        peer_links = [
             PeerLink(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
             for i, (name, end) in enumerate(self.ends.items())
         ]
-        self.places = Members(joints, self.core, RUNGS, life, resumes, independent)
-        self.places.know({name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]])))
-        self.cx, self.cy = self.places.all
+        self.members = Members(peer_links, self.core, RUNGS, life, resumes, independent)
+        self.members.know(
+            {name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]]))
+        )
+        self.cx, self.cy = self.members.all
 
-    def hear(self, place: Member) -> Received:
-        return self.places.hear(place, self.p, self.tick, NOW)
+    def hear(self, member: Member) -> Received:
+        return self.members.hear(member, self.p, self.tick, NOW)
 
     def say(self, name: str, tick: int | None = None, value: float = 0.01) -> None:
         """A coupling says its p(k), m: of this tick by default."""
@@ -81,9 +83,9 @@ class TwoCouplings:
     def finish(self) -> np.ndarray:
         """Solve, answer, and go on to the next tick; returns the forces."""
         f = react(self.core, self.p)
-        self.places.shift()
-        for place in self.places.seated:
-            place.joint.send(Reaction, self.tick, 0, f)
+        self.members.shift()
+        for member in self.members.active:
+            member.peer_link.send(Reaction, self.tick, 0, f)
         self.core.settle()
         self.tick += 1
         return f
@@ -91,10 +93,10 @@ class TwoCouplings:
     def together(self, ticks: int = 1, *, but: str = "") -> None:
         """Everybody else but one speaks, is heard and answered."""
         for _ in range(ticks):
-            for place in self.places.all:
-                if place.joint.peer.name != but:
-                    self.say(place.joint.peer.name)
-                    assert self.hear(place) is Received.SIGNAL
+            for member in self.members.all:
+                if member.peer_link.peer.name != but:
+                    self.say(member.peer_link.peer.name)
+                    assert self.hear(member) is Received.SIGNAL
             self.finish()
 
     def forces(self, name: str) -> dict[int, float]:
@@ -102,14 +104,14 @@ class TwoCouplings:
         return {told.tick: told.values[0] for told in self.ends[name].said if isinstance(told, Reaction)}
 
     def lose(self, name: str) -> None:
-        self.places.obey(Absent(name), self.line, self.tick)  # type: ignore[arg-type]
+        self.members.obey(Absent(name), self.line, self.tick)  # type: ignore[arg-type]
 
     def come_back(self, name: str, feedthrough: float = D_V) -> Received:
         """A coupling's next process shakes hands."""
         end = self.ends[name] = self.line.fresh[name]
         hello = LinkHello(PROTOCOL_VERSION, "c", "s", name, Role.COUPLING, ("p",), ((feedthrough,),))
         end.say(hello, Welcome())
-        return self.hear(self.places.all[NAMES.index(name)])
+        return self.hear(self.members.all[NAMES.index(name)])
 
 
 @pytest.fixture
@@ -119,8 +121,8 @@ def world(new_life: Callable[[], Any]) -> TwoCouplings:
 
 def test_together_everybody_is_heard_and_answered(world: TwoCouplings) -> None:
     world.together(3)
-    assert world.places.all_seated
-    assert (world.places.frozen, world.places.absences) == (0, 0)
+    assert world.members.all_active
+    assert (world.members.frozen, world.members.absences) == (0, 0)
     forces = world.forces("cx")
     assert forces.keys() == {0, 1, 2}
     assert all(force < 0.0 for force in forces.values())
@@ -131,17 +133,17 @@ def test_who_is_given_up_is_frozen_and_not_answered(world: TwoCouplings) -> None
     world.say("cx")
     world.hear(world.cx)
     assert world.cy.missing(world.tick)
-    world.places.give_up(world.cy, world.tick)
+    world.members.give_up(world.cy, world.tick)
     assert not world.cy.missing(world.tick)
     assert world.core.clutches.frozen(1)
-    assert world.places.seated == [world.cx]
+    assert world.members.active == [world.cx]
     before = world.core.clutches.offset(1)
     world.finish()
     assert world.forces("cy").keys() == {0}
     world.together(50, but="cy")
     assert world.core.clutches.frozen(1)
     np.testing.assert_array_equal(world.core.clutches.offset(1), before)
-    assert (world.places.frozen, world.places.absences) == (1, 1)
+    assert (world.members.frozen, world.members.absences) == (1, 1)
 
 
 def frozen_for(world: TwoCouplings, ticks: int) -> int:
@@ -150,7 +152,7 @@ def frozen_for(world: TwoCouplings, ticks: int) -> int:
     behind = world.tick
     world.say("cx")
     world.hear(world.cx)
-    world.places.give_up(world.cy, world.tick)
+    world.members.give_up(world.cy, world.tick)
     world.finish()
     world.together(ticks - 1, but="cy")
     return behind
@@ -161,7 +163,7 @@ def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(wo
     world.say("cy", behind)
     assert world.hear(world.cy) is Received.NOTHING
     due = world.tick + LEAD
-    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
+    assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
     assert world.forces("cy")[due - 1] == 0.0
     while world.tick < due:
         assert not world.cy.missing(world.tick)  # nobody waits in the meantime
@@ -176,7 +178,7 @@ def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> 
     world.together(LEAD, but="cy")
     first = world.tick
     world.together(RAMP + 1)
-    assert world.places.all_seated
+    assert world.members.all_active
     forces = world.forces("cy")
     assert forces[first] == 0.0
     steps = np.diff([forces[first + k] for k in range(RAMP + 1)])
@@ -190,15 +192,15 @@ def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: TwoCoup
     world.say("cy", behind)
     world.hear(world.cy)
     due = world.cy.due
-    dropped = dict(world.cy.joint.gate.dropped)
+    dropped = dict(world.cy.peer_link.gate.dropped)
     world.say("cy", due, 0.02)
-    assert world.hear(world.cy) is Received.TURNED
-    assert world.cy.joint.gate.dropped == dropped  # it is no stray
+    assert world.hear(world.cy) is Received.DECLINED
+    assert world.cy.peer_link.gate.dropped == dropped  # it is no stray
     while world.tick < due:
         world.together(but="cy")
         assert world.p[1] == 0.01
     assert world.hear(world.cy) is Received.SIGNAL
-    assert (world.p[1], world.cy.attendance.seat) == (0.02, Membership.SEATED)
+    assert (world.p[1], world.cy.membership.state) == (0.02, Membership.ACTIVE)
 
 
 def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
@@ -206,19 +208,19 @@ def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     due = world.tick + LEAD
     world.say("cy", due, 0.02)
-    assert world.hear(world.cy) is Received.TURNED
-    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
-    assert world.cy.joint.gate.dropped["future_tick"] == 0  # it is no stray
+    assert world.hear(world.cy) is Received.DECLINED
+    assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
+    assert world.cy.peer_link.gate.dropped["future_tick"] == 0  # it is no stray
     world.say("cy", due + 1, 0.03)  # it knows better still
     world.hear(world.cy)
     while world.tick < due + 1:
         assert not world.cy.missing(world.tick)
         world.together(but="cy")
     assert world.hear(world.cy) is Received.SIGNAL
-    assert (world.p[1], world.cy.attendance.seat) == (0.03, Membership.SEATED)
+    assert (world.p[1], world.cy.membership.state) == (0.03, Membership.ACTIVE)
 
 
-def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: TwoCouplings) -> None:
+def test_a_signal_sent_before_it_knew_its_due_tick_does_not_activate_it(world: TwoCouplings) -> None:
     """It is on its way to that tick, and would be waited for in between."""
     behind = frozen_for(world, 20)
     world.say("cy", behind)
@@ -226,22 +228,22 @@ def test_what_it_said_before_it_heard_when_it_is_due_does_not_seat_it(world: Two
     due = world.cy.due
     world.say("cy")
     assert world.hear(world.cy) is Received.NOTHING
-    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, due)
+    assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
     while world.tick < due:
         assert not world.cy.missing(world.tick)
         world.together(but="cy")
     world.together()
-    assert world.places.all_seated
+    assert world.members.all_active
 
 
-def test_where_nobody_is_seated_the_session_goes_on_at_the_tick_of_who_is_ahead(world: TwoCouplings) -> None:
+def test_where_nobody_is_active_the_session_goes_on_at_the_tick_of_who_is_ahead(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.ends["cx"].say(Absent("dx"))
     world.hear(world.cx)
-    assert world.places.soonest(world.tick) == world.tick
+    assert world.members.soonest(world.tick) == world.tick
     world.say("cy", world.tick + 50)
     world.hear(world.cy)
-    assert world.places.soonest(world.tick) == world.tick + 50
+    assert world.members.soonest(world.tick) == world.tick + 50
 
 
 @pytest.mark.parametrize("ahead", [MOST_AHEAD + 1, 2**40])
@@ -249,16 +251,16 @@ def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: TwoCouplings, ahead: int
     frozen_for(world, 20)
     world.say("cy", world.tick + ahead)
     assert world.hear(world.cy) is Received.NOTHING
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.FROZEN)
-    assert world.cy.joint.gate.dropped["future_tick"] == 1
+    assert (world.cy.early, world.cy.membership.state) == (None, Membership.FROZEN)
+    assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
-def test_a_signal_of_a_later_tick_from_who_is_seated_is_a_stray(world: TwoCouplings) -> None:
+def test_a_signal_of_a_later_tick_from_an_active_member_is_a_stray(world: TwoCouplings) -> None:
     world.together(3)
     world.say("cy", world.tick + 1)
     assert world.hear(world.cy) is Received.NOTHING
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.SEATED)
-    assert world.cy.joint.gate.dropped["future_tick"] == 1
+    assert (world.cy.early, world.cy.membership.state) == (None, Membership.ACTIVE)
+    assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
 def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: TwoCouplings) -> None:
@@ -268,8 +270,8 @@ def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: TwoCoup
     world.say("cy", ahead)
     world.hear(world.cy)
     world.ends["cy"].say(Absent("dy"))
-    assert world.hear(world.cy) is Received.TURNED
-    assert (world.cy.early, world.cy.attendance.seat) == (None, Membership.FROZEN)
+    assert world.hear(world.cy) is Received.DECLINED
+    assert (world.cy.early, world.cy.membership.state) == (None, Membership.FROZEN)
     assert world.forces("cy")[ahead] == 0.0
 
 
@@ -283,7 +285,7 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: TwoCou
     for _ in range(LEAD + 2):
         assert world.hear(world.cy) is Received.NOTHING
         world.together(but="cy")
-    assert world.cy.attendance.seat is Membership.GONE
+    assert world.cy.membership.state is Membership.GONE
     assert world.core.clutches.frozen(1)
 
 
@@ -294,18 +296,18 @@ def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: TwoCo
     world.together(LEAD, but="cy")
     world.say("cx")
     world.hear(world.cx)
-    world.places.give_up(world.cy, world.tick)
+    world.members.give_up(world.cy, world.tick)
     world.finish()
     said = len(world.ends["cy"].said)
     for _ in range(FIRST_PAUSE - 1):
         world.say("cy", behind)
         world.hear(world.cy)
-        assert world.cy.attendance.seat is Membership.FROZEN
+        assert world.cy.membership.state is Membership.FROZEN
         world.together(but="cy")
     assert len(world.ends["cy"].said) == said
     world.say("cy", behind)
     world.hear(world.cy)
-    assert world.cy.attendance.seat is Membership.EXPECTED
+    assert world.cy.membership.state is Membership.REJOINING
 
 
 def test_a_signal_that_was_answered_is_answered_again_as_before(world: TwoCouplings) -> None:
@@ -319,31 +321,31 @@ def test_a_signal_that_was_answered_is_answered_again_as_before(world: TwoCoupli
     world.say("cy", world.tick - 2)  # nobody asks so late
     world.hear(world.cy)
     assert len(said) == 4
-    assert world.places.all_seated
+    assert world.members.all_active
 
 
 def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: TwoCouplings) -> None:
     world.together(200)
     world.ends["cy"].say(Absent("dy"))
-    assert world.hear(world.cy) is Received.TURNED
-    assert world.cy.attendance.seat is Membership.FROZEN
+    assert world.hear(world.cy) is Received.DECLINED
+    assert world.cy.membership.state is Membership.FROZEN
     assert not world.cy.missing(world.tick)
     world.say("cy")  # its device is back already
     assert world.hear(world.cy) is Received.SIGNAL
-    assert world.cy.attendance.seat is Membership.SEATED
+    assert world.cy.membership.state is Membership.ACTIVE
 
 
 @pytest.mark.parametrize("left", range(1, LEAD + 1))
 def test_near_the_end_one_is_invited_to_the_last_tick(world: TwoCouplings, left: int) -> None:
-    """Not beyond it: who is seated may wait for a device of several blocks, and that one for this block's force."""
+    """Not beyond it: who is active may wait for a device of several blocks, and that one for this block's force."""
     behind = frozen_for(world, 20)
-    world.places.last = world.tick + left
+    world.members.last = world.tick + left
     world.say("cy", behind)
     world.hear(world.cy)
-    assert (world.cy.attendance.seat, world.cy.due) == (Membership.EXPECTED, world.places.last - 1)
+    assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, world.members.last - 1)
     told = world.ends["cy"].said[-1]
     assert isinstance(told, Reaction)
-    assert (told.tick, told.values.tolist()) == (world.places.last - 2, [0.0])
+    assert (told.tick, told.values.tolist()) == (world.members.last - 2, [0.0])
 
 
 def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
@@ -354,11 +356,11 @@ def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
 
 def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: TwoCouplings) -> None:
     world.together(3)
-    world.places.let_go(world.tick)
+    world.members.let_go(world.tick)
     first = world.tick
     world.together(2)
     assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
-    assert world.places.all_seated
+    assert world.members.all_active
     assert 0.0 < world.core.clutches.ratio(0) < 0.01
 
 
@@ -366,27 +368,27 @@ class Test_a_coupling_that_was_lost:
     def test_is_welcomed_told_the_tick_and_let_in(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
-        assert world.cy.attendance.seat is Membership.GONE
+        assert world.cy.membership.state is Membership.GONE
         world.together(5, but="cy")
-        assert world.come_back("cy") is Received.MET
-        assert world.cy.attendance.seat is Membership.FROZEN
+        assert world.come_back("cy") is Received.RECONNECTED
+        assert world.cy.membership.state is Membership.FROZEN
         assert world.forces("cy") == {world.tick - 1: 0.0}
         world.together()
-        assert world.places.all_seated
+        assert world.members.all_active
         assert world.forces("cy")[world.tick - 1] == 0.0
-        assert world.places.absences == 1
+        assert world.members.absences == 1
 
     def test_is_not_let_in_with_another_feedthrough(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
         world.come_back("cy", 2 * D_V)
-        assert (world.cy.attendance.seat, world.cy.joint.reachable) == (Membership.GONE, False)
+        assert (world.cy.membership.state, world.cy.peer_link.reachable) == (Membership.GONE, False)
         world.together(3, but="cy")
         assert world.core.clutches.frozen(1)
 
     def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: TwoCouplings) -> None:
         world.together(200)
-        world.places.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
         world.together(2 * RAMP)
         assert world.cy.rung == 2
         world.lose("cy")
@@ -405,7 +407,7 @@ class Test_a_coupling_that_was_lost:
 class Test_a_change_of_rung:
     def test_is_said_at_no_force_and_before_it(self, world: TwoCouplings) -> None:
         world.together(200)
-        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.ends["cy"].said.clear()
         while world.cy.rung == 0:
             world.together()
@@ -425,7 +427,7 @@ class Test_a_change_of_rung:
     def test_comes_with_the_second_tick_without_force(self, world: TwoCouplings) -> None:
         """The first one's step of the force is of the rung before, and its delay is not the new one's to promise."""
         world.together(200)
-        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         while world.cy.rung == 0:
             world.together()
         said = world.ends["cy"].said
@@ -436,7 +438,7 @@ class Test_a_change_of_rung:
     def test_that_is_taken_back_leaves_nobody_frozen(self, world: TwoCouplings) -> None:
         world.together(200)
         for word in (Shift("cy", 1), Shift("cy", 0)):
-            world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
+            world.members.obey(word, world.line, world.tick)  # type: ignore[arg-type]
             world.together(RAMP // 2)
         assert (world.cy.rung, world.core.clutches.ratio(1)) == (0, 1.0)
 
@@ -446,10 +448,10 @@ class Test_a_change_of_rung:
     ) -> None:
         world = TwoCouplings(new_life(), independent=False)
         world.together(200)
-        world.places.obey(Shift("cx", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cx", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.together(between)
         assert world.cx.rung == 0
-        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         while world.cy.rung == 0:
             assert world.cx.rung == 0
             world.together()
@@ -461,7 +463,7 @@ class Test_a_change_of_rung:
         world = TwoCouplings(new_life(), independent=False)
         frozen_for(world, 20)
         for name in NAMES:
-            world.places.obey(Shift(name, 1), world.line, world.tick)  # type: ignore[arg-type]
+            world.members.obey(Shift(name, 1), world.line, world.tick)  # type: ignore[arg-type]
         world.together(RAMP + 2, but="cy")
         assert (world.cx.rung, world.cy.rung) == (1, 0)
         world.together()
@@ -469,13 +471,13 @@ class Test_a_change_of_rung:
 
     @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
     def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: TwoCouplings, word: Shift) -> None:
-        world.places.obey(word, world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(word, world.line, world.tick)  # type: ignore[arg-type]
         world.together(3)
         assert (world.cy.rung, world.cy.wanted, world.core.clutches.ratio(1)) == (0, 0, 1.0)
 
-    def test_of_a_frozen_coupling_waits_until_it_is_seated(self, world: TwoCouplings) -> None:
+    def test_of_a_frozen_coupling_waits_until_it_is_active(self, world: TwoCouplings) -> None:
         frozen_for(world, 20)
-        world.places.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
+        world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.together(but="cy")
         assert world.cy.rung == 0
         world.together()
@@ -489,38 +491,38 @@ class Test_an_environment_that_comes_back:
         return TwoCouplings(new_life(), resumes=True, tick=400)
 
     def test_awaits_everybody_with_nobody_let_in(self, back: TwoCouplings) -> None:
-        assert [place.missing(400) for place in back.places.all] == [True, True]
-        assert back.places.seated == []
+        assert [member.missing(400) for member in back.members.all] == [True, True]
+        assert back.members.active == []
         assert all(back.core.clutches.frozen(block) for block in (0, 1))
 
     def test_takes_the_greatest_tick_and_tells_the_others(self, back: TwoCouplings) -> None:
         back.say("cx", 430)
-        assert back.hear(back.cx) is Received.TURNED
-        assert back.places.ahead == 430
+        assert back.hear(back.cx) is Received.DECLINED
+        assert back.members.ahead == 430
         back.tick = 430
-        back.places.catch_up(430)
+        back.members.catch_up(430)
         back.say("cy", 429)
         assert back.hear(back.cy) is Received.NOTHING
         assert back.forces("cy") == {429: 0.0}  # it is awaited at 430
         assert back.cy.missing(430)
         back.say("cx", 430)
         assert back.hear(back.cx) is Received.SIGNAL
-        assert back.cx.attendance.seat is Membership.SEATED
+        assert back.cx.membership.state is Membership.ACTIVE
 
     def test_is_not_led_astray_by_nonsense(self, back: TwoCouplings) -> None:
         back.say("cx", 2**62)
         assert back.hear(back.cx) is Received.NOTHING
-        assert back.places.ahead == 0
+        assert back.members.ahead == 0
 
     def test_leads_again_once_a_tick_is_done(self, back: TwoCouplings) -> None:
-        back.places.resumed()
+        back.members.resumed()
         back.say("cx", 430)
-        assert back.hear(back.cx) is Received.TURNED
-        assert (back.places.ahead, back.cx.due) == (0, 430)
+        assert back.hear(back.cx) is Received.DECLINED
+        assert (back.members.ahead, back.cx.due) == (0, 430)
 
     def test_tells_who_was_ahead_of_it_but_behind_another(self, back: TwoCouplings) -> None:
         back.say("cx", 429)
-        assert back.hear(back.cx) is Received.TURNED
+        assert back.hear(back.cx) is Received.DECLINED
         back.tick = 430  # as cy has told
         assert back.hear(back.cx) is Received.NOTHING
         assert back.forces("cx") == {429: 0.0}
@@ -553,65 +555,65 @@ events = st.one_of(
     ]
 )
 def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
-    """Who is seated is answered, who is not is frozen, and rungs change without force alone."""
+    """Who is active is answered, who is not is frozen, and rungs change without force alone."""
     world = TwoCouplings(new_life())
     rungs = dict.fromkeys(NAMES, 0)
     absences = 0
     for what, one, other in happening:
         if what == "say":
             tick = world.tick
-            place = world.places.all[NAMES.index(one)]
+            member = world.members.all[NAMES.index(one)]
             frame = {
                 "now": encode(Tool(tick, 0, np.array([0.01]))),
                 "before": encode(Tool(max(0, tick - 1), 0, np.array([0.01]))),
                 "long ago": encode(Tool(max(0, tick - 30), 0, np.array([0.01]))),
                 "next": encode(Tool(tick + 1, 0, np.array([0.01]))),
-                "due": encode(Tool(place.due, 0, np.array([0.01]))),
+                "due": encode(Tool(member.due, 0, np.array([0.01]))),
                 "rung": encode(Rung(1)),
                 "absent": encode(Absent("dx")),
                 "junk": b"\xc1",
                 "wrong kind": encode(Reaction(tick, 0, np.array([0.01]))),
             }[other]
             world.ends[one].coming.append(frame)
-            world.hear(place)
+            world.hear(member)
         elif what == "word":
-            world.places.obey(one, world.line, world.tick)
+            world.members.obey(one, world.line, world.tick)
         elif what == "give up":
-            world.places.give_up(world.places.all[NAMES.index(one)], world.tick)
+            world.members.give_up(world.members.all[NAMES.index(one)], world.tick)
         elif what == "come back":
-            if world.places.all[NAMES.index(one)].joint.handshake is not None:
+            if world.members.all[NAMES.index(one)].peer_link.handshake is not None:
                 world.come_back(one)
         elif what == "let go":
-            world.places.let_go(world.tick)
+            world.members.let_go(world.tick)
         else:
             for _ in range(one):
-                for place in world.places.all:
-                    if place.joint.peer.name != other and place.joint.here:
-                        world.say(place.joint.peer.name)
-                        world.hear(place)
-                    if place.missing(world.tick):
-                        world.places.give_up(place, world.tick)
+                for member in world.members.all:
+                    if member.peer_link.peer.name != other and member.peer_link.here:
+                        world.say(member.peer_link.peer.name)
+                        world.hear(member)
+                    if member.missing(world.tick):
+                        world.members.give_up(member, world.tick)
                 before = {name: len(world.ends[name].said) for name in NAMES}
                 world.finish()
-                for place in world.places.all:
-                    name = place.joint.peer.name
+                for member in world.members.all:
+                    name = member.peer_link.peer.name
                     told = world.ends[name].said[before[name] :]
-                    assert (place in world.places.seated) == any(isinstance(one, Reaction) for one in told)
-                    if place.rung != rungs[name]:
-                        assert told[0] == Rung(place.rung)
+                    assert (member in world.members.active) == any(isinstance(one, Reaction) for one in told)
+                    if member.rung != rungs[name]:
+                        assert told[0] == Rung(member.rung)
                         assert told[1].values == [0.0]  # type: ignore[union-attr]
-                        rungs[name] = place.rung
+                        rungs[name] = member.rung
                     else:
                         assert not any(isinstance(one, Rung) for one in told)
-        for place in world.places.all:
-            seated = place.attendance.seat is Membership.SEATED
-            assert seated == (place in world.places.seated)
-            assert seated or world.core.clutches.frozen(place.index)
-            rungs[place.joint.peer.name] = place.rung
-        assert world.places.all_seated == (world.places.frozen == 0)
-        assert world.places.absences >= absences
-        absences = world.places.absences
-        assert all(count >= 0 for place in world.places.all for count in place.joint.gate.dropped.values())
+        for member in world.members.all:
+            active = member.membership.state is Membership.ACTIVE
+            assert active == (member in world.members.active)
+            assert active or world.core.clutches.frozen(member.index)
+            rungs[member.peer_link.peer.name] = member.rung
+        assert world.members.all_active == (world.members.frozen == 0)
+        assert world.members.absences >= absences
+        absences = world.members.absences
+        assert all(count >= 0 for member in world.members.all for count in member.peer_link.gate.dropped.values())
     assert world.life.failure == ""
 
 
@@ -627,13 +629,13 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
-def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(world: TwoCouplings) -> None:
-    for place in world.places.all:
-        world.say(place.joint.peer.name)
-        assert world.hear(place) is Received.SIGNAL
-    world.places.exclude(world.cy, world.tick)
+def test_who_is_excluded_for_being_late_is_not_active_before_its_pause_is_over(world: TwoCouplings) -> None:
+    for member in world.members.all:
+        world.say(member.peer_link.peer.name)
+        assert world.hear(member) is Received.SIGNAL
+    world.members.exclude(world.cy, world.tick)
     world.finish()
-    assert (world.cy.attendance.seat, world.cy.frozen_late) == (Membership.FROZEN, 1)
+    assert (world.cy.membership.state, world.cy.frozen_late) == (Membership.FROZEN, 1)
     assert 0 not in world.forces("cy")  # nor is it answered
     for _ in range(FIRST_PAUSE - 1):
         world.say("cy")  # it knows the tick
@@ -641,16 +643,16 @@ def test_who_is_excluded_for_being_late_is_not_seated_before_its_pause_is_over(w
         world.say("cy", world.tick + 2)
         assert world.hear(world.cy) is Received.NOTHING
         world.together(but="cy")
-    assert world.cy.attendance.seat is Membership.FROZEN
+    assert world.cy.membership.state is Membership.FROZEN
     world.say("cy")
     assert world.hear(world.cy) is Received.SIGNAL
-    assert world.cy.attendance.seat is Membership.SEATED
+    assert world.cy.membership.state is Membership.ACTIVE
 
 
 class Silence:
     """A line to a supervisor who says nothing."""
 
-    def listen(self, _patience: Duration = NOW) -> None:
+    def listen(self, _timeouts: Duration = NOW) -> None:
         return None
 
 
@@ -658,11 +660,11 @@ def waiting(world: TwoCouplings) -> int:
     """The tick that an environment which waits in real time goes on at; by a clock that every look puts forward."""
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
-    node._late = LateArrivals(len(world.places.all), Duration(10**6), Duration(10**6))
+    node._late = LateArrivals(len(world.members.all), Duration(10**6), Duration(10**6))
     node._due, node._passed = 0, ()
-    node._period, node._patience = Duration(10**6), Timeouts(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
+    node._period, node._timeouts = Duration(10**6), Timeouts(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2)))
     world.life.look = lambda _now: None
-    tick = node._wait(world.places, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
+    tick = node._wait(world.members, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
     assert clock.looks < 30
     assert tick is not None
     return tick
@@ -672,7 +674,7 @@ def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: TwoCouplin
     frozen_for(world, 20)
     world.say("cy", world.tick + 2)
     assert waiting(world) == world.tick + 2
-    assert (world.cx.attendance.seat, world.cy.attendance.seat) == (Membership.FROZEN, Membership.SEATED)
+    assert (world.cx.membership.state, world.cy.membership.state) == (Membership.FROZEN, Membership.ACTIVE)
 
 
 class Coming(MessageLink):
@@ -698,41 +700,41 @@ def test_who_was_given_up_need_not_pause_while_nobody_comes(world: TwoCouplings)
         world.say("cy", behind)
         world.hear(world.cy)
         world.together(LEAD, but="cy")
-        world.places.give_up(world.cy, world.tick)
+        world.members.give_up(world.cy, world.tick)
     due = world.tick + LEAD
 
     def say(_times: int, heard: list[Any]) -> Tool:
         return tool(due if heard and heard[-1] == Reaction(due - 1, 0, [0.0]) else behind)
 
-    world.cy.joint.link = Coming(say)
+    world.cy.peer_link.link = Coming(say)
     assert waiting(world) == due
-    assert world.cy.attendance.seat is Membership.SEATED
+    assert world.cy.membership.state is Membership.ACTIVE
 
 
-@pytest.mark.parametrize(("silent", "seated"), [(2, False), (20, True)])
-def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, silent: int, seated: bool) -> None:
+@pytest.mark.parametrize(("silent", "active"), [(2, False), (20, True)])
+def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, silent: int, active: bool) -> None:
     """Their devices have let go by then, and have moved on unheard."""
-    for place in world.places.all:
-        place.joint.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
+    for member in world.members.all:
+        member.peer_link.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
     world.together(3)
-    world.cx.joint.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
-    world.cy.joint.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
+    world.cx.peer_link.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
+    world.cy.peer_link.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
     assert waiting(world) == world.tick
-    assert (world.cx.attendance.seat is Membership.SEATED) == seated
-    assert world.cy.attendance.seat is Membership.SEATED
+    assert (world.cx.membership.state is Membership.ACTIVE) == active
+    assert world.cy.membership.state is Membership.ACTIVE
 
 
 def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.lose("cx")  # nobody to talk to
-    end = world.places.last = world.tick
+    end = world.members.last = world.tick
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
     said = world.ends["cy"].said
     said.clear()
     for _ in range(3):
         world.say("cy", behind)
-    node._say_goodbye(world.places, world.p, end)
+    node._say_goodbye(world.members, world.p, end)
     assert said
     assert all(told == Reaction(end - 1, 0, [0.0]) for told in said)
     assert clock.looks <= 60

@@ -1,4 +1,4 @@
-"""Seats around the environment: every event in every seat, and pauses that grow, end, and are forgiven."""
+"""Members of the environment: every event in every state, and pauses that grow, end, and are forgiven."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from manyhands.nodes.environment.membership import (
     FORGIVEN,
     LONGEST_PAUSE,
     TRANSITIONS,
-    Attendance,
     Membership,
     MembershipEvent,
+    MembershipRecord,
 )
 
 TO_SEAT = {
-    Membership.SEATED: (),
+    Membership.ACTIVE: (),
     Membership.FROZEN: (MembershipEvent.PAUSES,),
-    Membership.EXPECTED: (MembershipEvent.PAUSES, MembershipEvent.BEHIND),
+    Membership.REJOINING: (MembershipEvent.PAUSES, MembershipEvent.BEHIND),
     Membership.GONE: (MembershipEvent.LOST,),
 }
-"""How a coupling that is seated comes to stand so."""
+"""How a coupling that is active comes to stand so."""
 
 
-def standing(seat: Membership, tick: int = 0) -> Attendance:
-    attendance = Attendance()
-    for event in TO_SEAT[seat]:
-        attendance.on(event, tick)
-    assert attendance.seat is seat
-    return attendance
+def standing(state: Membership, tick: int = 0) -> MembershipRecord:
+    membership = MembershipRecord()
+    for event in TO_SEAT[state]:
+        membership.on(event, tick)
+    assert membership.state is state
+    return membership
 
 
-def test_every_event_in_every_seat_leads_where_the_table_says_or_nowhere() -> None:
-    for seat, event in product(Membership, MembershipEvent):
-        attendance = standing(seat)
-        expected = TRANSITIONS.get((seat, event), seat)
-        assert attendance.on(event, 0) == (expected is not seat), (seat, event)
-        assert attendance.seat is expected, (seat, event)
+def test_every_event_in_every_state_leads_where_the_table_says_or_nowhere() -> None:
+    for state, event in product(Membership, MembershipEvent):
+        membership = standing(state)
+        expected = TRANSITIONS.get((state, event), state)
+        assert membership.on(event, 0) == (expected is not state), (state, event)
+        assert membership.state is expected, (state, event)
 
 
-def test_only_who_is_seated_or_awaited_can_be_missed_and_only_who_is_gone_can_be_met() -> None:
+def test_only_active_or_awaited_members_can_be_missed_and_only_gone_ones_come_back() -> None:
     """What the table leaves out is what nobody can hear of a coupling that stands so."""
     out = {pair for pair in product(Membership, MembershipEvent) if pair not in TRANSITIONS}
     assert out == {
-        (Membership.SEATED, MembershipEvent.MET),
-        (Membership.EXPECTED, MembershipEvent.MET),
-        (Membership.FROZEN, MembershipEvent.MET),
+        (Membership.ACTIVE, MembershipEvent.RECONNECTED),
+        (Membership.REJOINING, MembershipEvent.RECONNECTED),
+        (Membership.FROZEN, MembershipEvent.RECONNECTED),
         (Membership.GONE, MembershipEvent.SIGNAL),
         (Membership.GONE, MembershipEvent.BEHIND),
-        (Membership.SEATED, MembershipEvent.AHEAD),
+        (Membership.ACTIVE, MembershipEvent.AHEAD),
         (Membership.GONE, MembershipEvent.AHEAD),
         (Membership.GONE, MembershipEvent.SILENT),
-        (Membership.EXPECTED, MembershipEvent.LATE),  # with a signal of the tick it is seated
+        (Membership.REJOINING, MembershipEvent.LATE),  # with a signal of the tick it is active
         (Membership.FROZEN, MembershipEvent.LATE),
         (Membership.GONE, MembershipEvent.LATE),
     }
@@ -68,43 +68,43 @@ happenings = st.lists(st.tuples(st.sampled_from(MembershipEvent), st.integers(0,
 def test_whatever_happens_a_pause_ends_and_absences_are_counted_once(
     happened: list[tuple[MembershipEvent, int]],
 ) -> None:
-    attendance, tick, absences = Attendance(), 0, 0
+    membership, tick, absences = MembershipRecord(), 0, 0
     for event, later in happened:
         tick += later
-        before = attendance.seat
-        changed = attendance.on(event, tick)
+        before = membership.state
+        changed = membership.on(event, tick)
         allowed = {before, TRANSITIONS.get((before, event), before)}
-        assert attendance.seat in allowed
-        assert changed == (attendance.seat is not before)
-        if before is Membership.SEATED and changed:
+        assert membership.state in allowed
+        assert changed == (membership.state is not before)
+        if before is Membership.ACTIVE and changed:
             absences += 1
-        assert attendance.absences == absences
-    if attendance.seat is Membership.FROZEN:  # nobody is kept out for longer
-        assert attendance.on(MembershipEvent.BEHIND, tick + LONGEST_PAUSE)
-        assert attendance.seat is Membership.EXPECTED
+        assert membership.absences == absences
+    if membership.state is Membership.FROZEN:  # nobody is kept out for longer
+        assert membership.on(MembershipEvent.BEHIND, tick + LONGEST_PAUSE)
+        assert membership.state is Membership.REJOINING
 
 
 def test_the_first_time_is_everybodys() -> None:
-    attendance = Attendance()
-    attendance.on(MembershipEvent.SILENT, FORGIVEN)
-    assert attendance.on(MembershipEvent.BEHIND, FORGIVEN)
-    assert attendance.seat is Membership.EXPECTED
+    membership = MembershipRecord()
+    membership.on(MembershipEvent.SILENT, FORGIVEN)
+    assert membership.on(MembershipEvent.BEHIND, FORGIVEN)
+    assert membership.state is Membership.REJOINING
 
 
-def pause_after(attendance: Attendance, tick: int) -> int:
+def pause_after(membership: MembershipRecord, tick: int) -> int:
     """How long it is not expected; it is frozen at ``tick``."""
     pause = 0
-    while not attendance.on(MembershipEvent.BEHIND, tick + pause):
+    while not membership.on(MembershipEvent.BEHIND, tick + pause):
         pause += 1
         assert pause <= LONGEST_PAUSE
     return pause
 
 
 def test_who_is_waited_for_in_vain_again_and_again_is_expected_after_a_pause_that_doubles() -> None:
-    attendance, tick, pauses = Attendance(), FORGIVEN, []
+    membership, tick, pauses = MembershipRecord(), FORGIVEN, []
     for _ in range(9):
-        attendance.on(MembershipEvent.SILENT, tick)
-        pauses.append(pause_after(attendance, tick))
+        membership.on(MembershipEvent.SILENT, tick)
+        pauses.append(pause_after(membership, tick))
         tick += pauses[-1]
     assert pauses == [0, FIRST_PAUSE, 2 * FIRST_PAUSE, 4 * FIRST_PAUSE, 8 * FIRST_PAUSE, 16 * FIRST_PAUSE, *[256] * 3]
     assert LONGEST_PAUSE == 256
@@ -112,38 +112,38 @@ def test_who_is_waited_for_in_vain_again_and_again_is_expected_after_a_pause_tha
 
 @pytest.mark.parametrize("event", [MembershipEvent.BEHIND, MembershipEvent.AHEAD, MembershipEvent.SIGNAL])
 def test_whatever_it_says_in_its_pause_it_is_not_expected(event: MembershipEvent) -> None:
-    attendance = Attendance()
-    attendance.on(MembershipEvent.LATE, FORGIVEN)
-    assert not any(attendance.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))
-    assert attendance.seat is Membership.FROZEN
-    assert attendance.on(event, FORGIVEN + FIRST_PAUSE)
+    membership = MembershipRecord()
+    membership.on(MembershipEvent.LATE, FORGIVEN)
+    assert not any(membership.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))
+    assert membership.state is Membership.FROZEN
+    assert membership.on(event, FORGIVEN + FIRST_PAUSE)
 
 
 def test_who_is_late_again_and_again_pauses_from_the_first_time_on() -> None:
-    attendance, tick, pauses = Attendance(), FORGIVEN, []
+    membership, tick, pauses = MembershipRecord(), FORGIVEN, []
     for _ in range(8):
-        attendance.on(MembershipEvent.LATE, tick)
-        pauses.append(pause_after(attendance, tick))
+        membership.on(MembershipEvent.LATE, tick)
+        pauses.append(pause_after(membership, tick))
         tick += pauses[-1]
-        assert attendance.on(MembershipEvent.SIGNAL, tick)
+        assert membership.on(MembershipEvent.SIGNAL, tick)
     assert pauses == [FIRST_PAUSE << n for n in range(6)] + [LONGEST_PAUSE] * 2
 
 
 @pytest.mark.parametrize(("stays", "pause"), [(FORGIVEN - 1, 2 * FIRST_PAUSE), (FORGIVEN, 0)])
-def test_absences_are_forgiven_after_a_while_in_the_seat(stays: int, pause: int) -> None:
-    attendance, tick = Attendance(), FORGIVEN
+def test_absences_are_forgiven_after_a_while_of_membership(stays: int, pause: int) -> None:
+    membership, tick = MembershipRecord(), FORGIVEN
     for _ in range(2):
-        attendance.on(MembershipEvent.SILENT, tick)
-        tick += pause_after(attendance, tick)
-    attendance.on(MembershipEvent.SIGNAL, tick)
-    attendance.on(MembershipEvent.SILENT, tick + stays)
-    assert pause_after(attendance, tick + stays) == pause
+        membership.on(MembershipEvent.SILENT, tick)
+        tick += pause_after(membership, tick)
+    membership.on(MembershipEvent.SIGNAL, tick)
+    membership.on(MembershipEvent.SILENT, tick + stays)
+    assert pause_after(membership, tick + stays) == pause
 
 
 def test_a_coupling_that_says_itself_why_it_pauses_is_expected_at_once() -> None:
-    attendance = Attendance()
+    membership = MembershipRecord()
     for tick in range(0, 50, 5):  # it loses its device again and again
-        assert attendance.on(MembershipEvent.PAUSES, tick)
-        assert attendance.on(MembershipEvent.BEHIND, tick)
-        assert attendance.on(MembershipEvent.SIGNAL, tick + 1)
-    assert attendance.absences == 10
+        assert membership.on(MembershipEvent.PAUSES, tick)
+        assert membership.on(MembershipEvent.BEHIND, tick)
+        assert membership.on(MembershipEvent.SIGNAL, tick + 1)
+    assert membership.absences == 10

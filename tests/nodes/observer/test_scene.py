@@ -154,7 +154,7 @@ def test_the_sessions_rate_is_the_environments() -> None:
               st.dictionaries(st.sampled_from([names.LATE, names.FROZEN, "speed"]), st.floats()), st.just({})),
     st.builds(Condition, st.sampled_from(["running", "over"]), st.floats(0, 1e9),
               st.dictionaries(st.sampled_from(["d", "c", "x"]), st.sampled_from(["running", "lost", "odd"]))),
-    st.just(Stop("no word of a gallery's")),
+    st.just(Stop("no word of a broadcast's")),
 ), max_size=20))  # fmt: skip
 def test_whatever_comes_is_taken_in_or_counted(frames: list[bytes | Observation | Condition | Stop]) -> None:
     scene, taken = Scene(about()), 0

@@ -1,4 +1,4 @@
-"""The gallery: one speaks, any number listen, and nobody waits for them."""
+"""The broadcast: one speaks, any number listen, and nobody waits for them."""
 
 from __future__ import annotations
 
@@ -12,94 +12,94 @@ import pytest
 from manyhands.protocol.clock import Duration, from_seconds
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.broadcast import GALLERY, Broadcast, Visit, await_any
+from manyhands.protocol.transport.broadcast import BROADCAST, Broadcast, Visit, await_any
 
 LONG = from_seconds(60.0)
 NOT_AT_ALL = Duration(0)
 
 
 @pytest.fixture
-def gallery(tmp_path: Path) -> Iterator[Broadcast]:
-    with closing(Broadcast(tmp_path)) as gallery:
-        yield gallery
+def broadcast(tmp_path: Path) -> Iterator[Broadcast]:
+    with closing(Broadcast(tmp_path)) as broadcast:
+        yield broadcast
 
 
 @pytest.fixture
-def visitor(tmp_path: Path, gallery: Broadcast) -> Iterator[Visit]:
-    with closing(enter(tmp_path, gallery)) as visit:
+def visitor(tmp_path: Path, broadcast: Broadcast) -> Iterator[Visit]:
+    with closing(enter(tmp_path, broadcast)) as visit:
         yield visit
 
 
-def enter(directory: Path, gallery: Broadcast) -> Visit:
+def enter(directory: Path, broadcast: Broadcast) -> Visit:
     """A visit that is sure to hear what is shown from now on."""
     visit = Visit(directory)
-    greet(gallery, visit)
+    greet(broadcast, visit)
     return visit
 
 
-def greet(gallery: Broadcast, visit: Visit) -> None:
+def greet(broadcast: Broadcast, visit: Visit) -> None:
     """Show something again and again until it is heard, and then clear away what is left of it."""
     for _ in range(60_000):
-        gallery.show(b"hello")
+        broadcast.show(b"hello")
         if visit.recv(from_seconds(0.001)) is not None:
             break
     else:
         pytest.fail("a visit did not come about in a minute")
-    gallery.show(b"that is all")
+    broadcast.show(b"that is all")
     while visit.recv(LONG) != b"that is all":
         pass
 
 
-def test_frames_keep_their_order_and_borders(gallery: Broadcast, visitor: Visit) -> None:
+def test_frames_keep_their_order_and_borders(broadcast: Broadcast, visitor: Visit) -> None:
     frames = [b"", b"a", b"ab", bytes(MAX_CONTROL_BYTES), b"\x00" * 3, *(b"%d" % n for n in range(50))]
     for frame in frames:
-        gallery.show(frame)
+        broadcast.show(frame)
     assert [visitor.recv(LONG) for _ in frames] == frames
     assert visitor.recv(NOT_AT_ALL) is None
 
 
-def test_too_long_is_an_error_where_it_is_made(gallery: Broadcast, visitor: Visit) -> None:
+def test_too_long_is_an_error_where_it_is_made(broadcast: Broadcast, visitor: Visit) -> None:
     with pytest.raises(ValueError, match=f"expected at most {MAX_CONTROL_BYTES}"):
-        gallery.show(bytes(MAX_CONTROL_BYTES + 1))
-    gallery.show(b"next")
+        broadcast.show(bytes(MAX_CONTROL_BYTES + 1))
+    broadcast.show(b"next")
     assert visitor.recv(LONG) == b"next"
 
 
-def test_who_comes_late_hears_what_follows(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
-    gallery.show(b"before")
-    with closing(enter(tmp_path, gallery)) as late:
-        gallery.show(b"after")
+def test_who_comes_late_hears_what_follows(tmp_path: Path, broadcast: Broadcast, visitor: Visit) -> None:
+    broadcast.show(b"before")
+    with closing(enter(tmp_path, broadcast)) as late:
+        broadcast.show(b"after")
         assert late.recv(LONG) == b"after"
     assert visitor.recv(LONG) == b"before"
 
 
-def test_who_comes_before_the_gallery_hears_it_when_it_is_there(tmp_path: Path) -> None:
+def test_who_comes_before_the_broadcast_hears_it_when_it_is_there(tmp_path: Path) -> None:
     with closing(Visit(tmp_path)) as early:
         assert early.recv(NOT_AT_ALL) is None
-        with closing(Broadcast(tmp_path)) as gallery:
-            greet(gallery, early)
+        with closing(Broadcast(tmp_path)) as broadcast:
+            greet(broadcast, early)
 
 
-def test_who_leaves_is_not_missed(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
-    other = enter(tmp_path, gallery)
+def test_who_leaves_is_not_missed(tmp_path: Path, broadcast: Broadcast, visitor: Visit) -> None:
+    other = enter(tmp_path, broadcast)
     other.close()
     other.close()
     while visitor.recv(NOT_AT_ALL) is not None:
         pass
-    gallery.show(b"still here")
+    broadcast.show(b"still here")
     heard = visitor.recv(LONG)
     while heard in (b"hello", b"that is all"):  # what was said to the other one
         heard = visitor.recv(LONG)
     assert heard == b"still here"
 
 
-def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, gallery: Broadcast) -> None:
+def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, broadcast: Broadcast) -> None:
     """Far more than any queue holds is shown to one that does not read, and all of it to one that does."""
-    with closing(enter(tmp_path, gallery)) as stalled, closing(enter(tmp_path, gallery)) as visitor:
+    with closing(enter(tmp_path, broadcast)) as stalled, closing(enter(tmp_path, broadcast)) as visitor:
         shown = 20 * LINK_QUEUE_FRAMES
         for number in range(shown):
             frame = b"%d" % number + bytes(10_000)
-            gallery.show(frame)  # returns, however full the other one's queue is
+            broadcast.show(frame)  # returns, however full the other one's queue is
             assert visitor.recv(LONG) == frame
         heard = []
         while (frame_heard := stalled.recv(from_seconds(0.05))) is not None:
@@ -109,9 +109,9 @@ def test_who_stalls_misses_frames_and_holds_nobody_up(tmp_path: Path, gallery: B
         assert numbers == sorted(numbers)
 
 
-def test_nobody_there_is_no_error(gallery: Broadcast) -> None:
+def test_nobody_there_is_no_error(broadcast: Broadcast) -> None:
     for _ in range(2 * LINK_QUEUE_FRAMES):
-        gallery.show(b"to nobody")
+        broadcast.show(b"to nobody")
 
 
 def test_any_of_several(tmp_path: Path) -> None:
@@ -127,14 +127,14 @@ def test_any_of_several(tmp_path: Path) -> None:
 
 
 def test_closing_leaves_no_file_and_a_second_time_does_nothing(tmp_path: Path) -> None:
-    gallery, visit = Broadcast(tmp_path), Visit(tmp_path)
-    assert (tmp_path / GALLERY).is_socket()
+    broadcast, visit = Broadcast(tmp_path), Visit(tmp_path)
+    assert (tmp_path / BROADCAST).is_socket()
     for _ in range(2):
-        gallery.close()
+        broadcast.close()
         visit.close()
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(TransportError, match="cannot show at"):
-        gallery.show(b"after the end")
+        broadcast.show(b"after the end")
     with pytest.raises(TransportError, match="cannot look on"):
         visit.recv(NOT_AT_ALL)
 
@@ -150,9 +150,9 @@ def test_a_directory_that_is_not_there(tmp_path: Path) -> None:
         Broadcast(tmp_path / "none")
 
 
-def test_a_stranger_at_the_socket_ends_nothing(tmp_path: Path, gallery: Broadcast, visitor: Visit) -> None:
+def test_a_stranger_at_the_socket_ends_nothing(tmp_path: Path, broadcast: Broadcast, visitor: Visit) -> None:
     with socket.socket(socket.AF_UNIX) as stranger:
-        stranger.connect(str(tmp_path / GALLERY))
+        stranger.connect(str(tmp_path / BROADCAST))
         stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 100)
-        gallery.show(b"undisturbed")
+        broadcast.show(b"undisturbed")
         assert visitor.recv(LONG) == b"undisturbed"

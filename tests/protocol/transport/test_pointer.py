@@ -13,7 +13,7 @@ import pytest
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Grasp, Release, Stop
 from manyhands.protocol.transport import TransportError
-from manyhands.protocol.transport.pointer import MAX_GRIP_BYTES, PointerInlet, PointerOutlet, grip_path
+from manyhands.protocol.transport.pointer import MAX_GRIP_BYTES, PointerInlet, PointerOutlet, pointer_path
 
 
 def grasp(*position: float) -> Grasp:
@@ -53,7 +53,7 @@ def test_nobody_there(tmp_path: Path, outlet: PointerOutlet) -> None:
 
 def test_a_process_that_was_killed_leaves_a_file_and_nobody(tmp_path: Path, outlet: PointerOutlet) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as killed:
-        killed.bind(str(grip_path(tmp_path, "dx")))
+        killed.bind(str(pointer_path(tmp_path, "dx")))
     assert outlet.say(Release()) is False
     with closing(PointerInlet(tmp_path, "dx")) as inlet:  # the device's next process takes its place
         assert outlet.say(grasp(1.0)) is True
@@ -76,7 +76,7 @@ def test_what_is_neither_grasp_nor_release_is_counted(
     garbage = [b"", b"\xc1", b"\x00" * (MAX_GRIP_BYTES + 100), encode(Stop("no")), encode(grasp(1.0)) + b"x"]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
         for frame in garbage:
-            stranger.sendto(frame, str(grip_path(tmp_path, "dx")))
+            stranger.sendto(frame, str(pointer_path(tmp_path, "dx")))
     assert inlet.latest() is None
     assert inlet.malformed == len(garbage)
     assert outlet.say(grasp(0.5))
@@ -98,7 +98,7 @@ def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: PointerInle
 
 
 def test_in_its_place_something_else(tmp_path: Path, outlet: PointerOutlet) -> None:
-    path = grip_path(tmp_path, "dx")
+    path = pointer_path(tmp_path, "dx")
     path.write_text("no socket")
     assert outlet.say(Release()) is False
     path.unlink()
