@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Iterable, Mapping
@@ -57,10 +58,19 @@ def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[floa
 
 
 def forbidden_numbers(name: str, session: Mapping[str, Any], bundles: Mapping[str, Mapping[str, Any]]) -> _Lists:
-    """The distinctive numbers of the others, lists of numbers that stand together as such."""
+    """The distinctive numbers of the others, lists of numbers that stand together as such.
+
+    A number that is ``name``'s own as well, up to rounding, is no secret: springs and dampers of softer rungs stand in
+    one proportion in all blocks (decision 16), so that their A agree in more digits than are searched for.
+    """
     known = shared_with(name, bundles) | {session["period"]}
+    known |= {abs(n) for numbers in own_numbers(name, session, bundles[name]) for n in numbers}
     lists = (numbers for other in bundles if other != name for numbers in own_numbers(other, session, bundles[other]))
-    return [kept for numbers in lists if (kept := [n for n in numbers if is_distinctive(n) and abs(n) not in known])]
+    return [kept for numbers in lists if (kept := [n for n in numbers if is_distinctive(n) and not _among(n, known)])]
+
+
+def _among(number: float, known: set[float]) -> bool:
+    return any(math.isclose(abs(number), other, rel_tol=10.0 ** (1 - _DIGITS)) for other in known)
 
 
 def forbidden_texts(name: str, session: Mapping[str, Any]) -> set[str]:
