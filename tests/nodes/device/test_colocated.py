@@ -107,7 +107,7 @@ def test_a_block_that_has_not_begun_has_nothing_to_tell(
 ) -> None:
     carried = CarriedBlock(cut(prepared, RunPlan("simulated", None, ""))["cx"])  # type: ignore[arg-type]
     carried.listen()
-    carried.end()
+    carried.publish_rest()
     assert carried.report() == Report(0, {}, {}, {})
     with pytest.raises(ValueError, match="before its handshake"):
         carried.loop(Start(0, 1), new_life(), new_line())
