@@ -105,7 +105,7 @@ def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, f
             there = np.isfinite(rows[node, "p"]).all(axis=1)
             for tick in (np.flatnonzero(np.diff(there)) + 1).tolist():
                 if begin <= tick < end:
-                    (events.seat if there[tick] else events.freeze)(tick, node)
+                    (events.activate if there[tick] else events.freeze)(tick, node)
     return {name: value for name, value in events.take(0, 0).items() if ":" in name}
 
 
