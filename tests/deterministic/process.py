@@ -212,7 +212,7 @@ class Process:
         if isinstance(node, CouplingNode):
             block = node._block
             return (*node._devices, *([] if block is None else [block.environment]))
-        return getattr(node, "_joints", ())
+        return getattr(node, "_peer_links", ())
 
     def _led(self, link: WireLink) -> Link:
         """A link to a peer, in the hands of who leads the process."""

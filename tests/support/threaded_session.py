@@ -277,7 +277,7 @@ class ThreadedSession:
 
     def state(self, coupling: str) -> Membership | None:
         """Where a coupling stands at the environment, as of now."""
-        members = getattr(self.nodes[ENVIRONMENT], "_places", None)
+        members = getattr(self.nodes[ENVIRONMENT], "_members", None)
         if members is None:
             return None
         return next(member.membership.state for member in members.all if member.peer_link.peer.name == coupling)
