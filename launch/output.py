@@ -5,7 +5,7 @@ no reason to end a session: from then on nothing is written there, and :func:`lo
 is for results. Where its reader has had enough (``| head``) a command goes on to its end and keeps its exit code,
 unless it does nothing but print (:func:`pipe_may_close`). Any other failure there is the command's.
 
-This is done below Python's buffers, so it holds for whatever writes to the streams.
+This is done below Python's text layer, so it holds for whatever writes to the streams.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ _OUT, _ERR = 1, 2
 _NAMES: Final = {_OUT: "standard output", _ERR: "standard error"}
 
 
-class Output(io.FileIO):
+class Output(io.BufferedWriter):
     """Descriptor 1 or 2; after the first error it leads to nowhere, so that whatever is still buffered can leave.
+
+    What is written here has left the text layer's buffer, so a signal handler that raises between two steps makes no
+    text appear twice. Below this buffer it would: the buffer repeats a write that raised after it was done.
 
     Attributes:
         lost: the error that ended it; None while it works.
@@ -35,29 +38,50 @@ class Output(io.FileIO):
     """
 
     def __init__(self, descriptor: int) -> None:
-        super().__init__(descriptor, "w", closefd=False)
+        super().__init__(io.FileIO(descriptor, "w", closefd=False))
         self.lost: OSError | None = None
         self.raises_when_closed = False
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write what can be written; all of it counts as written once the stream is lost.
+        """Buffer the data, and write what does not fit; all of it counts as written once the stream is lost.
 
         Raises:
             OSError: standard output cannot be written, for another reason than a reader that left.
         """
-        try:
-            while (written := super().write(data)) is None:  # another program has made the terminal non-blocking
+        view, done = memoryview(data).cast("B"), 0
+        while True:
+            try:
+                super().write(view[done:])
+                return len(view)
+            except BlockingIOError as error:  # another program has made the terminal non-blocking
+                done += error.characters_written
                 select.select([], [self], [])
-        except OSError as error:
-            self.lost = error
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self.fileno())
-            os.close(nowhere)
-            left = error.errno == errno.EPIPE
-            if self.fileno() == _OUT and (self.raises_when_closed or not left):
-                raise type(error)(error.errno, error.strerror, _NAMES[_OUT]) from error
-            return memoryview(data).nbytes
-        return written
+            except OSError as error:
+                self._lose(error)
+
+    def flush(self) -> None:
+        """Write what is buffered.
+
+        Raises:
+            OSError: as by :meth:`write`.
+        """
+        while True:
+            try:
+                return super().flush()
+            except BlockingIOError:
+                select.select([], [self], [])
+            except OSError as error:
+                self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        """Lead to nowhere from now on; raises the error where it is the command's."""
+        self.lost = error
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self.fileno())
+        os.close(nowhere)
+        left = error.errno == errno.EPIPE
+        if self.fileno() == _OUT and (self.raises_when_closed or not left):
+            raise type(error)(error.errno, error.strerror, _NAMES[_OUT]) from error
 
 
 def install() -> None:
@@ -76,7 +100,7 @@ def install() -> None:
 
 def _stream(before: TextIO | None, descriptor: int) -> io.TextIOWrapper:
     return io.TextIOWrapper(
-        io.BufferedWriter(Output(descriptor)),
+        Output(descriptor),
         encoding="utf-8" if before is None else before.encoding,
         errors="backslashreplace",
         line_buffering=descriptor == _ERR or getattr(before, "line_buffering", False),
@@ -115,5 +139,5 @@ def pipe_may_close() -> Iterator[None]:
 
 
 def _output_of(stream: IO[str]) -> Output | None:
-    found = getattr(getattr(stream, "buffer", None), "raw", None)
+    found = getattr(stream, "buffer", None)
     return found if isinstance(found, Output) else None

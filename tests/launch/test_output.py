@@ -109,3 +109,47 @@ def test_a_terminal_that_takes_nothing_is_seen_before_it_is_waited_for() -> None
         while select.select([], [write], [], 0)[1]:
             os.write(write, bytes(4096))
         assert python("-c", script, err=err)[1] == "False\n"
+
+
+INTERRUPTED = """
+import os, signal, sys, threading, time
+from manyhands.launch import output
+
+class Stopped(Exception): pass
+
+def stop(*_): raise Stopped
+
+reader, writer = os.pipe()
+os.dup2(writer, 1)
+output.install()
+signal.signal(signal.SIGUSR1, stop)
+lines = []
+
+def interrupt():
+    with open(reader) as source:
+        for line in source:
+            lines.append(line)
+            signal.pthread_kill(main, signal.SIGUSR1)
+
+main = threading.get_ident()
+thread = threading.Thread(target=interrupt)
+thread.start()
+for number in range(200):
+    try:
+        print(number, flush=True)
+        while True:  # until the signal comes, which pause() would miss if it came just before
+            time.sleep(0.001)
+    except Stopped:
+        pass
+sys.stdout.flush()
+signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+os.close(writer)
+os.close(1)
+thread.join()
+sys.exit(lines != [f"{number}\\n" for number in range(200)])
+"""
+
+
+def test_a_signal_that_ends_a_command_repeats_no_line() -> None:
+    """The handler raises as soon as the line has been read, which may be before the print has returned."""
+    subprocess.run([sys.executable, "-P", "-c", INTERRUPTED], check=True, timeout=120)
