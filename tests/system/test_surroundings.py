@@ -34,8 +34,9 @@ _CAPABILITIES = 64
 
 
 def ignore_hangup() -> None:
-    """As nohup does."""
+    """As nohup does; a shell that runs the tests in the background has had them ignore Ctrl-backslash."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 
 def test_a_session_under_nohup_outlives_its_terminal_and_ctrl_backslash_ends_it_in_order(tmp_path: Path) -> None:
