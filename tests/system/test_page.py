@@ -15,7 +15,10 @@ CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
 PICTURES = Path(os.environ.get("MANYHANDS_PAGE_OUT", Path(__file__).parents[2] / "out" / "page"))
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine"),
+    pytest.mark.alone,  # a browser draws with all the processor time that it can have
+]
 
 LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
 BALL = '[data-mass="ball"]'
