@@ -195,10 +195,10 @@ class Search:
                 return
             if f"{module}.{name}" in self.modules:
                 self.module(f"{module}.{name}")
+            source = self.modules[module].imports.get(name, (module, name))
+            if source == (module, name):
                 return
-            if name not in self.modules[module].imports:
-                return
-            module, name = self.modules[module].imports[name]
+            module, name = source  # even beside a module of the name: a package may export its function
         if not name:
             self.module(module)
 
@@ -271,11 +271,9 @@ class Search:
             return
         module, imported = imports[name]
         whole = f"{module}.{imported}" if imported else module
-        if whole in self.modules:
-            if attribute:
-                self.name(whole, attribute)
-        else:
-            self.name(module, imported)
+        if whole in self.modules and attribute:
+            self.name(whole, attribute)
+        self.name(module, imported)
 
     def _dotted(self, node: ast.AST, imports: dict[str, tuple[str, str]]) -> None:
         """``a.b.c`` where ``import a.b``."""

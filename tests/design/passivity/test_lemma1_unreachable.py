@@ -60,11 +60,11 @@ def test_the_felt_part_answers_like_the_whole(count: int, unit: float) -> None:
     units = unit ** np.linspace(-1.0, 1.0, system.order)
     system = StateSpace(system.A * units / units[:, None], system.B / units[:, None], system.C * units, system.D)
     parts = parted(system)
-    assert parts.felt.order == 2  # a mass swings against the port, and no more
-    assert len(parts.P_u) == system.order - parts.felt.order
+    assert parts.reachable.order == 2  # a mass swings against the port, and no more
+    assert len(parts.P_u) == system.order - parts.reachable.order
     for angle in (1e-3, 0.1, 3.0):
         z = np.exp(1j * angle)
-        np.testing.assert_allclose(parts.felt.response(z), system.response(z), rtol=1e-9)
+        np.testing.assert_allclose(parts.reachable.response(z), system.response(z), rtol=1e-9)
 
 
 def test_storage_of_the_whole_is_that_of_both() -> None:
@@ -73,7 +73,7 @@ def test_storage_of_the_whole_is_that_of_both() -> None:
     A = turn @ np.diag([0.5, 0.9, -0.3]) @ turn.T
     system = StateSpace(A, turn[:, :1], turn[:, :1].T, [[0.0]])
     parts = parted(system)
-    assert parts.felt.order == 1
+    assert parts.reachable.order == 1
     P = parts.storage(np.array([[7.0]]))
     assert turn[:, 0] @ P @ turn[:, 0] == pytest.approx(7.0)
     assert np.linalg.eigvalsh(P - A.T @ P @ A)[0] > 0.0
@@ -90,7 +90,7 @@ def test_storage_of_the_whole_is_that_of_both() -> None:
     ],
 )
 def test_what_cannot_be_taken_apart_is_left_whole(system: StateSpace) -> None:
-    assert parted(system).felt is system
+    assert parted(system).reachable is system
 
 
 @pytest.mark.parametrize(
