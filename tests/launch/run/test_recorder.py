@@ -187,7 +187,7 @@ def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, 
     while stage.attend():
         pass
     assert stage.incidents == [
-        f"recording ended at tick {ROWS}: somebody ended the recorder; {tmp_path / 'r.mcap'} is whole up to there"
+        f"recording ended at tick {ROWS}: a signal ended the recorder; {tmp_path / 'r.mcap'} is complete up to there"
     ]
     assert assert_prefix(tmp_path / "r.mcap", ROWS) == ROWS
     assert read_recording(tmp_path / "r.mcap").cut is None

@@ -497,7 +497,7 @@ class Test_nodes_that_are_started_elsewhere:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
         told = c.hear("dx", Telemetry(9, {}, {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
         assert c.ignored == 1
 
     def test_others_do_not_wait_for_it_to_come_back(self) -> None:
@@ -536,7 +536,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.states["dx"] is NodeState.GONE
         assert len(c.faults) == 1
         told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
 
     def test_the_wrong_bundle_is_refused_and_the_right_one_may_follow(self) -> None:
         c = session(3, "dx").conductor
