@@ -1,4 +1,4 @@
-"""Where a recording was changed or cut: the checksums of its format locate each change to a chunk or a record.
+"""Finds where a recording was changed or cut: the checksums of its format locate each change to a chunk or a record.
 
 | part of the file | what checks it | a change is located to |
 |---|---|---|
@@ -7,9 +7,8 @@
 | header, session's metadata, framing | being readable; the checksum of the data section | the record; the section |
 | summary and footer | the checksum of the summary | the summary |
 
-The data section ends where its last record states the section's checksum; the summary and the footer follow.
-
-The data section of a recording, record by record: which of them are damaged, and where the section ends.
+The data section ends with a record that states the section's checksum; the summary and the footer follow. :class:`Walk`
+goes through the data section record by record. :func:`findings` examines the whole file.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ _OF_DATA: Final = {
     Opcode.METADATA: "metadata",
     Opcode.DATA_END: "the end of the data",
 }
-"""What stands behind the header; schemas, channels and messages are in chunks."""
+"""The records that may follow the header; schemas, channels and messages are inside chunks."""
 
 DATA_END_BYTES: Final = FRAME.size + 4
 _LIBRARY: Final = "manyhands"
@@ -62,8 +61,8 @@ class Damage:
     """Something that is wrong with a file.
 
     Attributes:
-        begin: the first byte of what it is wrong with.
-        end: the first byte behind it.
+        begin: the first byte of the damaged part.
+        end: the first byte after it.
         what: what is wrong, a sentence without its full stop.
     """
 
@@ -74,13 +73,13 @@ class Damage:
 
 @dataclass
 class DataSection:
-    """What a walk through the records found.
+    """The result of a walk through the records.
 
     Attributes:
         damages: what is wrong.
-        whole_to: up to which byte there are records.
-        end: the first byte behind the section's last record; None where none ends it.
-        checksum: that its last record states.
+        whole_to: the records are readable up to this byte.
+        end: the first byte after the section's last record; None if the section has no such record.
+        checksum: the checksum that the last record states.
     """
 
     damages: list[Damage] = field(default_factory=list)
@@ -90,28 +89,28 @@ class DataSection:
 
 
 class _Wrong(Exception):
-    """A record is not as it should be; says how."""
+    """A record is wrong; the message states how."""
 
 
 class Walk:
     """Goes through the records of a file's data section."""
 
     def __init__(self, file: BinaryIO, limit: int, known: Callable[[], list[int]]) -> None:
-        """Of a file that is open at any place.
+        """Prepare a walk through an open file; its position does not matter.
 
         Args:
             file: the file.
-            limit: where at the latest the section ends.
-            known: tells where records begin, by the file's own summary, in order: there the walk goes on after one
-                whose length is not to be believed. Asked when it is needed, and once.
+            limit: the last byte at which the section may end.
+            known: returns the beginnings of records by the file's own summary, in order. After a record with an
+                impossible length the walk resumes there. Called at most once, when it is needed.
         """
         self._file, self._limit, self._ask = file, limit, known
         self._out = DataSection()
         self._unpacking = Unpacking()
-        self._awaited: deque[bytes] | None = deque()  # message indexes to come; None where that is not known
+        self._awaited: deque[bytes] | None = deque()  # expected message indexes; None where they are not known
 
     def run(self, progress: Callable[[float], None]) -> DataSection:
-        """Go through it; ``progress`` gets the part that is done."""
+        """Go through the section; ``progress`` is called with the part that is done, 0 to 1."""
         out, limit = self._out, self._limit
         self._file.seek(0)
         magic = self._file.read(len(MCAP0_MAGIC))
@@ -128,12 +127,12 @@ class Walk:
         self._out.damages.append(Damage(begin, end, what))
 
     def _step(self, at: int) -> int | None:
-        """Look at the record that begins at ``at``; returns where the next one does, None if that is not known."""
+        """Examine the record that begins at ``at``; returns where the next one begins, None if that is not known."""
         head = self._head(at)
         if head is None or head[1] > self._limit:
             after, self._awaited = self._resume(at), None
             if after is None and not self._known:
-                return None  # the file ends here, which its reader tells
+                return None  # the file ends here, which the examination reports
             self._tell(at, after or self._limit, "found a record that is longer than the file; expected one within it")
             return after
         opcode, end = head
@@ -148,7 +147,7 @@ class Walk:
             after = end if followed else self._resume(at)
             self._tell(at, after or self._limit, str(wrong))
             if self._awaited and followed and opcode != Opcode.CHUNK:
-                self._awaited.popleft()  # it was this one, then
+                self._awaited.popleft()  # the wrong record stands where this index was expected
             else:
                 self._awaited = None
             self._out.whole_to = after or self._limit
@@ -157,7 +156,7 @@ class Walk:
         return end
 
     def _head(self, at: int) -> tuple[int, int] | None:
-        """Opcode and end of the record that begins at ``at``; the file is then at its body."""
+        """Opcode and end of the record that begins at ``at``; the file's position is then at its body."""
         self._file.seek(at)
         head = self._file.read(FRAME.size)
         if len(head) < FRAME.size:
@@ -166,7 +165,7 @@ class Walk:
         return opcode, at + FRAME.size + length
 
     def _plausible(self, at: int) -> bool:
-        """Whether a record begins here, by its head."""
+        """Whether the bytes at ``at`` look like the head of a record."""
         head = self._head(at)
         return head is not None and head[0] in _OF_DATA and head[1] <= self._limit
 
@@ -208,7 +207,7 @@ class Walk:
             case Chunk():
                 self._chunk(record, at + FRAME.size + len(body))
             case Attachment():
-                pass  # to be read at all, it agrees with its checksum
+                pass  # it could be read, so it agrees with its checksum
             case Metadata(name, texts):
                 self._session(name, texts)
             case _ if opcode == Opcode.MESSAGE_INDEX:
@@ -233,7 +232,7 @@ class Walk:
             raise _Wrong(str(error)) from error
 
     def _index(self, at: int, found: bytes) -> None:
-        if self._awaited is None:  # the chunk cannot be read: its indexes may be right
+        if self._awaited is None:  # the chunk cannot be read, so its indexes cannot be compared
             if record_of(Opcode.MESSAGE_INDEX, found[FRAME.size :]) is None:
                 raise _Wrong("found a message index whose lengths do not agree with each other")
             return
@@ -260,14 +259,14 @@ _TAIL: Final = _FOOTER_BYTES + len(MCAP0_MAGIC)
 
 
 def findings(path: Path, progress: Callable[[float], None] | None = None) -> list[Damage]:
-    """What is wrong with a recording, in the order of its bytes; nothing with one that is as it was written.
+    """What is wrong with a recording, in the order of its bytes; nothing if it is as it was written.
 
     Args:
         path: the file.
-        progress: gets the part that is done, 0 to 1.
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
-        RecordingError: it cannot be read at all.
+        RecordingError: the file cannot be read at all.
     """
     try:
         with open_regular(path) as file:
@@ -278,7 +277,7 @@ def findings(path: Path, progress: Callable[[float], None] | None = None) -> lis
 
 
 class _Examination:
-    """Of one file."""
+    """The examination of one file: data section, end, and summary."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -297,7 +296,7 @@ class _Examination:
         return self._file.read(max(end - begin, 0))
 
     def _trusted(self, footer: Footer) -> int | None:
-        """Where the summary begins, if the footer is right: the checksum agrees, or the data ends before it."""
+        """Where the summary begins, if the footer is right: its checksum agrees, or the data section ends there."""
         start = footer.summary_start
         if not DATA_END_BYTES <= start <= self._tail_at or self._tail_at - start > MOST_RECORD_BYTES:
             return None
@@ -320,7 +319,7 @@ class _Examination:
         return sorted(found)
 
     def run(self, progress: Callable[[float], None]) -> list[Damage]:
-        """Look at everything."""
+        """Examine the whole file."""
         whole = self._size >= _TAIL and (self._magic or self._footer is not None)
         limit = self._size if not whole else self._tail_at if self._start is None else self._start
         section = Walk(self._file, limit, self._known).run(progress)
@@ -343,14 +342,14 @@ class _Examination:
         at = section.whole_to
         if section.end is None:
             what = (
-                f"the file ends at byte {self._size} as no recorder ends it: it was cut, and is whole up to byte {at}"
+                f"the file ends at byte {self._size} without a recorder's end: it was cut, and is whole up to byte {at}"
             )
         else:
             what = f"the file ends within its summary: it was cut, and its data, up to byte {at}, is whole"
         return Damage(at, self._size, what)
 
     def _checksum(self, stated: int, end: int) -> list[Damage]:
-        """Hold the data section against its checksum, when nothing else is wrong with it."""
+        """Compare the data section with its checksum, when nothing else is wrong with it."""
         actual = checksum_of(self._file, end)
         if actual == stated:
             return []
@@ -364,7 +363,7 @@ class _Examination:
         return [Damage(0, end + DATA_END_BYTES, what)]
 
     def _summary(self, start: int) -> list[Damage]:
-        """Hold summary and footer against their checksum."""
+        """Compare summary and footer with their checksum."""
         if self._tail_at - start > MOST_RECORD_BYTES:
             return [Damage(start, self._tail_at, f"found a summary longer than {MOST_RECORD_BYTES} bytes")]
         actual = _footer_crc(self._read(start, self._tail_at), self._told)
@@ -388,5 +387,5 @@ def _records_in(summary: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _footer_crc(summary: bytes, footer: bytes) -> int:
-    """The checksum of a summary and of its footer up to where it states it."""
+    """The checksum of a summary and of its footer, up to the field that states it."""
     return zlib.crc32(footer[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(summary))

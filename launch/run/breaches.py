@@ -301,8 +301,9 @@ class BreachPolicy:
             self._climbed.update(group)
             for other in self._devices_of(group):
                 self._watched[other].calm = [0] * len(ladder.taus)
-            covered = f"every delay was within {ladder.taus[rung] * 1e6:g} us"
-            text = f"{', '.join(group)}: back to rung {rung}, since {covered}"
+            text = (
+                f"{', '.join(group)}: back to rung {rung}, since every delay was within {ladder.taus[rung] * 1e6:g} us"
+            )
             out.append(Notice(f"{group[0]} back to {rung}", text))
         return out
 

@@ -112,7 +112,7 @@ def _told(scene: Scene) -> Iterator[AlarmCause]:
         return
     for text in said.faults:
         yield AlarmCause(
-            f"fault: {text}", AlarmLevel.FAULT, text, "The session ends because of it; see its report and logs.", True
+            f"fault: {text}", AlarmLevel.FAULT, text, "The run counts as failed: see its report and logs.", True
         )
     for text in said.notices:
         advice = "An assumption of the certificate was broken: what it proves does not cover this."
