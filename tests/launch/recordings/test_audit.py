@@ -444,7 +444,7 @@ def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, t
     recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
     done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
     assert broken(done) == {("session", "certificate"): -1}
-    assert "which it says that its session ran under" in done.checks[0].told
+    assert "which its session ran under by its metadata" in done.checks[0].told
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:
