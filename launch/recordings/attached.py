@@ -34,7 +34,7 @@ from manyhands.protocol.transport.broadcast import Visit
 MOST_ATTACHED_BYTES: Final = 64 * 2**20
 """The longest file of a session that is put into a recording."""
 
-_PATIENCE: Final = from_seconds(0.2)  # for a frame; then the supervisor and Ctrl-C are checked
+_TIMEOUT: Final = from_seconds(0.2)  # for a frame; then the supervisor and Ctrl-C are checked
 
 
 class Ending(StrEnum):
@@ -278,7 +278,7 @@ def write_down(
         show: called whenever something was written.
     """
     while core.ending is None:
-        frame = visit.recv(_PATIENCE)
+        frame = visit.recv(_TIMEOUT)
         if frame is not None:
             core.take(frame, time.time_ns())
         elif gone():

@@ -2,7 +2,7 @@
 
 The file alone is enough; no party has to be trusted. Its session and certificate are read as their own files are, and
 the certificate is proved again. It has to be this session's. Then each party's part is computed from the signals that
-the others sent it, by the arithmetic of the nodes, and compared with what the party recorded itself:
+the others sent it, by the arithmetic of the nodes. The result is compared with what the party recorded itself:
 
 | party | from | follows |
 |---|---|---|
@@ -357,11 +357,11 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
         checks: tuple[Check, ...] = (Check("certificate", "session", what, Verdict.BROKEN, told=str(error)),)
     else:
         proved = Check("certificate", "session", what, Verdict.HOLDS, told=prepared.id)
-        checks = (proved, *_Auditing(prepared, run, progress).checks())
+        checks = (proved, *_AuditRun(prepared, run, progress).checks())
     return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks)
 
 
-class _Auditing:
+class _AuditRun:
     """One audit."""
 
     def __init__(self, prepared: Prepared, run: RecordedRun, progress: TickProgress) -> None:
@@ -396,7 +396,7 @@ class _Auditing:
             own, course = self._ports[name], blocks.courses[name]
             of_devices = [courses[device] for device in self._session.devices_of(name)]
             again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._tell
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._report
             )
             out += self._compared(
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
@@ -459,7 +459,7 @@ class _Auditing:
             rows_of(run, name, names.DISPLACEMENT),
             rows_of(run, name, names.FORCE),
             course,
-            self._tell,
+            self._report,
         )
         return self._compared(name, names.DISPLACEMENT, "x follows from f_v by the device and its hand", again)
 
@@ -479,7 +479,7 @@ class _Auditing:
             raise AssertionError("every session has an environment")
         sign = first_sign(run, ENVIRONMENT)
         tools, ledger = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), rows_of(run, ENVIRONMENT, names.LEDGER)
-        again = recompute_environment(bundle, blocks, tools, ledger, sign, self._tell)
+        again = recompute_environment(bundle, blocks, tools, ledger, sign, self._report)
         self._next()
         ports, gaps = bundle.common.ports, again.gaps
         out = [
@@ -503,10 +503,10 @@ class _Auditing:
             what = "q follows from p of all couplings"
             out.insert(1, compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
         if bundle.Phi_E is not None:
-            told = run.figures.get(ENVIRONMENT, ())
+            figures = run.figures.get(ENVIRONMENT, ())
             silent = np.zeros(blocks.f.shape, dtype=np.bool_)
             for name, its in blocks.ports.items():
-                silent[:, its] = sent_no_force(told, name, there(blocks.f[:, its]))[:, None]
+                silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
             own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent)
             what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
             source = let_go_source(own.offsets)
@@ -548,7 +548,7 @@ class _Auditing:
             out[:, self._ports[name]] = rows_of(self._run, name, trace)
         return out
 
-    def _tell(self, tick: int) -> None:
+    def _report(self, tick: int) -> None:
         self._progress(self._done + tick)
 
     def _next(self) -> None:

@@ -1,9 +1,9 @@
 """Computes the environment of a recorded session again, from the signals of its couplings.
 
-As long as every coupling takes part and no clutch has moved, forces, tools, masses and ledger follow from p alone, by
-the environment's own core and so to the last bit. Once a clutch was at work the environment's own force f_e is in no
-row. Its work is known, though, because a clutch is lossless. With the coupling's end x_c = p + D_V f_c and the force
-f_c that it received,
+As long as every coupling takes part and no clutch has moved, forces, tools, masses and ledger follow from p alone. They
+are computed by the environment's own core, and so to the last bit. Once a clutch was at work the environment's own
+force f_e is in no row. Its work is known, though, because a clutch is lossless. With the coupling's end x_c = p + D_V
+f_c and the force f_c that it received,
 
     f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1))
 
@@ -242,6 +242,6 @@ def increments(
     let_go[:sign] = False
     used = np.flatnonzero(let_go)[:allowed]
     tolerance[used] += most[used]
-    why = "a coupling has no row there, and no event says that it was sent no force"
+    why = "a coupling has no row there, and no event states that it was sent no force"
     gaps = gaps_of(np.asarray(np.isnan(f).any(axis=1), dtype=np.bool_), why)
     return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used), gaps)

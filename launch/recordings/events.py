@@ -95,7 +95,7 @@ def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings:
     """
     processes = _processes(figures, ladder)
     if not any(process.recorded for process in processes):
-        changed = [changed_after(told, names.RUNG) for told in couplings]
+        changed = [changed_after(own, names.RUNG) for own in couplings]
         processes[0].doubt(min((at for at in changed if at is not None), default=_NEVER), "a rung")
     before: dict[int, Happening] = {}
     rungs: dict[int, int] = {}
@@ -120,7 +120,7 @@ def sent_no_force(figures: Figures, coupling: str, rows: NDArray[np.bool_]) -> N
         rows: the ticks of which the coupling has a row.
     """
     out = np.zeros(len(rows), dtype=np.bool_)
-    events = [event for _, told in figures for event in events_in(told) if event.peer == coupling]
+    events = [event for _, values in figures for event in events_in(values) if event.peer == coupling]
     for i, event in enumerate(events):
         end = events[i + 1].tick if i + 1 < len(events) else len(rows)
         if event.kind is Kind.FROZEN and event.tick < len(rows):
@@ -154,7 +154,7 @@ class _Process:
     def doubt(self, tick: int, what: str) -> None:
         """Note that events of ``what`` are missing from ``tick`` on."""
         if tick < self.known:
-            self.known, self.why = tick, f"{what} changed, and no event says at which tick"
+            self.known, self.why = tick, f"{what} changed, and no event states at which tick"
 
     def happenings(self, rows: NDArray[np.intp]) -> dict[int, Happening]:
         """What happened before each of the process's rows."""
@@ -169,7 +169,7 @@ class _Process:
             if self.jumps.get(k) == last + 1:
                 out[k] = Happening(jumped=True)
             else:
-                out[k] = Happening(unknown="it had rows missing, and no event says why")
+                out[k] = Happening(unknown="it had rows missing, and no event states why")
         for tick, periods in self.releases.items():
             for k in _row_from(rows, tick):
                 known = out.get(k, Happening())
@@ -194,8 +194,8 @@ def _processes(figures: Figures, ladder: int) -> list[_Process]:
     """The processes of a node, in order; at least one, which may lack the event of its beginning."""
     out = [_Process()]
     released, rung, before = 0, 0, 0
-    for tick, told in figures:
-        events = sorted(events_in(told), key=lambda event: (event.kind is not Kind.BEGAN, event.tick))
+    for tick, values in figures:
+        events = sorted(events_in(values), key=lambda event: (event.kind is not Kind.BEGAN, event.tick))
         for event in events:
             match event.kind:
                 case Kind.BEGAN:
@@ -215,7 +215,7 @@ def _processes(figures: Figures, ladder: int) -> list[_Process]:
             ("the count of free periods", released, names.RELEASED),
             ("the rung", rung, names.RUNG),
         ):
-            if told.get(figure, count) != count:
+            if values.get(figure, count) != count:
                 out[-1].doubt(before, what)
         before = tick
     return out[1:] if len(out) > 1 and out[1].begin == 0 else out

@@ -106,7 +106,7 @@ def read_info(path: Path, progress: Callable[[float], None] | None = None) -> In
     Raises:
         RecordingError: the file cannot be read, is no recording, or is cut before its metadata.
     """
-    looking = _Looking(path)
+    looking = _InfoReader(path)
     for part in parts(path, progress):
         looking.take(part)
     return looking.info()
@@ -118,7 +118,7 @@ def _node_of(topic: str) -> str:
     return node
 
 
-class _Looking:
+class _InfoReader:
     """Reads one file, part by part."""
 
     def __init__(self, path: Path) -> None:
@@ -156,16 +156,16 @@ class _Looking:
         together: dict[int, list[Message]] = {}
         for message in found:
             together.setdefault(message.channel, []).append(message)
-        for number, told in together.items():
+        for number, own in together.items():
             channel = self._channels.get(number)
             if channel is None:
                 continue  # the file declares no such channel
-            times = [message.log_time for message in told]
+            times = [message.log_time for message in own]
             channel.first = min(times) if channel.messages == 0 else min(channel.first, *times)
             channel.last = max(channel.last, *times)
-            channel.messages += len(told)
+            channel.messages += len(own)
             if channel.topic in self._devices:
-                ticks = np.fromiter((message.sequence for message in told), dtype=np.int64, count=len(told))
+                ticks = np.fromiter((message.sequence for message in own), dtype=np.int64, count=len(own))
                 self._devices[channel.topic][1].take_each(ticks)
 
     def info(self) -> Info:

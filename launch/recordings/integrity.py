@@ -88,7 +88,7 @@ class DataSection:
     checksum: int = 0
 
 
-class _Wrong(Exception):
+class _WrongRecord(Exception):
     """A record is wrong; the message states how."""
 
 
@@ -115,7 +115,7 @@ class Walk:
         self._file.seek(0)
         magic = self._file.read(len(MCAP0_MAGIC))
         if magic != MCAP0_MAGIC:
-            self._tell(0, len(magic), "found a file that does not begin as MCAP does; expected a recording")
+            self._damaged(0, len(magic), "found a file that does not begin as MCAP does; expected a recording")
         out.whole_to = len(magic)
         at: int | None = out.whole_to
         while at is not None and at < limit and out.end is None:
@@ -123,7 +123,7 @@ class Walk:
             at = self._step(at)
         return out
 
-    def _tell(self, begin: int, end: int, what: str) -> None:
+    def _damaged(self, begin: int, end: int, what: str) -> None:
         self._out.damages.append(Damage(begin, end, what))
 
     def _step(self, at: int) -> int | None:
@@ -133,7 +133,9 @@ class Walk:
             after, self._awaited = self._resume(at), None
             if after is None and not self._known:
                 return None  # the file ends here, which the examination reports
-            self._tell(at, after or self._limit, "found a record that is longer than the file; expected one within it")
+            self._damaged(
+                at, after or self._limit, "found a record that is longer than the file; expected one within it"
+            )
             return after
         opcode, end = head
         body = self._file.read(end - at - FRAME.size)
@@ -142,10 +144,10 @@ class Walk:
             return end
         try:
             self._take(at, opcode, body)
-        except _Wrong as wrong:
+        except _WrongRecord as wrong:
             followed = end == self._limit or self._plausible(end)
             after = end if followed else self._resume(at)
-            self._tell(at, after or self._limit, str(wrong))
+            self._damaged(at, after or self._limit, str(wrong))
             if self._awaited and followed and opcode != Opcode.CHUNK:
                 self._awaited.popleft()  # the wrong record stands where this index was expected
             else:
@@ -185,7 +187,7 @@ class Walk:
 
     def _all_indexed(self, at: int) -> None:
         if self._awaited:
-            self._tell(
+            self._damaged(
                 at, at, f"found no message index for {len(self._awaited)} channels of the chunk before; expected one"
             )
         self._awaited = deque()
@@ -193,17 +195,19 @@ class Walk:
     def _take(self, at: int, opcode: int, body: bytes) -> None:
         first = at == len(MCAP0_MAGIC)
         if len(body) > MOST_RECORD_BYTES:
-            raise _Wrong(f"found a record of {len(body)} bytes; expected at most {MOST_RECORD_BYTES}")
+            raise _WrongRecord(f"found a record of {len(body)} bytes; expected at most {MOST_RECORD_BYTES}")
         if (opcode == Opcode.HEADER) != first or not (first or opcode in _OF_DATA):
             expected = "a header" if first else ", ".join(_OF_DATA.values())
-            raise _Wrong(f"found a record with opcode 0x{opcode:02x}; expected {expected}")
+            raise _WrongRecord(f"found a record with opcode 0x{opcode:02x}; expected {expected}")
         record = record_of(opcode, body)
         if opcode != Opcode.MESSAGE_INDEX and record is not None:
             self._all_indexed(at)
         match record:
             case Header(profile, library):
                 if profile or not library.startswith(_LIBRARY):
-                    raise _Wrong(f"found profile {profile!r:.40}, library {library!r:.40}; expected '', {_LIBRARY!r}")
+                    raise _WrongRecord(
+                        f"found profile {profile!r:.40}, library {library!r:.40}; expected '', {_LIBRARY!r}"
+                    )
             case Chunk():
                 self._chunk(record, at + FRAME.size + len(body))
             case Attachment():
@@ -214,32 +218,32 @@ class Walk:
                 self._index(at, FRAME.pack(opcode, len(body)) + body)
             case _:
                 kind = "a header" if first else _OF_DATA[Opcode(opcode)]
-                raise _Wrong(f"found {kind} whose lengths, texts or checksum do not agree with each other")
+                raise _WrongRecord(f"found {kind} whose lengths, texts or checksum do not agree with each other")
 
     @staticmethod
     def _session(name: str, texts: dict[str, str]) -> None:
         if name != METADATA:
-            raise _Wrong(f"found metadata of the name {name!r:.40}; expected {METADATA!r}")
+            raise _WrongRecord(f"found metadata of the name {name!r:.40}; expected {METADATA!r}")
         try:
             Recorded.from_metadata(texts)
         except ValueError as error:
-            raise _Wrong(str(error)) from error
+            raise _WrongRecord(str(error)) from error
 
     def _chunk(self, chunk: Chunk, end: int) -> None:
         try:
             self._awaited = deque(message_indexes(chunk, self._unpacking, end))
         except ValueError as error:
-            raise _Wrong(str(error)) from error
+            raise _WrongRecord(str(error)) from error
 
     def _index(self, at: int, found: bytes) -> None:
         if self._awaited is None:  # the chunk cannot be read, so its indexes cannot be compared
             if record_of(Opcode.MESSAGE_INDEX, found[FRAME.size :]) is None:
-                raise _Wrong("found a message index whose lengths do not agree with each other")
+                raise _WrongRecord("found a message index whose lengths do not agree with each other")
             return
         if not self._awaited:
-            raise _Wrong("found a message index of no chunk; expected as many as the chunk before has channels")
+            raise _WrongRecord("found a message index of no chunk; expected as many as the chunk before has channels")
         if found != self._awaited[0]:
-            raise _Wrong("found a message index that does not agree with the messages of its chunk")
+            raise _WrongRecord("found a message index that does not agree with the messages of its chunk")
         self._awaited.popleft()
 
 
@@ -284,7 +288,7 @@ class _Examination:
         self._size = os.fstat(file.fileno()).st_size
         self._tail_at = max(self._size - _TAIL, 0)  # where the footer begins
         tail = self._read(self._tail_at, self._size)
-        self._told = tail[:_FOOTER_BYTES]
+        self._footer_bytes = tail[:_FOOTER_BYTES]
         self._magic = tail[_FOOTER_BYTES:] == MCAP0_MAGIC
         footer = record_of(tail[0], tail[FRAME.size : _FOOTER_BYTES]) if len(tail) == _TAIL else None
         framed = tail[: FRAME.size] == FRAME.pack(Opcode.FOOTER, _FOOTER_BYTES - FRAME.size)
@@ -303,7 +307,9 @@ class _Examination:
         before = self._read(start - DATA_END_BYTES, start)
         if before[: FRAME.size] == FRAME.pack(Opcode.DATA_END, DATA_END_BYTES - FRAME.size):
             return start
-        return start if _footer_crc(self._read(start, self._tail_at), self._told) == footer.summary_crc else None
+        return (
+            start if _footer_crc(self._read(start, self._tail_at), self._footer_bytes) == footer.summary_crc else None
+        )
 
     def _known(self) -> list[int]:
         """Where records of the data section begin, by the summary."""
@@ -366,8 +372,8 @@ class _Examination:
         """Compare summary and footer with their checksum."""
         if self._tail_at - start > MOST_RECORD_BYTES:
             return [Damage(start, self._tail_at, f"found a summary longer than {MOST_RECORD_BYTES} bytes")]
-        actual = _footer_crc(self._read(start, self._tail_at), self._told)
-        stated = int.from_bytes(self._told[-_CRC_BYTES:], "little")
+        actual = _footer_crc(self._read(start, self._tail_at), self._footer_bytes)
+        stated = int.from_bytes(self._footer_bytes[-_CRC_BYTES:], "little")
         if actual == stated:
             return []
         what = f"found a summary and a footer with the checksum {actual:08x}; expected {stated:08x}, as stated"

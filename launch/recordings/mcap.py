@@ -5,8 +5,10 @@ part reports where the file ends and why.
 
 The file may come from anywhere, so nothing in it is trusted. A record is an opcode, a length and a body. Lengths are
 compared with the file's size and with limits before memory is allocated. Chunks are compared with their checksums, and
-no more is unpacked than a chunk states. For a check of the bytes, :func:`record_of` accepts a body only if writing its
-record anew gives the same bytes, which also compares an attachment with its checksum.
+no more is unpacked than a chunk states.
+
+:func:`record_of` serves the check of the bytes. It accepts a body only if writing its record anew gives the same bytes,
+which also compares an attachment with its checksum.
 """
 
 from __future__ import annotations

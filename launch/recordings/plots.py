@@ -332,10 +332,10 @@ def save(figure: Figure, path: Path) -> None:
 
 def figure_of(picture: Picture) -> Figure:
     """The figure; its axes are the panels in order, then the histogram and the list of marks, where there are any."""
-    told = _told(picture.marks)
+    lines = _mark_lines(picture.marks)
     heights = [_PANEL] * len(picture.panels)
     heights += [_HISTOGRAM] if picture.delays is not None else []
-    heights += [_LINE * (len(told) + 1)] if told else []
+    heights += [_LINE * (len(lines) + 1)] if lines else []
     figure = Figure(figsize=(_WIDTH, sum(heights) + _HEAD), layout="constrained", facecolor="white")
     figure.suptitle(plain(picture.title, _LINE_LENGTH), x=0.01, ha="left", fontsize="medium", fontweight="bold")
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
@@ -350,10 +350,10 @@ def figure_of(picture: Picture) -> Figure:
         axes.set_xlabel("time [s]" if row == len(picture.panels) - 1 else "")
     if picture.delays is not None:
         draw_delays(figure.add_subplot(grid[len(picture.panels)]), picture.delays)
-    if told:
+    if lines:
         axes = figure.add_subplot(grid[len(heights) - 1])
         axes.axis("off")
-        axes.text(0.0, 1.0, "\n".join(told), va="top", fontsize="x-small", transform=axes.transAxes)
+        axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize="x-small", transform=axes.transAxes)
     if picture.cut is not None:
         text = f"This recording is cut: {picture.cut}"
         figure.supxlabel(
@@ -422,9 +422,9 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     if not len(every):
         axes.set_title("delays inside the tick: none recorded", loc="left", fontsize="small")
         return
-    told = "   ".join(f"{name} {np.percentile(every, share):.0f}" for name, share in
+    percentiles = "   ".join(f"{name} {np.percentile(every, share):.0f}" for name, share in
                       (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("greatest", 100.0)))  # fmt: skip
-    axes.set_title(f"delays inside the tick, µs:   {told}", loc="left", fontsize="small")
+    axes.set_title(f"delays inside the tick, µs:   {percentiles}", loc="left", fontsize="small")
     limits = [limit for limit in (delays.certified, delays.period) if limit]
     least, most = min(float(every.min()), *limits) * 0.9, max(float(every.max()), *limits) * 1.1
     edges = np.geomspace(least, most, _BINS + 1)
@@ -467,7 +467,7 @@ def _draw_marks(axes: Axes, picture: Picture, time: Array, numbers: bool) -> Non
                       fontsize="x-small", color=_MARK)  # fmt: skip
 
 
-def _told(marks: Sequence[Mark]) -> list[str]:
+def _mark_lines(marks: Sequence[Mark]) -> list[str]:
     """The list of marks, in lines."""
     lines = []
     for number, mark in enumerate(marks[:MOST_MARKS_LISTED], start=1):

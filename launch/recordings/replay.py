@@ -1,7 +1,7 @@
 """Runs a recorded session again and compares every recorded number, bit for bit.
 
 Under the simulated clock nothing in a session depends on the machine. The cores take the same steps in the same order,
-and the result is the same to the last bit, unless another version recorded it or the recording was changed.
+and the result is the same to the last bit. If it is not, another version recorded it, or the recording was changed.
 
 The displacement of a device that a person moved is taken from the recording, since no arithmetic can produce it. A
 session that lost a process cannot be replayed, since the tick of its death is not recorded.
@@ -220,7 +220,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         if first is not None:
             at = Difference(int(rows[first.tick]), first.column, first.recorded, first.recomputed)
             deviations.append(Deviation(node, topic, trace.topic.unit, at))
-    untold = {
+    unrecorded = {
         f"{node}/{kept.topic.name}": ticks
         for node, topics in traces.by_node.items()
         for kept in topics
@@ -232,7 +232,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         numbers,
         differing,
         tuple(sorted(deviations, key=lambda deviation: deviation.first.tick)),
-        missing | untold,
+        missing | unrecorded,
         tuple(given),
         ended if deviations else "",
         tuple(incidents),

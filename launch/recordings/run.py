@@ -123,12 +123,12 @@ class Gatherer:
     def rows(self, span: range) -> tuple[Array, NDArray[np.bool_]]:
         """The rows of the ticks of ``span``, NaN where there are none, and which ticks have one."""
         values = np.full((len(span), len(self.columns)), np.nan)
-        told = np.zeros(len(span), dtype=np.bool_)
+        present = np.zeros(len(span), dtype=np.bool_)
         for at, piece in self._pieces:
             inside = (at >= span.start) & (at < span.stop)
             row = at[inside] - span.start
-            values[row], told[row] = piece[inside], True
-        return values, told
+            values[row], present[row] = piece[inside], True
+        return values, present
 
 
 def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
@@ -138,9 +138,9 @@ def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
     recording of a session's later hours. Without the limit, a single message with an absurd tick would cost memory for
     all ticks before it.
     """
-    told = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
+    found = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
     width = sum(len(gatherer.columns) for gatherer in gatherers)
-    room = (told + most_missing) // max(1, width)
+    room = (found + most_missing) // max(1, width)
     earliest = min((gatherer.first for gatherer in gatherers if gatherer.first is not None), default=0)
     first = earliest if earliest >= room else 0
     return range(first, max((gatherer.end(first + room) for gatherer in gatherers), default=first))
@@ -329,9 +329,9 @@ class Reading:
                 texts: dict[int, list[bytes]] = {}
                 for message in found:
                     texts.setdefault(message.channel, []).append(message.data)
-                for channel, told in texts.items():
+                for channel, own in texts.items():
                     if channel in self._channels:
-                        self._channels[channel](told)
+                        self._channels[channel](own)
             case End(why):
                 self.why = why
         self._require_room()
@@ -404,8 +404,8 @@ def there(rows: Array) -> NDArray[np.bool_]:
 def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | None:
     """The tick after which a figure first differed from ``at_rest``, as far as telemetry reports it; None for never."""
     begin = 0
-    for tick, told in figures:
-        value = told.get(name, at_rest)
+    for tick, values in figures:
+        value = values.get(name, at_rest)
         if value != at_rest and not np.isnan(value):
             return begin
         begin = tick
@@ -419,23 +419,23 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     moves when the devices have waited so long that they have let go. The devices count how often they let go; the
     environment counts all the rest.
     """
-    told, signs = run.figures.get(environment, ()), [(run.ticks, "")]
+    counts, signs = run.figures.get(environment, ()), [(run.ticks, "")]
 
     def look(figures: Figures, name: str, why: str) -> None:
         begin = changed_after(figures, name)
         if begin is not None:
             signs.append((begin, why))
 
-    look(told, names.FROZEN, "a coupling was frozen")
-    look(told, names.FROZEN_TICKS, "a coupling was frozen")
+    look(counts, names.FROZEN, "a coupling was frozen")
+    look(counts, names.FROZEN_TICKS, "a coupling was frozen")
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:
         figures = run.figures.get(node, ())
         look(figures, names.RELEASED, f"{node} ran free")
         look(figures, names.JUMPS, f"{node} went on at a later tick")
         look(figures, names.RUNG, f"{node} changed its rung")
-        look(told, f"{names.RUNG}_{node}", f"{node} changed its rung")
-        look(told, f"{names.SCALED}{node}", f"{node} was held to its budget")
+        look(counts, f"{names.RUNG}_{node}", f"{node} changed its rung")
+        look(counts, f"{names.SCALED}{node}", f"{node} was held to its budget")
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():

@@ -103,7 +103,7 @@ def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
     return Recording(path.stem, "", period, ports, table[:, 2 : 2 + m], table[:, 2 + m :])
 
 
-def _rows(file: TextIO, tell: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
+def _rows(file: TextIO, progress: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
     """The ports of the heading, and every number below it."""
     reader = csv.reader(file, strict=True)
     try:
@@ -119,7 +119,7 @@ def _rows(file: TextIO, tell: Callable[[], None]) -> tuple[tuple[str, ...], arra
                 raise ValueError(f"line {reader.line_num}: {len(row)} columns beside {len(head)} of the heading")
             values.extend(map(float, row))
             if reader.line_num % _LINES_TOLD == 0:
-                tell()
+                progress()
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num}: {error}") from error
     return ports, values
@@ -131,8 +131,9 @@ _SIGNALS = (DISPLACEMENT, FORCE)
 def read_recording(path: Path) -> Recording:
     """Read x and f_v of an ``.mcap`` recording of this program, whole or cut anywhere after its metadata.
 
-    Ticks that a device did not record, or that are lost with the end of a cut file, are NaN up to the last tick that
-    any device recorded, and counted in ``missing``. A tick is recorded where both its x and its f_v are.
+    The rows end with the last tick that any device recorded. Ticks that a device did not record are NaN and counted in
+    ``missing``, and so are ticks that are lost with the end of a cut file. A tick is recorded where both its x and its
+    f_v are.
 
     Raises:
         RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata.
@@ -146,8 +147,8 @@ def read_recording(path: Path) -> Recording:
         _signal_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices
     ]
     coverages = {device: Coverage() for device in recorded.devices}
-    for coverage, (_, _, told) in zip(coverages.values(), columns, strict=True):
-        coverage.take_each(np.flatnonzero(told))
+    for coverage, (_, _, recorded_ticks) in zip(coverages.values(), columns, strict=True):
+        coverage.take_each(np.flatnonzero(recorded_ticks))
     ticks = max(coverage.next for coverage in coverages.values())
     return Recording(
         recorded.session,
@@ -163,10 +164,10 @@ def read_recording(path: Path) -> Recording:
 
 def _signal_columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The x and f_v of a device, NaN in ticks that lack one of them, and which ticks have both."""
-    (x, x_told), (f_v, f_told) = sample.rows(span), force.rows(span)
-    told = x_told & f_told
-    x[~told] = f_v[~told] = np.nan
-    return x, f_v, told
+    (x, x_there), (f_v, f_there) = sample.rows(span), force.rows(span)
+    both = x_there & f_there
+    x[~both] = f_v[~both] = np.nan
+    return x, f_v, both
 
 
 Progress = Callable[[float], None]
@@ -284,11 +285,11 @@ def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Pr
             "--to parquet: found no pyarrow, which writes such files; expected it installed: "
             "pip install 'manyhands[parquet]'"
         ) from error
-    told = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
+    metadata = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
     table = pa.table(
         {name: pa.array(np.ascontiguousarray(values)) for name, values in _table_columns(run, traces).items()}
     )
-    parquet.write_table(table.replace_schema_metadata(told), file)
+    parquet.write_table(table.replace_schema_metadata(metadata), file)
     progress(1.0)
 
 

@@ -53,14 +53,14 @@ class Traces:
         graph, masses = plan.graph, mass_names(plan.session)
         self.by_node: dict[str, tuple[Kept, ...]] = {}
         for name, role in graph.nodes.items():
-            told = [
+            topics = [
                 topic
                 for topic in topics_of(role, masses)
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
-            columns = [topic.columns_of(graph.ports[name], masses) for topic in told]
+            columns = [topic.columns_of(graph.ports[name], masses) for topic in topics]
             self.by_node[name] = tuple(
-                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(told, columns, strict=True)
+                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(topics, columns, strict=True)
             )
         self._signals = {
             name: [kept for kept in own if kept.topic.trace != LEDGER] for name, own in self.by_node.items()

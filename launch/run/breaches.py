@@ -12,7 +12,7 @@ arrive after the device's, so a message is judged only when the environment has 
 
 A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
-time, so that the number of changes grows with the logarithm of time.
+time. So the number of changes grows with the logarithm of time.
 
 :class:`EnergyIncidents` describes what a session survives of its users' energy. A device beyond its limits knows that
 it is, but not what moved it. The environment knows whose energy went where (:mod:`manyhands.nodes.environment.energy`).
@@ -47,10 +47,10 @@ IN_A_ROW: Final = 2
 
 
 UNSURE: Final = 1 / 3
-"""The part of the ticks in which a device waited for others that is excused on top of those ticks. It applies before a
-notice reports the device as late, and before its coupling is softened. A quarter of a late guest's ticks may fall where
-nobody can decide whose they are (CROSSING in nodes/environment/late_arrivals.py), and by chance more of some fifty. A
-user that often makes others wait is frozen soon, which ends the excuse."""
+"""The part of the ticks in which a device waited for others that is excused on top of those ticks. It applies before
+a notice reports the device as late, and before its coupling is softened. A quarter of a late guest's ticks may fall
+where the environment cannot decide whose they are (CROSSING in nodes/environment/late_arrivals.py), and by chance more
+of some fifty. A user that often makes others wait is frozen soon, which ends the excuse."""
 
 CALM: Final = 5.0
 """Seconds for which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
@@ -120,7 +120,7 @@ class CertifiedLadder(Protocol):
 
 @dataclass(frozen=True)
 class Notice:
-    """A sentence for people; a later notice under the same ``key`` says nothing new."""
+    """A sentence for people; a later notice under the same ``key`` is not shown again."""
 
     key: str
     text: str
@@ -145,7 +145,7 @@ Decision = Notice | ShiftCoupling | EndSession
 
 
 @dataclass(frozen=True)
-class _Told:
+class _DeviceTelemetry:
     """One telemetry message of a device.
 
     Attributes:
@@ -162,7 +162,7 @@ class _Told:
 
 
 @dataclass
-class _Watched:
+class _DeviceHistory:
     """The last telemetry of a device, and for how many messages in a row each assumption has not held."""
 
     tick: int
@@ -184,7 +184,7 @@ class BreachPolicy:
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
     ) -> None:
-        """Nothing has been measured yet.
+        """Begin without any telemetry.
 
         Args:
             policy: the session's wish.
@@ -197,8 +197,8 @@ class BreachPolicy:
         self._policy, self._chains, self._tau, self._period = policy, chains, tau, period
         self._ladder = ladder
         self._rungs = rungs
-        self._watched: dict[str, _Watched] = {}
-        self._held: dict[str, deque[_Told]] = {}
+        self._watched: dict[str, _DeviceHistory] = {}
+        self._held: dict[str, deque[_DeviceTelemetry]] = {}
         self._waits: deque[tuple[int, Mapping[str, Collection[int]]]] = deque(maxlen=MOST_WAITS)
         self._climbed: set[str] = set()  # couplings that climbed, and were not softened since
         self._doublings: dict[str, int] = {}
@@ -221,11 +221,11 @@ class BreachPolicy:
         counts = {breach: figures.get(name, 0.0) for breach, name in _COUNTS.items()}
         if device not in self._chains or not all(math.isfinite(count) and count >= 0.0 for count in counts.values()):
             return []
-        told = _Told(tick, counts, figures, taus)
+        message = _DeviceTelemetry(tick, counts, figures, taus)
         if not self._waits or tick <= self._waits[-1][0]:
-            return self._judge(device, told)
+            return self._judge(device, message)
         held = self._held.setdefault(device, deque())
-        held.append(told)
+        held.append(message)
         return self._judge(device, held.popleft()) if len(held) > MOST_HELD else []
 
     def take_waits(self, tick: int, late: Mapping[str, Collection[int]]) -> list[Decision]:
@@ -239,24 +239,24 @@ class BreachPolicy:
                 out += self._judge(device, held.popleft())
         return out
 
-    def _judge(self, device: str, told: _Told) -> list[Decision]:
-        tick, counts = told.tick, told.counts
+    def _judge(self, device: str, message: _DeviceTelemetry) -> list[Decision]:
+        tick, counts = message.tick, message.counts
         out: list[Decision] = []
         before = self._watched.get(device)
         if before is not None and (tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach)):
             before = None  # another process
-        begin = tick - len(told.taus)
+        begin = tick - len(message.taus)
         since, already = (begin, 0.0) if before is None else (before.tick, before.counts[Breach.DELAY])
         for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
-        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
-        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
+        own = sorted((tau for at, tau in enumerate(message.taus, begin) if at not in for_others), reverse=True)
+        longest = max(own, default=0.0) if for_others and message.taus else _longest_delay(message.figures)
         # often-late couplings were late in further ticks as well, in which the environment could not be sure of it
         unsure = max(SHARE * (tick - since), UNSURE * len(for_others)) if for_others else 0.0
         if counts[Breach.DELAY] - already > len(for_others) + unsure:  # the device itself was late: a notice at once
-            out.append(Notice(device, self._assumption(device, told.figures, longest)))
+            out.append(Notice(device, self._assumption(device, message.figures, longest)))
         if before is None:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))
-            self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [], calm)
+            self._watched[device] = _DeviceHistory(tick, counts, dict.fromkeys(Breach, 0), [], calm)
             return out
         before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
@@ -272,10 +272,12 @@ class BreachPolicy:
     def _waited_for_others(self, device: str, begin: int, end: int) -> set[int]:
         """The ticks in ``begin <= tick < end`` in which a coupling was late that does not belong to ``device``."""
         chain = self._chains[device]
-        late = (ticks for _, told in self._waits for coupling, ticks in told.items() if coupling not in chain)
+        late = (
+            ticks for _, by_coupling in self._waits for coupling, ticks in by_coupling.items() if coupling not in chain
+        )
         return {tick for ticks in late for tick in ticks if begin <= tick < end}
 
-    def _climb(self, device: str, watched: _Watched, own: Sequence[float]) -> list[Decision]:
+    def _climb(self, device: str, watched: _DeviceHistory, own: Sequence[float]) -> list[Decision]:
         """Decide which couplings of ``device`` go back to the next stiffer rung.
 
         Args:
@@ -370,8 +372,8 @@ class BreachPolicy:
 def _longest_delay(figures: Mapping[str, float]) -> float:
     """The longest delay since the last telemetry, s; where a device does not report it, the 99th percentile."""
     for name in (names.TAU_WORST, f"{names.TAU}_p99"):
-        if math.isfinite(told := figures.get(name, math.nan)):
-            return told * 1e-6
+        if math.isfinite(delay := figures.get(name, math.nan)):
+            return delay * 1e-6
     return math.inf
 
 
@@ -383,7 +385,7 @@ class Assumptions:
     """
 
     def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
-        """Nothing has been heard yet.
+        """Begin without any telemetry.
 
         Args:
             prepared: the session with its coupling and certificate.
@@ -465,7 +467,7 @@ class EnergyIncidents:
     """The energy incidents of one run: pure, telemetry goes in and sentences come out."""
 
     def __init__(self, graph: Topology, period: float) -> None:
-        """Nothing has been heard yet."""
+        """Begin without any telemetry; ``period`` is T, s."""
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
         self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}

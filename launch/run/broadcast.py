@@ -44,8 +44,8 @@ def observation_frame(node: str, telemetry: Telemetry) -> bytes | None:
 
 def condition_of(progress: Progress) -> Condition:
     """The session's condition, as a message, from its progress."""
-    told = (progress.notices, progress.incidents, progress.faults)
-    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in told)
+    sentences = (progress.notices, progress.incidents, progress.faults)
+    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in sentences)
     silent = tuple(sorted(progress.silent))
     return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
 

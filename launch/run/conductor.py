@@ -173,8 +173,8 @@ class Conductor:
             self.ignored += 1
             return []
         if isinstance(received, Offer) and self.phase is SessionPhase.RUNNING:
-            told = self._recovery.hear_offer(sender, received, now)
-            return self._out_of_turn(sender) if told is None else told
+            instructions = self._recovery.hear_offer(sender, received, now)
+            return self._out_of_turn(sender) if instructions is None else instructions
         if isinstance(received, Malformed):
             return self._out_of_turn(sender)
         target = TRANSITIONS.get((state, type(received)))
@@ -321,41 +321,41 @@ class Conductor:
         return [Send(node, start) for node in reversed(list(self.graph.nodes))]
 
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
-        told: list[Instruction] = [Send(sender, Stop("reported"))]
+        out: list[Instruction] = [Send(sender, Stop("reported"))]
         early = self.phase is SessionPhase.RUNNING and not 0 < self.ticks <= report.ticks
         if early and self._does_without(sender):
             self.left[sender] = report
-            return told + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
+            return out + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
         self.reports[sender] = report
         if early:  # the other nodes would wait for its signals for ever
-            told += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
+            out += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
         elif self.phase is SessionPhase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
-            told += self._recovery.close(now)
+            out += self._recovery.close(now)
         self._gone_if_remote(sender)
-        return told
+        return out
 
     def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
         """A node ends by its own decision. That ends the session, except for a guest or a node that was on its way
         back.
         """
-        told: list[Instruction] = [Send(sender, Stop("heard"))]
+        out: list[Instruction] = [Send(sender, Stop("received"))]
         if self.phase is SessionPhase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
-            return told + self._withstood(lost)
+            return out + self._withstood(lost)
         if self.phase is SessionPhase.RUNNING and self._does_without(
             sender
         ):  # a guest's Fault must not end the session
-            return told + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
+            return out + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
         if (
             self.phase is SessionPhase.STARTING
             and state is NodeState.WELCOMED
             and sender in self.remote
             and not self.together
         ):
-            return told + self._awaited_again(sender, text)
-        told += self._fail(text)
+            return out + self._awaited_again(sender, text)
+        out += self._fail(text)
         self._gone_if_remote(sender)
-        return told
+        return out
 
     def _does_without(self, node: str) -> bool:
         """Whether the session goes on without the guest ``node`` and lets it join again; never so without restarts."""

@@ -117,7 +117,7 @@ class LiveTable:
         self._rates: dict[str, tuple[float, int, float]] = {}
         self._line_at = 0.0
         self._phase: SessionPhase | None = None
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
         self._lost: str | None = None
 
     def __enter__(self) -> Self:
@@ -132,7 +132,7 @@ class LiveTable:
             self._live.stop()
 
     def __call__(self, progress: Progress) -> str | None:
-        """Show ``progress``; when the console is lost, returns an incident that says so, once."""
+        """Show ``progress``; when the console is lost, returns an incident that reports it, once."""
         if self._lost is None and has_room(self._console.file):
             self._show(progress)
             self._lost = lost_at(self._console.file)
@@ -148,9 +148,9 @@ class LiveTable:
             self._phase = progress.phase
             say(self._console, f"{self._title}: {progress.phase}")
         for incident in progress.incidents:
-            if incident not in self._said:
+            if incident not in self._printed:
                 say(self._console, f"! {incident}")
-        self._said = {*progress.incidents}
+        self._printed = {*progress.incidents}
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed
             done = max((t.tick for t in progress.telemetry.values()), default=0)
@@ -176,7 +176,7 @@ class LiveTable:
             table.add_row(name, role.value, str(telemetry.tick), rate,
                           *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        energy = [Text(line) for told in progress.telemetry.values() if (line := energy_line(told.figures))]
+        energy = [Text(line) for latest in progress.telemetry.values() if (line := energy_line(latest.figures))]
         return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:

@@ -95,8 +95,8 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     if names.LATE in counts:
         entry["late"] = counts[names.LATE]
     for quantity in (names.TAU, names.PERIOD):
-        told = report.percentiles.get(quantity, {})
-        percentiles = {name: told[name] for name in PERCENTILES if math.isfinite(told.get(name, math.nan))}
+        reported = report.percentiles.get(quantity, {})
+        percentiles = {name: reported[name] for name in PERCENTILES if math.isfinite(reported.get(name, math.nan))}
         if percentiles:
             entry[quantity] = percentiles
     causes = {key.removeprefix(names.LATE_CAUSE): n for key, n in counts.items() if key.startswith(names.LATE_CAUSE)}

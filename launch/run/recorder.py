@@ -288,7 +288,7 @@ class RecorderProcess(Recorder):
         while not self._gone:
             ready = self._wait(deadline, *others)
             self.attend(ready)
-            if not ready or ready & {*others}:
+            if not ready or ready & {*others}:  # too slow, or the user does not wait: from now on only its end counts
                 self._processes.kill(_NAME)
                 deadline, others = Instant(2**62), ()
         return self.incident

@@ -394,7 +394,7 @@ class Recovery:
         """The shifts to send again for a node that starts at rung 0: of its own block, or of those linked to it."""
         peers = {node, *(other_end(link, node) for link in self._links.of(node))}
         concerned = [coupling for coupling in self.rungs if coupling in peers]
-        return [told for coupling in concerned for told in self.shift(coupling, self.rungs[coupling])]
+        return [instruction for coupling in concerned for instruction in self.shift(coupling, self.rungs[coupling])]
 
     def _environments(self) -> list[str]:
         return [node for node, role in self.graph.nodes.items() if role is Role.ENVIRONMENT]

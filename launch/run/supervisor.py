@@ -96,7 +96,7 @@ class FrameAllowance:
         self._at = now
 
 
-class Attention:
+class LastHeard:
     """Remembers when each node was last heard from; an unknown node counts as heard from when it is first asked for."""
 
     def __init__(self) -> None:
@@ -176,7 +176,7 @@ class Supervisor:
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
-        self._heard, self._told = Attention(), Attention()
+        self._heard, self._reported = LastHeard(), LastHeard()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
@@ -245,6 +245,7 @@ class Supervisor:
         per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
         allowance = FrameAllowance(per_second, clock.now())
         while conductor.phase is not SessionPhase.OVER:
+            # while the budget is empty or the recorder is full, frames stay in their queues and do not wake the poll
             pause = allowance.pause(clock.now())
             timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
             fds = (*processes.fds, *recorder.fds, interrupt.fd)
@@ -252,6 +253,7 @@ class Supervisor:
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
                 self._carry_out(conductor.interrupt(), hub, processes)
+            # reading is bounded in frames and in time: processes, signals and deadlines are served even in a flood
             until = clock.now() + READING_TIME
             while allowance.pause(clock.now()) == 0 and clock.now() < until and recorder.has_room:
                 before = hub.handled
@@ -289,7 +291,7 @@ class Supervisor:
                 shown = clock.now()
                 self._log.flush()
                 self._tally(hub, transport)
-                self._tell(self._progress(processes))
+                self._report(self._progress(processes))
         self._tally(hub, transport)
         for fault in conductor.faults:
             self._log.note(LogEvent.FAULT, text=fault)
@@ -299,17 +301,17 @@ class Supervisor:
             self._log.note(LogEvent.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
-        self._tell(self._progress(processes))
+        self._report(self._progress(processes))
 
-    def _tell(self, progress: Progress) -> None:
+    def _report(self, progress: Progress) -> None:
         """Report the session's condition to the display, the recorder and the observers."""
         if self._show is not None:
             self._note_incident(self._show(progress))
-        told = condition_frame(progress)
-        if told is not None:  # a condition that is too long for a frame is no loss: the next one repeats it
-            self._recorder.tell(told)
+        frame = condition_frame(progress)
+        if frame is not None:  # a condition that is too long for a frame is no loss: the next one repeats it
+            self._recorder.tell(frame)
         if self._showing is not None:
-            self._showing.tell(told)
+            self._showing.tell(frame)
 
     def _note_incident(self, incident: str | None) -> None:
         if incident is not None:
@@ -336,7 +338,7 @@ class Supervisor:
         self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
-            self._told.note(sender, self._clock.now())
+            self._reported.note(sender, self._clock.now())
             for deed in self._assumptions.check(sender, message):
                 match deed:
                     case ShiftCoupling(coupling, rung):
@@ -347,10 +349,10 @@ class Supervisor:
                 self._conductor.tell(sentence, self._clock.now())
             message = names.shown(message)
             self._observer_broadcast.tell(sender, message)
-            told = observation_frame(sender, message)
-            self._recorder.tell(told)
+            observation = observation_frame(sender, message)
+            self._recorder.tell(observation)
             if self._showing is not None:
-                self._showing.tell(told)
+                self._showing.tell(observation)
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
@@ -391,7 +393,7 @@ class Supervisor:
     def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
         """Start the next process of a lost node; only its bundle and its log are kept from the former one."""
         self._telemetry.pop(name, None)
-        self._told.forget(name)
+        self._reported.forget(name)
         self._assumptions.forget(name)
         self._energy.forget(name)
         try:
@@ -415,7 +417,7 @@ class Supervisor:
             elapsed,
             tuple(self._assumptions.notices.values()),
             self._refused,
-            frozenset(self._told.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
+            frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
             conductor.incidents.sentences,
             tuple(conductor.faults),
         )
@@ -475,7 +477,7 @@ def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:
     """The error output of a failed run's processes, without the lines that its faults already contain."""
     if not conductor.faults:
         return []
-    told = "\n".join(conductor.faults)
+    faults = "\n".join(conductor.faults)
     logs = {name: processes.log(name).splitlines() for name in conductor.graph.nodes}
-    new = {name: "\n".join(line for line in lines if line not in told) for name, lines in logs.items()}
+    new = {name: "\n".join(line for line in lines if line not in faults) for name, lines in logs.items()}
     return [f"{name} wrote:\n{text}" for name, text in new.items() if text]

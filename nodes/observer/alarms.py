@@ -1,8 +1,8 @@
 """What a person should know of a running session at once, since when, and what to do about it: pure.
 
-An alarm is raised when its cause is first seen. It is cleared when the cause has been absent for a while, so that a
-cause that comes and goes with every telemetry message is one alarm and not ten a second. The sentences of the session
-(notices, incidents, faults) report what has happened, so they are never cleared.
+An alarm is raised when its cause is first seen, and cleared when the cause has been absent for a while. So a cause that
+comes and goes with every telemetry message is one alarm and not ten a second. The sentences of the session (notices,
+incidents, faults) report what has happened, so they are never cleared.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ _NODE_LEVEL: Final = {Health.AWAY: AlarmLevel.FAULT, Health.SILENT: AlarmLevel.F
 
 def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     """Every cause that is present in this scene, in no order of severity."""
-    yield from _told(scene)
+    yield from _sentences(scene)
     for node in scene.nodes.values():
         yield from _of_node(node)
         yield from _ledger(node)
@@ -106,18 +106,18 @@ def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     yield from _unheard(scene, now)
 
 
-def _told(scene: Scene) -> Iterator[AlarmCause]:
-    said = scene.condition
-    if said is None:
+def _sentences(scene: Scene) -> Iterator[AlarmCause]:
+    condition = scene.condition
+    if condition is None:
         return
-    for text in said.faults:
+    for text in condition.faults:
         yield AlarmCause(
             f"fault: {text}", AlarmLevel.FAULT, text, "The run counts as failed: see its report and logs.", True
         )
-    for text in said.notices:
+    for text in condition.notices:
         advice = "An assumption of the certificate was broken: what it proves does not cover this."
         yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
-    for text in said.incidents:
+    for text in condition.incidents:
         yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session survived it.", True)
 
 

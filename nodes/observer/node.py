@@ -55,7 +55,7 @@ class ObserverCore:
         return json.dumps(plain, allow_nan=False)
 
 
-_PATIENCE = from_seconds(0.2)
+_TIMEOUT = from_seconds(0.2)
 
 
 def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
@@ -68,7 +68,7 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
         control.hello({}, os.getpid())
         link = transport.connect_outlet(control.peers_endpoints(life).get(HUB, ""), HUB)
         while not life.stopping:
-            frame = link.recv(_PATIENCE)
+            frame = link.recv(_TIMEOUT)
             if frame is None:
                 life.check()
             elif (line := core.line(frame)) is not None:

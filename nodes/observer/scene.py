@@ -321,18 +321,20 @@ class NodeScene:
             return Health.SILENT
         return Health.LATE if self.late else Health.OK
 
-    def take(self, told: Observation, now: Instant) -> None:
+    def take(self, observation: Observation, now: Instant) -> None:
         """Take in its latest telemetry, which came at ``now``."""
-        late = told.figures.get(names.LATE, 0.0)
-        if self._since is None or told.tick < self.tick or late < self._since[2]:  # the first message, or a new process
-            self._since, self.rate, self.late = (now, told.tick, late), None, False
+        late = observation.figures.get(names.LATE, 0.0)
+        if (
+            self._since is None or observation.tick < self.tick or late < self._since[2]
+        ):  # the first message, or a new process
+            self._since, self.rate, self.late = (now, observation.tick, late), None, False
         since, tick, late_then = self._since
         if now - since >= RATE_OVER:
-            done = told.tick - tick
+            done = observation.tick - tick
             self.rate = done * 1e9 / (now - since)
             self.late = late - late_then > LATE_SHARE * max(done, 1)
-            self._since = now, told.tick, late
-        self.tick, self.figures, self.heard = told.tick, dict(told.figures), now
+            self._since = now, observation.tick, late
+        self.tick, self.figures, self.heard = observation.tick, dict(observation.figures), now
 
     def stand(self, state: str, silent: bool) -> None:
         """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""
@@ -390,14 +392,14 @@ class Scene:
         """Number of couplings that are frozen now, as the environment reports; a figure that makes no sense counts
         as none.
         """
-        told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
-        return round(sum(value for value in told if 0.0 < value < math.inf))
+        counts = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
+        return round(sum(value for value in counts if 0.0 < value < math.inf))
 
     @property
     def frozen_late(self) -> dict[str, names.CouplingLateness]:
         """Couplings that are frozen because the others waited for them again and again, as the environment reports."""
         worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
-        late = [item for told in worlds for item in names.lateness_by_coupling(told, told).items()]
+        late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
 
     @property

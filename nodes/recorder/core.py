@@ -178,34 +178,37 @@ class RecorderCore:
         """Time from tick 0 to ``tick``, ns."""
         return round(tick * self._recorded.tick_ns)
 
-    def _fits(self, told: Observation) -> bool:
-        topics, rows = self._topics.get(told.node), {trace.shape[0] for trace in told.traces.values()}
-        if topics is None or not told.traces.keys() <= topics.keys():
+    def _fits(self, observation: Observation) -> bool:
+        topics, rows = self._topics.get(observation.node), {trace.shape[0] for trace in observation.traces.values()}
+        if topics is None or not observation.traces.keys() <= topics.keys():
             return False
-        first = told.tick - max(rows, default=0)
+        first = observation.tick - max(rows, default=0)
         return (
             len(rows) <= 1
-            and first >= (self._coverage[told.node].next if rows else 0)
-            and (self._start or 0) + self._since_start(told.tick) <= MAX_TIME_NS
-            and all(self._width(told.node, topics[name]) == trace.shape[1] for name, trace in told.traces.items())
+            and first >= (self._coverage[observation.node].next if rows else 0)
+            and (self._start or 0) + self._since_start(observation.tick) <= MAX_TIME_NS
+            and all(
+                self._width(observation.node, topics[name]) == trace.shape[1]
+                for name, trace in observation.traces.items()
+            )
         )
 
     def _width(self, node: str, topic: Topic) -> int:
         return len(self._recorded.columns(node, topic))
 
-    def _write(self, told: Observation) -> None:
-        start, rows = self._start or 0, max((trace.shape[0] for trace in told.traces.values()), default=0)
+    def _write(self, observation: Observation) -> None:
+        start, rows = self._start or 0, max((trace.shape[0] for trace in observation.traces.values()), default=0)
         if rows:
-            ticks = Ticks.of(told.tick - rows, rows, start, self._recorded.tick_ns)
-            for topic in self._topics[told.node].values():
-                if topic.trace in told.traces:
-                    self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
-            self._coverage[told.node].take(told.tick - rows, told.tick)
-            if told.node in self._recorded.devices:
-                self.tick = max(self.tick, told.tick)
-        if told.figures:
-            channel = self._channel(told.node, TELEMETRY, None)
-            self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
+            ticks = Ticks.of(observation.tick - rows, rows, start, self._recorded.tick_ns)
+            for topic in self._topics[observation.node].values():
+                if topic.trace in observation.traces:
+                    self._write_trace(observation.node, topic, ticks, observation.traces[topic.trace])
+            self._coverage[observation.node].take(observation.tick - rows, observation.tick)
+            if observation.node in self._recorded.devices:
+                self.tick = max(self.tick, observation.tick)
+        if observation.figures:
+            channel = self._channel(observation.node, TELEMETRY, None)
+            self._add(channel, observation.tick, start, encode_figures(observation.tick, observation.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
         one = topic.columns is Columns.ONE

@@ -140,8 +140,8 @@ def decode_condition(plain: Any) -> tuple[int, Condition]:
         case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
             0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
         ):
-            told = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
-            return tick, Condition(phase, _number(elapsed), states, *told)
+            sentences = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
+            return tick, Condition(phase, _number(elapsed), states, *sentences)
         case _:
             raise ValueError("found another object; expected tick and condition")
 

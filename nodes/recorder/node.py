@@ -202,40 +202,40 @@ TAKEN_EVERY: Final = 32
 """After so many frames they are reported as taken, even if more are waiting."""
 
 NICENESS: Final = 10  # on a busy machine the loop's processes come first; a late recorder costs nothing
-_PATIENCE: Final = from_seconds(0.1)
+_TIMEOUT: Final = from_seconds(0.1)
 
-Say = Callable[[Status], None]
+SendStatus = Callable[[Status], None]
 
 
-def to_pipe(fd: int) -> Say:
+def to_pipe(fd: int) -> SendStatus:
     """A function that sends a status to the supervisor's pipe. A broken pipe is ignored here: ``Life`` sees the
     supervisor end.
     """
 
-    def say(status: Status) -> None:
+    def send(status: Status) -> None:
         try:
             os.write(fd, encode(status))
         except BrokenPipeError:
             return
 
-    return say
+    return send
 
 
-def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
+def record(plan: Plan, life: Life, clock: Clock, send: SendStatus) -> int:
     """Record until the session is over or nothing more can be written; returns the exit code."""
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:
         file = RecordingFile(plan.file, core.cut())
     except OSError as error:
-        return _stopped(say, _reason(error), 0)
+        return _stopped(send, _reason(error), 0)
     transport = ZmqTransport.ipc(plan.directory)
     try:
         link, endpoint = transport.bind("recorder", HUB)
-        say(Ready(endpoint))
-        return _Recording(core, file, link, clock, say).run(life)
+        send(Ready(endpoint))
+        return _Recording(core, file, link, clock, send).run(life)
     except TransportError as error:
-        return _stopped(say, str(error), 0)
+        return _stopped(send, str(error), 0)
     finally:
         transport.close()
         file.close()
@@ -244,9 +244,9 @@ def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
 class _Recording:
     """A file being written."""
 
-    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, say: Say) -> None:
-        self._core, self._file, self._link, self._clock, self._say = core, file, link, clock, say
-        self._taken = self._told = 0
+    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, send: SendStatus) -> None:
+        self._core, self._file, self._link, self._clock, self._send = core, file, link, clock, send
+        self._taken = self._reported = 0
         self._tick = 0  # the file is on the disk up to this tick
 
     def run(self, life: Life) -> int:
@@ -256,16 +256,16 @@ class _Recording:
         try:
             while not core.over:
                 frame = self._link.recv(Duration(0))
-                if frame is None:
-                    self._tell()
+                if frame is None:  # report before waiting: the supervisor may hold frames back until it has room
+                    self._report_taken()
                     if life.stopping:  # and every frame that came before has been taken
                         break
-                    frame = self._link.recv(Duration(min(_PATIENCE, max(due - clock.now(), 1))))
+                    frame = self._link.recv(Duration(min(_TIMEOUT, max(due - clock.now(), 1))))
                 if frame is not None:
                     core.take(frame, time.time_ns())
                     self._taken += 1
-                    if self._taken - self._told >= TAKEN_EVERY:
-                        self._tell()
+                    if self._taken - self._reported >= TAKEN_EVERY:
+                        self._report_taken()
                 life.look(clock.now())
                 if core.full or clock.now() >= due:
                     self._write(core.cut())
@@ -273,14 +273,14 @@ class _Recording:
             self._write(core.cut())
             self._write(core.end())
         except OSError as error:
-            return _stopped(self._say, _reason(error), self._tick)
-        self._say(Closed(core.missing_in_all, core.tick))
+            return _stopped(self._send, _reason(error), self._tick)
+        self._send(Closed(core.missing_in_all, core.tick))
         return EXIT_OK
 
-    def _tell(self) -> None:
-        if self._taken > self._told:
-            self._told = self._taken
-            self._say(Taken(self._taken))
+    def _report_taken(self) -> None:
+        if self._taken > self._reported:
+            self._reported = self._taken
+            self._send(Taken(self._taken))
 
     def _write(self, piece: bytes) -> None:
         if piece:
@@ -292,8 +292,8 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _stopped(say: Say, why: str, tick: int) -> int:
+def _stopped(send: SendStatus, why: str, tick: int) -> int:
     text = presentable(why)
-    say(Stopped(text, tick))
+    send(Stopped(text, tick))
     print(f"recording stopped at tick {tick}: {text}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
     return EXIT_FAILED

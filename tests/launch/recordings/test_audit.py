@@ -351,7 +351,7 @@ def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepare
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
-    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event says why")]
+    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event states why")]
 
 
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:

@@ -185,7 +185,7 @@ def test_a_start_up_that_takes_too_long_says_who_is_missing_and_a_stubborn_proce
 
 def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
     c = running()
-    assert c.hear("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("heard")), Terminate()]
+    assert c.hear("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("received")), Terminate()]
     assert c.states["cx"] is NodeState.FAULTED
     assert c.exited("cx", 4, 0) == []
     assert c.faults == ["cx: no more"]
@@ -255,7 +255,7 @@ def test_a_guest_that_ends_while_others_are_awaited_may_join_again() -> None:
     c = conductor("dx", "dy")
     c.hear("dx", hello("dx"), 0)
     assert c.awaited == ("dy",)
-    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("heard")), ReleaseName("dx")]
+    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("received")), ReleaseName("dx")]
     assert (c.phase, c.faults, c.awaited) == (SessionPhase.STARTING, [], ("dx", "dy"))
     assert c.incidents.sentences == ("dx: its user ended it; the session waits for dx again",)
     for name in GRAPH.nodes:
@@ -308,7 +308,7 @@ class Test_nodes_that_are_started_elsewhere:
     def test_its_fault_is_its_own_and_it_may_come_back(self) -> None:
         c = running("dx", restarts=1)
         assert c.hear("dx", Fault("dx: broken"), 0) == [
-            Send("dx", Stop("heard")),
+            Send("dx", Stop("received")),
             ReleaseName("dx"),
             Send("cx", Absent("dx")),
         ]
@@ -323,7 +323,7 @@ class Test_nodes_that_are_started_elsewhere:
     def test_its_fault_ends_the_session_that_restarts_nobody(self) -> None:
         c = running("dx")
         assert c.hear("dx", Fault("dx: broken"), 0) == [
-            Send("dx", Stop("heard")),
+            Send("dx", Stop("received")),
             Terminate(),
             Send("dx", Stop("the session ends")),
         ]

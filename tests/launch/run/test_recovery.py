@@ -325,7 +325,7 @@ class Test_returns_that_fail:
         s.see_end()
         s.read("environment")
         s.deliver()
-        assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("heard"))]
+        assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("received"))]
         assert s.conductor.states["cx"] is NodeState.LEAVING
         s.said.clear()  # it said nothing but that
         s.kill("cx")
@@ -336,7 +336,7 @@ class Test_returns_that_fail:
     def test_a_fault_of_one_that_runs_ends_the_session(self) -> None:
         """A device beyond its limits is not started anew: it has decided to stop."""
         c = session().conductor
-        assert c.hear("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("heard")), Terminate()]
+        assert c.hear("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("received")), Terminate()]
         assert c.faults == ["dx: too fast"]
 
     def test_a_hello_that_is_refused(self) -> None:
