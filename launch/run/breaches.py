@@ -86,16 +86,16 @@ class Breach(StrEnum):
 class Remedy(StrEnum):
     """What is done about a breach."""
 
-    TELL = "tell"
+    NOTICE = "notice"
     SOFTEN = "soften"
     END = "end"
 
 
 REMEDIES: Final[Mapping[tuple[Policy, Breach], Remedy]] = {
-    (Policy.WARN, Breach.DELAY): Remedy.TELL,
-    (Policy.WARN, Breach.PERIOD): Remedy.TELL,
+    (Policy.WARN, Breach.DELAY): Remedy.NOTICE,
+    (Policy.WARN, Breach.PERIOD): Remedy.NOTICE,
     (Policy.SOFTEN, Breach.DELAY): Remedy.SOFTEN,
-    (Policy.SOFTEN, Breach.PERIOD): Remedy.TELL,  # a softer coupling is certified for a longer delay, not another T
+    (Policy.SOFTEN, Breach.PERIOD): Remedy.NOTICE,  # a softer coupling is certified for a longer delay, not another T
     (Policy.STOP, Breach.DELAY): Remedy.END,
     (Policy.STOP, Breach.PERIOD): Remedy.END,
 }
@@ -336,7 +336,7 @@ class BreachPolicy:
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
                 return self._soften(device, measured, what)
-            case Remedy.TELL:
+            case Remedy.NOTICE:
                 return [Notice(f"{device} {breach}", what)]
 
     def _soften(self, device: str, measured: float, what: str) -> list[Decision]:
@@ -485,7 +485,7 @@ class EnergyIncidents:
             self._moved, self._then = {}, {}
             self._counts = {key: count for key, count in self._counts.items() if key in self._couplings}
 
-    def hear(self, node: str, telemetry: Telemetry) -> list[str]:
+    def receive(self, node: str, telemetry: Telemetry) -> list[str]:
         """The incidents that follow from a node's telemetry."""
         figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
         if node in self._worlds:

@@ -146,7 +146,7 @@ class Showing:
             self._broadcast.close()
             raise
 
-    def tell(self, frame: bytes | None) -> None:
+    def show(self, frame: bytes | None) -> None:
         """Show an observation or a condition; None, a frame that was too long, shows nothing."""
         if frame is not None:
             self._broadcast.show(frame)
@@ -198,7 +198,7 @@ class ObserverBroadcast:
             )
         return endpoints
 
-    def tell(self, node: str, telemetry: Telemetry) -> None:
+    def send(self, node: str, telemetry: Telemetry) -> None:
         """Send each observer the part that it may read; an observer that is too slow misses it, and the supervisor
         never waits.
         """

@@ -152,7 +152,7 @@ class Conductor:
         """The rung of the ladder that each coupling was asked to change to; couplings that never changed are absent."""
         return self._recovery.rungs
 
-    def hear(self, sender: str, received: Received, now: int) -> list[Instruction]:
+    def receive(self, sender: str, received: Received, now: int) -> list[Instruction]:
         """Decide what follows from a frame of a node or an observer.
 
         Args:
@@ -173,7 +173,7 @@ class Conductor:
             self.ignored += 1
             return []
         if isinstance(received, Offer) and self.phase is SessionPhase.RUNNING:
-            instructions = self._recovery.hear_offer(sender, received, now)
+            instructions = self._recovery.receive_offer(sender, received, now)
             return self._out_of_turn(sender) if instructions is None else instructions
         if isinstance(received, Malformed):
             return self._out_of_turn(sender)
@@ -230,9 +230,9 @@ class Conductor:
         """End the session because of a measurement; ``reason`` becomes its fault."""
         return self._fail(reason) if self.phase is SessionPhase.RUNNING else []
 
-    def tell(self, sentence: str, now: int) -> None:
+    def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns."""
-        self._recovery.tell(sentence, now)
+        self._recovery.note(sentence, now)
 
     @property
     def awaited(self) -> tuple[str, ...]:
@@ -367,7 +367,7 @@ class Conductor:
         """
         self.states[guest] = NodeState.STARTING
         self._endpoints = {ends: place for ends, place in self._endpoints.items() if ends[0] != guest}
-        self.incidents.tell(f"{why}; the session waits for {guest} again")
+        self.incidents.add(f"{why}; the session waits for {guest} again")
         return [ReleaseName(guest)]
 
     def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
@@ -407,7 +407,7 @@ class Conductor:
         left = ", ".join(node for node, state in self.states.items() if state is NodeState.RUNNING)
         if not self._recovery.closing:
             return self._fail(f"{', '.join(self.reports)} had done every tick long before {left}")
-        self.incidents.tell(f"{left} had not finished when the session was over")
+        self.incidents.add(f"{left} had not finished when the session was over")
         return self._end()
 
     def _fail(self, reason: str) -> list[Instruction]:

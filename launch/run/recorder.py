@@ -53,7 +53,7 @@ class Recorder:
         """Whether the supervisor should read more frames of the nodes; False only where nothing may be lost."""
         return True
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         """Pass on a frame, now or when there is room for it; None stands for a frame that was too long."""
 
     def attend(self, ready: set[int]) -> str | None:
@@ -200,7 +200,7 @@ class RecorderProcess(Recorder):
         """False when too much waits for the recorder and none of it may be lost; see :class:`Recorder`."""
         return self._gone or not self._lossless or self._waiting_bytes < MOST_WAITING_BYTES
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         """Send the frame, keep it for a while, or drop and count it; see :class:`Recorder`."""
         if self._gone:
             return
@@ -227,15 +227,15 @@ class RecorderProcess(Recorder):
         """Read the recorder's status, supply it, and note its end; see :class:`Recorder`."""
         if self._processes is None or not ready.intersection(self.fds):
             return None
-        self._hear()
+        self._read_statuses()
         if ended := self._processes.reap(ready):
-            self._hear()  # its last status may have arrived between the two calls
+            self._read_statuses()  # its last status may have arrived between the two calls
             self._ended(ended[_NAME])
             return self.incident
         self._supply()
         return None
 
-    def _hear(self) -> None:
+    def _read_statuses(self) -> None:
         if self._pipe is None:
             return
         try:

@@ -54,7 +54,7 @@ class LinkEvent(StrEnum):
     CONNECTOR_LOST = "connector lost"
     PLACE = "place"  # the binder has bound a fresh endpoint
     ASKED = "asked"  # the returning binder learns that the connector is absent, and binds once more
-    TOLD = "told"  # the connector has been sent the endpoint
+    SENT = "sent"  # the connector has been sent the endpoint
 
 
 LINK_TRANSITIONS: Final[Mapping[tuple[LinkState, LinkEvent], LinkState]] = {
@@ -66,7 +66,7 @@ LINK_TRANSITIONS: Final[Mapping[tuple[LinkState, LinkEvent], LinkState]] = {
     (LinkState.OFFERED, LinkEvent.BINDER_LOST): LinkState.CUT,
     (LinkState.OFFERED, LinkEvent.CONNECTOR_LOST): LinkState.OFFERED,  # the endpoint is unused, so it stays good
     (LinkState.OFFERED, LinkEvent.ASKED): LinkState.CUT,
-    (LinkState.OFFERED, LinkEvent.TOLD): LinkState.JOINED,
+    (LinkState.OFFERED, LinkEvent.SENT): LinkState.JOINED,
 }
 """All events of a link. The running binder of a cut link owes one Offer: at most one is on its way at any time."""
 
@@ -117,9 +117,9 @@ class Links:
         """The binder of an offered link learns that the connector is absent."""
         self._move(link, LinkEvent.ASKED)
 
-    def tell(self, link: LinkPlan) -> str:
+    def join(self, link: LinkPlan) -> str:
         """The connector of an offered link is sent the endpoint, which is returned."""
-        self._move(link, LinkEvent.TOLD)
+        self._move(link, LinkEvent.SENT)
         return self._places.pop((link.binder, link.connector))
 
     def offered_between(self, nodes: Iterable[str]) -> Iterator[LinkPlan]:
@@ -211,7 +211,7 @@ class Recovery:
             now: monotonic ns.
             alive: whether the end of its process is still to come.
         """
-        self.tell(f"{node} {how}", now)
+        self.note(f"{node} {how}", now)
         out = self._drop(node, self._future(self.budget.died(node, now)), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
@@ -233,7 +233,7 @@ class Recovery:
             self._links.offer(node, peer, endpoint)
         return self.proceed(now)
 
-    def hear_offer(self, node: str, offer: Offer, now: int) -> list[Instruction] | None:
+    def receive_offer(self, node: str, offer: Offer, now: int) -> list[Instruction] | None:
         """``node`` offers an endpoint to an absent peer; None if it was not asked for one."""
         if self.states[node] not in OFFERING or not self._links.owed(node, offer.peer):
             return None
@@ -246,7 +246,7 @@ class Recovery:
         self._since.pop(node, None)
         self.budget.ran(node, now)
         self.incidents.restarts[node] += 1
-        self.tell(f"{node} is back", now)
+        self.note(f"{node} is back", now)
         start = replace(self.start, tick=max(1, self.reached))  # tick 0 would mean the session's beginning
         return [Send(node, start), *self._repeated_shifts(node), *self.proceed(now)]
 
@@ -316,7 +316,7 @@ class Recovery:
                 out += self._connect(node)
         running = [node for node, state in self.states.items() if state is NodeState.RUNNING]
         for link in list(self._links.offered_between(running)):
-            out.append(Send(link.connector, Return(link.binder, self._links.tell(link))))
+            out.append(Send(link.connector, Return(link.binder, self._links.join(link))))
         return out
 
     def _future(self, allowed: bool) -> NodeState:
@@ -328,9 +328,9 @@ class Recovery:
         """Whether ``node`` is in the state ``end``, or will be once its process has ended."""
         return self.states[node] is end or (self.states[node] is NodeState.LEAVING and self._then[node] is end)
 
-    def tell(self, sentence: str, now: int) -> None:
+    def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns, with its time since tick 0."""
-        self.incidents.tell(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
+        self.incidents.add(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
 
     def _drop(self, node: str, future: NodeState, alive: bool, now: int) -> list[Instruction]:
         """Take ``node`` out of the session, and inform the peers that were linked to it."""
@@ -344,7 +344,7 @@ class Recovery:
             if self.states[peer] is NodeState.RUNNING:
                 out.append(Send(peer, Absent(node)))
             elif self.states[peer] in RETURNING:  # its handshake with ``node`` will never be answered
-                self.tell(f"{peer} cannot return: {node} was lost meanwhile", now)
+                self.note(f"{peer} cannot return: {node} was lost meanwhile", now)
                 out += self._end_process(peer)
                 # the peer is not to blame, so its budget is not charged
                 out += self._drop(peer, self._future(allowed=True), peer not in self.remote, now)
@@ -378,7 +378,7 @@ class Recovery:
             peer = other_end(link, node)
             offered = self._links.state(link) is LinkState.OFFERED
             if self.states[peer] is NodeState.RUNNING and offered:
-                place = self._links.tell(link)
+                place = self._links.join(link)
                 if link.connector == node:
                     endpoints[peer] = place
                 else:

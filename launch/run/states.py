@@ -129,7 +129,7 @@ class Incidents:
         self.total = 0
         self.restarts: Counter[str] = Counter()
 
-    def tell(self, sentence: str) -> None:
+    def add(self, sentence: str) -> None:
         """Add an incident, in one sentence."""
         self._latest.append(sentence)
         self.total += 1

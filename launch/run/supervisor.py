@@ -261,7 +261,7 @@ class Supervisor:
                 allowance.spend(hub.handled - before, clock.now())  # frames that the hub dropped count, too
                 if received is None:
                     break
-                self._hear(*received, hub, processes)
+                self._receive(*received, hub, processes)
             self._note_incident(recorder.attend(ready))
             if not recorder.has_room:  # we do not read now, so no node counts as silent
                 for name in self._reach.remote:
@@ -309,13 +309,13 @@ class Supervisor:
             self._note_incident(self._show(progress))
         frame = condition_frame(progress)
         if frame is not None:  # a condition that is too long for a frame is no loss: the next one repeats it
-            self._recorder.tell(frame)
+            self._recorder.take(frame)
         if self._showing is not None:
-            self._showing.tell(frame)
+            self._showing.show(frame)
 
     def _note_incident(self, incident: str | None) -> None:
         if incident is not None:
-            self._conductor.incidents.tell(incident)
+            self._conductor.incidents.add(incident)
 
     def _silent(self) -> list[str]:
         """Remote nodes that run and have not been heard from for too long."""
@@ -328,14 +328,14 @@ class Supervisor:
         counts["telemetry_that_does_not_fit"] = self._collector.refused + self._untimely
         self._refused = {kind: count for kind, count in counts.items() if count > 0}
 
-    def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+    def _receive(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
         if sender in self._reach.remote:
             self._heard.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry) and message.tick > self._most_ticks():
             self._untimely += 1
             return
-        self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
+        self._carry_out(self._conductor.receive(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._reported.note(sender, self._clock.now())
@@ -345,14 +345,14 @@ class Supervisor:
                         self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
                         self._carry_out(self._conductor.stop(reason), hub, processes)
-            for sentence in self._energy.hear(sender, message):
-                self._conductor.tell(sentence, self._clock.now())
+            for sentence in self._energy.receive(sender, message):
+                self._conductor.note(sentence, self._clock.now())
             message = names.shown(message)
-            self._observer_broadcast.tell(sender, message)
+            self._observer_broadcast.send(sender, message)
             observation = observation_frame(sender, message)
-            self._recorder.tell(observation)
+            self._recorder.take(observation)
             if self._showing is not None:
-                self._showing.tell(observation)
+                self._showing.show(observation)
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)

@@ -27,7 +27,7 @@ class Ear(Recorder):
     def __init__(self) -> None:
         self.told: list[bytes | None] = []
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         self.told.append(frame)
 
 
@@ -37,7 +37,7 @@ class Eye(Showing):
     def __init__(self) -> None:
         self.shown: list[bytes | None] = []
 
-    def tell(self, frame: bytes | None) -> None:
+    def show(self, frame: bytes | None) -> None:
         self.shown.append(frame)
 
 
@@ -78,4 +78,4 @@ def test_one_that_is_too_long_is_nobodys_loss(prepared: Prepared) -> None:
     assert condition_frame(long) is None
     supervisor._report(long)
     assert (ear.told, eye.shown) == ([], [None])
-    Showing.tell(eye, None)  # which shows nothing, and needs no broadcast for it
+    Showing.show(eye, None)  # which shows nothing, and needs no broadcast for it

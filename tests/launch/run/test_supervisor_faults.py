@@ -93,7 +93,7 @@ class Faulty:
         return NodeHello(PROTOCOL_VERSION, self.id, "example-1", name, self.graph.nodes[name], pid, binds)
 
     def say(self, sender: str, message: Message) -> None:
-        self.supervisor._hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor._receive(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
 
     def dies(self, node: str) -> None:
         told = self.conductor.exited(node, -9, self.clock.at)
@@ -256,7 +256,7 @@ def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
 def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
     incidents = Incidents()
     for number in range(MOST_INCIDENTS + 5):
-        incidents.tell(f"number {number}")
+        incidents.add(f"number {number}")
     assert len(incidents.sentences) == MOST_INCIDENTS + 1
     assert incidents.sentences[0] == "5 earlier incidents"
     assert incidents.sentences[-1] == f"number {MOST_INCIDENTS + 4}"
