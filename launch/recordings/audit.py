@@ -362,7 +362,7 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
 
 
 class _AuditRun:
-    """One audit."""
+    """The audit of one recording, party by party."""
 
     def __init__(self, prepared: Prepared, run: RecordedRun, progress: TickProgress) -> None:
         self._prepared, self._run, self._progress = prepared, run, progress

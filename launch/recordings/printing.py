@@ -78,7 +78,7 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         out,
         f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[Verdict.HOLDS]} checks hold, "
         f"{count[Verdict.BROKEN]} do not; {count[Verdict.ASSUMPTION]} assumptions of the certificate did not hold; "
-        f"{count[Verdict.UNCHECKED]} checks had nothing to compare",
+        f"{count[Verdict.UNCHECKED]} had nothing to compare",
     )
 
 
