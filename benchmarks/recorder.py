@@ -143,9 +143,9 @@ class Doomed(RecorderProcess):
         self._after, self._first, self._killed = after, float("inf"), False
         self.tick = 0
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         """Send it on, note its tick, and kill the recorder when it is time."""
-        super().tell(frame)
+        super().take(frame)
         if self._killed or frame is None:
             return
         message = decode(frame, MAX_CONTROL_BYTES)

@@ -112,7 +112,7 @@ class Delays(Recorder):
     def __init__(self) -> None:
         self.tau: list[int] = []
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         """Keep the delays of a device's telemetry; see :class:`Recorder`."""
         message = None if frame is None else decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Observation) and (trace := message.traces.get(names.TAU)) is not None:

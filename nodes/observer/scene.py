@@ -1,12 +1,11 @@
-"""What a running session says of itself to whoever may enter its directory: who takes part, in what world, how surely.
+"""The state of a running session as an observer sees it: pure, apart from reading and writing one file.
 
-One JSON file, written by the supervisor before its nodes are started. What changes while the session runs comes from
-its broadcast (:mod:`manyhands.protocol.transport.broadcast`); what is here does not change. It holds no key and no
-block of V.
+:class:`About` describes what does not change: nodes, links, virtual world and certificate. The supervisor writes it as
+one JSON file into the run's directory before the nodes start. It holds no key and no block of V.
 
-What somebody who looks on knows of a running session: a state that frames of its broadcast are taken into. Pure.
-
-Who shows it (a table, a page, a line a tick) reads it; nothing here waits, prints or knows of sockets.
+:class:`Scene` takes in the frames of the session's broadcast (:mod:`manyhands.protocol.transport.broadcast`) and holds
+what changes: phase, ticks, rates, health. A table, a page or a line shows it; nothing here waits, prints or knows of
+sockets.
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Observation, Role
 
 ABOUT: Final = "about.json"
-"""The file's name in the session's directory."""
+"""The file's name in the run's directory."""
 
 MAX_ABOUT_BYTES: Final = 16 * 2**20
 
-_LATEST: Final = 2.5e11  # the end of the year 9891: what calendars can show
+_LATEST: Final = 2.5e11  # seconds since 1970, in the year 9892: calendars can show no later one
 
 
 class AboutError(Exception):
-    """A session's description cannot be read; names the file and what is wrong."""
+    """A session's description cannot be read; the message names the file and what is wrong."""
 
 
 @dataclass(frozen=True)
 class NodeAbout:
-    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if it does."""
+    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if any."""
 
     role: Role
     ports: tuple[str, ...]
@@ -50,7 +49,7 @@ class NodeAbout:
 
 @dataclass(frozen=True)
 class LinkAbout:
-    """A link: its two ends, the one nearer to a hand first, and its ports."""
+    """A link: its two ends, the one nearer to the user first, and its ports."""
 
     ends: tuple[str, str]
     ports: tuple[str, ...]
@@ -67,15 +66,15 @@ class SpringAbout:
 
 @dataclass(frozen=True)
 class CertificateAbout:
-    """What the session's certificate says: delay that it covers (s), margins by condition, levels, rungs of its ladder.
+    """The main figures of the session's certificate.
 
     Attributes:
-        tau: longest delay inside the tick, s.
+        tau: the longest delay inside the tick that it covers, s.
         margins: by condition, N*s/m.
         gamma: proved level of the transparency objective, or None.
         delta_D: the least eigenvalue of each device's level, N*s/m.
-        ladder: delays that further rungs cover, s.
-        enforced: parties whose promise a controller keeps at run time, and no proof.
+        ladder: the delays that the further rungs cover, s.
+        enforced: parties whose level is enforced at run time instead of proved.
     """
 
     tau: float
@@ -97,17 +96,17 @@ class About:
         clock: "realtime" or "simulated".
         transport: "ipc" or "tcp".
         period: T, s.
-        ticks: how many it runs; 0 for no end.
+        ticks: number of ticks it runs; 0 for no end.
         started: seconds since 1970.
         nodes: by name, devices first, then couplings, then the environment.
         links: in the session's order.
-        masses: of the virtual world, kg by name; empty where it is no network.
-        springs: of the virtual world; likewise.
-        grips: devices that a person's browser can hold.
-        reach: of each port's device, the greatest displacement, m.
-        certificate: None for a session that nothing proves.
+        masses: of the virtual world, kg by name; empty if it is no network.
+        springs: of the virtual world; empty if it is no network.
+        grips: devices that a person can hold in the browser.
+        reach: the greatest displacement of each port's device, m.
+        certificate: None for an uncertified session.
         environment: the environment's type.
-        observers: by name what each may read, as in the session.
+        observers: what each observer may read, by name, as in the session file.
     """
 
     session: str
@@ -129,11 +128,11 @@ class About:
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """As a JSON object."""
         return dataclasses.asdict(self)
 
     def save(self, directory: Path) -> None:
-        """Write it into the session's directory, for its user alone (mode 0600), whole or not at all.
+        """Write it into the run's directory, for its user alone (mode 0600), whole or not at all.
 
         Raises:
             OSError: it cannot be written.
@@ -143,10 +142,10 @@ class About:
 
     @classmethod
     def load(cls, directory: Path) -> About:
-        """Read it from a session's directory.
+        """Read it from a run's directory.
 
         Raises:
-            AboutError: not readable, or no such description.
+            AboutError: the file cannot be read, or holds no description of this version.
         """
         path = directory / ABOUT
         try:
@@ -170,7 +169,7 @@ _SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
     "started": (int, float),
     "environment": str,
 }
-"""What is neither a list nor a map, and of what type it is."""
+"""The keys that hold neither a list nor a map, with their types."""
 
 
 def _about(data: Any) -> About:
@@ -199,7 +198,7 @@ def _about(data: Any) -> About:
         if not isinstance(data[name], kind) or isinstance(data[name], bool):
             raise TypeError(f"{name}: found {data[name]!r}")
     if not (0.0 < about.period < math.inf and 0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
-        raise ValueError("found a period, an instant, a process id or a number of ticks that there cannot be")
+        raise ValueError("found a period, an instant, a process id or a number of ticks out of range")
     for link in about.links:
         for name in link.ends:
             _known(name, nodes)
@@ -244,7 +243,7 @@ def _numbers(values: Any) -> dict[str, float]:
 
 
 def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
-    """A node's name, or None, which is nobody's."""
+    """Check that a name is a node's; None, no node, passes."""
     if name is not None and name not in nodes:
         raise ValueError(f"found {name!r}; expected a node")
     return name
@@ -259,18 +258,18 @@ RATE_OVER: Final = from_seconds(0.5)
 """The shortest time that a rate is taken over: telemetry comes ten times a second."""
 
 LATE_SHARE: Final = 0.01
-"""Of the ticks between two looks, so many late ones make a node's health LATE."""
+"""A greater part of late ticks between two rates makes a node's health LATE."""
 
 
 class Health(StrEnum):
-    """How a node or a link is, at a glance; the worse the later."""
+    """The health of a node or a link, at a glance; a later value is worse."""
 
     OK = "ok"
     WAITING = "waiting"  # it has not begun, or has nothing more to do
-    LATE = "late"  # more of its ticks are late than every machine has now and then
-    FROZEN = "frozen"  # it takes no part, and others go on
-    SILENT = "silent"  # it runs, and nothing is heard of it
-    AWAY = "away"  # it died, or failed
+    LATE = "late"  # more of its ticks are late than is usual on any machine
+    FROZEN = "frozen"  # it takes no part, and the others go on
+    SILENT = "silent"  # it runs, but sends no telemetry
+    AWAY = "away"  # its process died, or failed
 
 
 _SEVERITY: Final = {health: place for place, health in enumerate(Health)}
@@ -282,23 +281,23 @@ STATE_HEALTH: Final = {
     "failed": Health.AWAY,
     "leaving": Health.AWAY,
 }
-"""What a node's state says of its health; every other state is one of waiting."""
+"""The health that follows from a node's state; every other state means WAITING."""
 
 
 @dataclass
 class NodeScene:
-    """What is known of one node.
+    """The state of one node.
 
     Attributes:
         name: the node's.
         role: the node's.
-        state: where it stands, in the supervisor's words; empty before anything was heard.
-        tick: the latest it told of.
-        rate: its ticks a second; None before two looks.
+        state: as the supervisor names it; empty before any condition arrived.
+        tick: the latest tick it reported.
+        rate: its ticks a second; None before two observations.
         figures: of its latest telemetry.
-        heard: when that came; None if none has.
-        late: whether more of its ticks than usual were late lately.
-        silent: whether the supervisor has not heard of it for a while, though it runs.
+        heard: when its latest telemetry came; None if none has.
+        late: whether more of its latest ticks than usual were late.
+        silent: whether the supervisor has received no telemetry for a while, though the node runs.
     """
 
     name: str
@@ -314,7 +313,7 @@ class NodeScene:
 
     @property
     def health(self) -> Health:
-        """How it is."""
+        """The node's health."""
         health = STATE_HEALTH.get(self.state, Health.WAITING)
         if health is not Health.OK:
             return health
@@ -322,45 +321,47 @@ class NodeScene:
             return Health.SILENT
         return Health.LATE if self.late else Health.OK
 
-    def take(self, told: Observation, now: Instant) -> None:
-        """Its latest telemetry."""
-        late = told.figures.get(names.LATE, 0.0)
-        if self._since is None or told.tick < self.tick or late < self._since[2]:  # the first, or of a new process
-            self._since, self.rate, self.late = (now, told.tick, late), None, False
+    def take(self, observation: Observation, now: Instant) -> None:
+        """Take in its latest telemetry, which came at ``now``."""
+        late = observation.figures.get(names.LATE, 0.0)
+        if (
+            self._since is None or observation.tick < self.tick or late < self._since[2]
+        ):  # the first message, or a new process
+            self._since, self.rate, self.late = (now, observation.tick, late), None, False
         since, tick, late_then = self._since
         if now - since >= RATE_OVER:
-            done = told.tick - tick
+            done = observation.tick - tick
             self.rate = done * 1e9 / (now - since)
             self.late = late - late_then > LATE_SHARE * max(done, 1)
-            self._since = now, told.tick, late
-        self.tick, self.figures, self.heard = told.tick, dict(told.figures), now
+            self._since = now, observation.tick, late
+        self.tick, self.figures, self.heard = observation.tick, dict(observation.figures), now
 
     def stand(self, state: str, silent: bool) -> None:
-        """Where the supervisor sees it; whoever does not run, or says nothing, has no rate."""
+        """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""
         self.state, self.silent = state, silent
         if STATE_HEALTH.get(state) is not Health.OK or silent:
             self._since, self.rate, self.late = None, None, False
 
 
 class Scene:
-    """A session as it is seen.
+    """The state of a session.
 
     Attributes:
         about: what does not change.
         nodes: every node, in the session's order.
-        condition: the latest that the supervisor has said; None before it has.
-        malformed: frames that were nothing of a broadcast's.
+        condition: the latest that the supervisor has sent; None before any.
+        malformed: number of frames that belong to no broadcast.
     """
 
     def __init__(self, about: About) -> None:
-        """Nothing has been seen yet."""
+        """Begin with the description alone."""
         self.about = about
         self.nodes = {name: NodeScene(name, node.role) for name, node in about.nodes.items()}
         self.condition: Condition | None = None
         self.malformed = 0
 
     def take(self, frame: bytes, now: Instant) -> Observation | Condition | None:
-        """Take in a frame that came at ``now``; returns what it was, None if it was nothing of this session's."""
+        """Take in a frame that came at ``now``; returns its message, or None if it was none of this session's."""
         message = decode(frame, MAX_CONTROL_BYTES)
         match message:
             case Observation(node) if node in self.nodes:
@@ -377,34 +378,36 @@ class Scene:
 
     @property
     def tick(self) -> int:
-        """The latest tick that any node told of."""
+        """The latest tick that any node reported."""
         return max((node.tick for node in self.nodes.values()), default=0)
 
     @property
     def rate(self) -> float | None:
-        """Ticks a second of the environment, whose ticks are the session's; None before it is known."""
+        """Ticks a second of the environment, which counts the session's ticks; None before it is known."""
         rates = [node.rate for node in self.nodes.values() if node.role is Role.ENVIRONMENT]
         return rates[0] if rates else None
 
     @property
     def frozen(self) -> int:
-        """Couplings that are frozen now, as the environment says; what is no number of couplings counts as none."""
-        told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
-        return round(sum(value for value in told if 0.0 < value < math.inf))
+        """Number of couplings that are frozen now, as the environment reports; a figure that makes no sense counts
+        as none.
+        """
+        counts = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
+        return round(sum(value for value in counts if 0.0 < value < math.inf))
 
     @property
     def frozen_late(self) -> dict[str, names.CouplingLateness]:
-        """Couplings that were frozen because the others waited for them again and again, as the environment says."""
+        """Couplings that are frozen because the others waited for them again and again, as the environment reports."""
         worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
-        late = [item for told in worlds for item in names.lateness_by_coupling(told, told).items()]
+        late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
 
     @property
     def health(self) -> Health:
-        """How the session is: as its worst node, and FROZEN where any coupling is."""
+        """The session's health: that of its worst node, and at least FROZEN if any coupling is."""
         worst = max((node.health for node in self.nodes.values()), key=_SEVERITY.__getitem__, default=Health.WAITING)
         return max(worst, Health.FROZEN, key=_SEVERITY.__getitem__) if self.frozen else worst
 
     def link_health(self, link: LinkAbout) -> Health:
-        """How a link is: as the worse of its two ends."""
+        """The health of a link: that of the worse of its two ends."""
         return max((self.nodes[end].health for end in link.ends), key=_SEVERITY.__getitem__)

@@ -1,13 +1,11 @@
-"""What somebody who looks on keeps of a session's traces: the last seconds of each, decimated, in bounded memory. Pure.
+"""The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
-Every trace of the table of topics is a track, and so is each device's velocity, which is the difference of its
-displacement from tick to tick, taken before anything is left out.
+Every trace of the table of topics is a track. So is each device's velocity: the difference of its displacement from
+tick to tick, taken before decimation.
 
-A long trace in few points, of which none that matters is missing: least and greatest value of every bucket. Pure.
-
-A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session lie side
-by side. Of each, two values are kept, its least and its greatest, in the order in which they came: what is drawn
-through them touches every extreme of the trace, however short, which leaving out samples would not.
+A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session are
+aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
+touches every extreme of the trace, however short; a curve through every n-th sample would not.
 """
 
 from __future__ import annotations
@@ -30,10 +28,11 @@ def extremes(values: Floats) -> Floats:
     """Least and greatest value of each bucket, in the order of time.
 
     Args:
-        values: buckets x ticks x columns; NaN where there is none.
+        values: buckets x ticks x columns; NaN where there is no value.
 
     Returns:
-        Buckets x 2 x columns: of every bucket and column the two, the earlier first; NaN twice where all are NaN.
+        Buckets x 2 x columns: the two values of every bucket and column, the earlier first; NaN twice where all are
+            NaN.
     """
     absent = np.isnan(values)
     least = np.where(absent, np.inf, values).argmin(axis=1)
@@ -44,21 +43,21 @@ def extremes(values: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Decimated:
-    """Some buckets of a trace: the index of the first, and of each the two values (buckets x 2 x columns)."""
+    """Consecutive buckets of a trace: the index of the first, and the two values of each (buckets x 2 x columns)."""
 
     first: int
     values: Floats
 
 
 class Decimator:
-    """Makes buckets of a trace that comes in pieces, one after another.
+    """Makes buckets of a trace that arrives in successive pieces.
 
     Attributes:
-        size: ticks a bucket.
+        size: ticks per bucket.
     """
 
     def __init__(self, size: int, columns: int) -> None:
-        """Nothing has come yet.
+        """Begin before the first piece.
 
         Raises:
             ValueError: ``size`` is below 1.
@@ -70,14 +69,14 @@ class Decimator:
         self._rest = np.empty((0, columns))
 
     def take(self, tick: int, values: Floats) -> list[Decimated]:
-        """The next piece.
+        """Take in the next piece.
 
         Args:
-            tick: of its first row; rows that have come before are left out.
-            values: ticks x columns, a row a tick.
+            tick: of its first row; rows that came before are left out.
+            values: ticks x columns.
 
         Returns:
-            The buckets that are whole now, or that a gap has cut; in the order of time.
+            The buckets that are complete now, or that a gap has ended, in the order of time.
         """
         if self._next is not None and tick < self._next:
             values = values[self._next - tick :]
@@ -89,7 +88,7 @@ class Decimator:
         return done if whole is None else [*done, whole]
 
     def _cut(self) -> list[Decimated]:
-        """What was begun before a gap."""
+        """The bucket that was begun before a gap."""
         rest, self._rest = self._rest, self._rest[:0]
         if not len(rest) or self._next is None:
             return []
@@ -114,10 +113,10 @@ WINDOW: Final = 10.0
 """Seconds of a trace that are kept."""
 
 BUCKETS: Final = 1000
-"""Into so many buckets those seconds are cut: as many as a picture is wide."""
+"""Number of buckets in those seconds: about the width of a picture in pixels."""
 
 VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
-"""What no node tells: the difference of a device's displacement over a period."""
+"""A topic that no node reports: the difference of a device's displacement over a period, divided by it."""
 
 
 class Track:
@@ -128,14 +127,14 @@ class Track:
     """
 
     def __init__(self, columns: int, capacity: int = BUCKETS) -> None:
-        """Empty."""
+        """Begin empty, with room for ``capacity`` buckets."""
         self._ring = np.full((capacity, 2, columns), np.nan)
         self._begin = self.end = 0
 
     def add(self, piece: Decimated) -> None:
-        """Add buckets; between them and the latest there may be a gap, which is kept as one of NaN.
+        """Add buckets. A gap between them and the latest is kept as buckets of NaN.
 
-        A bucket that is the latest already (a gap began and ended inside it) is joined with what it has.
+        If the first one is the latest already (a gap began and ended inside it), the two are joined.
         """
         capacity, first, values = len(self._ring), piece.first, piece.values
         end = first + len(values)
@@ -154,14 +153,14 @@ class Track:
         self._begin = max(self._begin, end - capacity)
 
     def since(self, bucket: int) -> Decimated:
-        """The buckets from ``bucket`` on, or as many of them as are kept."""
+        """The buckets from ``bucket`` on, as many of them as are kept."""
         first = min(max(bucket, self._begin), self.end)
         return Decimated(first, self._ring[np.arange(first, self.end) % len(self._ring)])
 
 
 @dataclass(frozen=True)
 class TrackKey:
-    """Which track: of which node, and of which topic."""
+    """A track's node and topic."""
 
     node: str
     topic: Topic
@@ -176,23 +175,23 @@ class Tracks:
     """All tracks of a session.
 
     Attributes:
-        size: ticks a bucket.
+        size: ticks per bucket.
         columns: names of each track's columns.
-        unfit: observations whose traces were not of this session's shape.
+        unfit: number of traces that did not have this session's shape.
     """
 
     def __init__(self, about: About, window: float = WINDOW, buckets: int = BUCKETS) -> None:
-        """Nothing has come yet."""
+        """Begin without any tick."""
         self.size = max(1, round(window / about.period / buckets))
         self._about, self._buckets = about, buckets
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
         self._decimators = {key: Decimator(self.size, len(columns)) for key, columns in self.columns.items()}
-        self._last: dict[str, tuple[int, Floats]] = {}  # of each device its latest displacement, and its tick
+        self._last: dict[str, tuple[int, Floats]] = {}  # each device's latest tick, and its displacement then
         self.unfit = 0
 
     def take(self, observation: Observation) -> None:
-        """Take in what a node told."""
+        """Take in a node's observation."""
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         first = observation.tick - rows
         for key in self.columns:

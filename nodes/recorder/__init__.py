@@ -1,4 +1,5 @@
-"""The recorder: a process of its own, so that neither a slow nor a full disk reaches the loop.
+"""The recorder, a process of its own, so that a slow or full disk never delays the loop.
 
-Read ``format`` first (what the file looks like), then ``core`` (what is taken in), ``mcap`` (the file), ``node``.
+Read ``format`` first (what the file contains), then ``core`` (observations to records), ``mcap`` (records to bytes) and
+``node`` (the process). ``coverage`` counts missing ticks, for recordings that are written or read.
 """

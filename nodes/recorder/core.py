@@ -1,14 +1,13 @@
-"""What a recorder makes of what it is told: the bytes of an MCAP file, in the order in which they are to be written.
+"""Turns observations into the bytes of an MCAP file, in the order in which they are to be written: without any I/O.
 
-Without any I/O: observations go in, and what the file still lacks comes out in pieces that end at a chunk's border.
-A chunk has a checksum and stands alone, so a file that ends anywhere is readable up to its last whole chunk. What
-belongs to one observation is always in one chunk.
+Observations go in. What the file still lacks comes out in pieces, each of which ends at the border of a chunk. A chunk
+has a checksum and stands alone, so a file that ends anywhere can be read up to its last whole chunk. All messages of
+one observation are in one chunk.
 
-The JSON messages of many ticks at once: what a recorder does most, 23 000 times a second with three users.
-
-A message is ``{"tick": 17, "time": 0.017, "x": [0.001]}``. Its beginning is the same for all topics of a node and is
-made once for all of them; the numbers of a whole trace are written by one call. Numbers are the shortest text that is
-read back as the same double; what is infinite or not a number is null.
+With three users 23 000 JSON messages are written a second, which is most of a recorder's work. A message is ``{"tick":
+17, "time": 0.017, "x": [0.001]}``. Its beginning is the same for all topics of a tick and is made once for all nodes;
+one call writes the numbers of a whole trace. A number is the shortest text that is read back as the same double; an
+infinite value or NaN is null.
 """
 
 from __future__ import annotations
@@ -50,12 +49,12 @@ _BLOCK: Final = 128  # ticks
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """Consecutive ticks of a session: what their messages have in common.
+    """Consecutive ticks of a session: the parts that their messages have in common.
 
     Attributes:
-        times: when they were, ns since 1970, uint64.
+        times: time of each tick, ns since 1970, uint64.
         sequences: their sequence numbers, uint32.
-        beginnings: how each one's messages begin, as far as the key of the topic's value.
+        beginnings: the text of each tick's messages before the key of the topic's value.
         lengths: of the beginnings, bytes.
     """
 
@@ -78,12 +77,14 @@ class Ticks:
 
 
 def _since_start(first: int, count: int, tick_ns: float) -> NDArray[np.float64]:
-    """How long after tick 0 the ticks are, ns: whole numbers."""
+    """Time from tick 0 to each of the ticks, ns: whole numbers."""
     return np.rint(np.arange(first, first + count, dtype=np.uint64).astype(np.float64) * tick_ns)
 
 
 def _beginnings(first: int, count: int, tick_ns: float) -> tuple[bytes, ...]:
-    """How the messages of these ticks begin, out of blocks: all nodes tell of the same ticks, one after the other."""
+    """The beginnings of these ticks' messages, from cached blocks: all nodes report the same ticks, one after the
+    other.
+    """
     out: list[bytes] = []
     for block in range(first // _BLOCK, (first + count - 1) // _BLOCK + 1):
         out += _block(block, tick_ns)
@@ -104,11 +105,11 @@ def lengths_of(texts: Sequence[bytes]) -> NDArray[np.uint64]:
 
 
 def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
-    """Each row as JSON has it without brackets: its numbers, or, of ``one`` column, its number.
+    """Each row as JSON without its brackets: its numbers, or, with ``one`` column, its number.
 
     Args:
         values: ticks x columns; at least one of each.
-        one: whether the rows are plain numbers, and no arrays.
+        one: whether the rows are plain numbers instead of arrays.
     """
     plain = values[:, 0].tolist() if one else values.tolist()
     text = repr(plain).encode()
@@ -119,28 +120,30 @@ def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
 
 
 CHUNK_BYTES: Final = 1024 * 1024
-"""After so many bytes a chunk is closed, however young it is."""
+"""A chunk of this size is closed, however young it is."""
 
 
 class RecorderCore:
     """Turns observations into a file.
 
-    Times in the file are the session's own: tick k was at the start plus kT. The start is counted back from the arrival
-    of the first observation, so that it is the time of day too, as long as ticks keep to the clock on the wall.
+    Times in the file follow the session's own clock: tick k was at the start plus kT. The start is computed back from
+    the arrival of the first observation. So it is the time of day as well, as long as ticks keep pace with the wall
+    clock.
 
     Attributes:
-        over: becomes true when the session has said that nothing more will come.
+        over: becomes true when the session has reported that nothing more will come.
         tick: the latest tick of any device that was taken.
-        refused: frames that were no observation, or of nobody's, or did not fit its node's columns and ticks.
+        refused: number of frames that were no observation, named no node, or did not fit their node's columns and
+            ticks.
     """
 
     def __init__(self, recorded: Recorded, attachments: Mapping[str, bytes] | None = None, started: int = 0) -> None:
-        """Begin the file of what ``recorded`` says.
+        """Begin the file of the session ``recorded``.
 
         Args:
             recorded: the session.
-            attachments: contents by name, of those of :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
-            started: when the recording was, ns since 1970.
+            attachments: contents by name, with names of :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
+            started: start of the recording, ns since 1970.
         """
         self._recorded = recorded
         self._tape = Tape(f"manyhands {recorded.version}")
@@ -158,7 +161,7 @@ class RecorderCore:
         self.refused = 0
 
     def take(self, frame: bytes, time: int) -> None:
-        """Take in a frame that arrived at ``time``, ns since 1970. What makes no sense is counted."""
+        """Take in a frame that arrived at ``time``, ns since 1970. A frame that makes no sense is counted."""
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Stop):
             self.over = True
@@ -172,37 +175,40 @@ class RecorderCore:
             self.refused += 1
 
     def _since_start(self, tick: int) -> int:
-        """How long after tick 0 it is, ns."""
+        """Time from tick 0 to ``tick``, ns."""
         return round(tick * self._recorded.tick_ns)
 
-    def _fits(self, told: Observation) -> bool:
-        topics, rows = self._topics.get(told.node), {trace.shape[0] for trace in told.traces.values()}
-        if topics is None or not told.traces.keys() <= topics.keys():
+    def _fits(self, observation: Observation) -> bool:
+        topics, rows = self._topics.get(observation.node), {trace.shape[0] for trace in observation.traces.values()}
+        if topics is None or not observation.traces.keys() <= topics.keys():
             return False
-        first = told.tick - max(rows, default=0)
+        first = observation.tick - max(rows, default=0)
         return (
             len(rows) <= 1
-            and first >= (self._coverage[told.node].next if rows else 0)
-            and (self._start or 0) + self._since_start(told.tick) <= MAX_TIME_NS
-            and all(self._width(told.node, topics[name]) == trace.shape[1] for name, trace in told.traces.items())
+            and first >= (self._coverage[observation.node].next if rows else 0)
+            and (self._start or 0) + self._since_start(observation.tick) <= MAX_TIME_NS
+            and all(
+                self._width(observation.node, topics[name]) == trace.shape[1]
+                for name, trace in observation.traces.items()
+            )
         )
 
     def _width(self, node: str, topic: Topic) -> int:
         return len(self._recorded.columns(node, topic))
 
-    def _write(self, told: Observation) -> None:
-        start, rows = self._start or 0, max((trace.shape[0] for trace in told.traces.values()), default=0)
+    def _write(self, observation: Observation) -> None:
+        start, rows = self._start or 0, max((trace.shape[0] for trace in observation.traces.values()), default=0)
         if rows:
-            ticks = Ticks.of(told.tick - rows, rows, start, self._recorded.tick_ns)
-            for topic in self._topics[told.node].values():
-                if topic.trace in told.traces:
-                    self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
-            self._coverage[told.node].take(told.tick - rows, told.tick)
-            if told.node in self._recorded.devices:
-                self.tick = max(self.tick, told.tick)
-        if told.figures:
-            channel = self._channel(told.node, TELEMETRY, None)
-            self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
+            ticks = Ticks.of(observation.tick - rows, rows, start, self._recorded.tick_ns)
+            for topic in self._topics[observation.node].values():
+                if topic.trace in observation.traces:
+                    self._write_trace(observation.node, topic, ticks, observation.traces[topic.trace])
+            self._coverage[observation.node].take(observation.tick - rows, observation.tick)
+            if observation.node in self._recorded.devices:
+                self.tick = max(self.tick, observation.tick)
+        if observation.figures:
+            channel = self._channel(observation.node, TELEMETRY, None)
+            self._add(channel, observation.tick, start, encode_figures(observation.tick, observation.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
         one = topic.columns is Columns.ONE
@@ -213,7 +219,7 @@ class RecorderCore:
         self._tape.messages(self._channel(node, topic.name, topic), ticks.times, ticks.sequences, lengths, columns)
 
     def _channel(self, node: str, name: str, topic: Topic | None) -> int:
-        """The channel of a node's topic; the file is told of it before its first message."""
+        """The channel of a node's topic; its record is written before its first message."""
         number = self._channels.get((node, name))
         if number is None:
             about = {"node": node, "role": self._recorded.roles.get(node, Role.SUPERVISOR).value}
@@ -232,7 +238,7 @@ class RecorderCore:
         self._tape.message(channel, start + self._since_start(tick), tick % SEQUENCES, data)
 
     def _note(self, condition: Condition, time: int) -> None:
-        """Write down how the session is, unless nothing has changed but the time."""
+        """Write the session's condition, unless nothing but the time has changed."""
         before, self._condition = self._condition, condition
         if before is not None and replace(condition, elapsed=before.elapsed) == before:
             return
@@ -245,12 +251,14 @@ class RecorderCore:
 
     @property
     def missing_in_all(self) -> dict[str, int]:
-        """Ticks that were never told up to the latest of any device, by device, those devices that miss some."""
+        """Number of ticks that were never reported, up to the latest of any device, by device, for devices that miss
+        some.
+        """
         return missing_by_party(self.coverage, 0, self.tick)
 
     @property
     def coverage(self) -> dict[str, Coverage]:
-        """Which ticks of each device were taken; the others were lost on the way."""
+        """The ticks of each device that were taken; the others were lost on the way."""
         return {device: self._coverage[device] for device in self._recorded.devices}
 
     @property
@@ -259,7 +267,7 @@ class RecorderCore:
         return self._tape.waiting >= CHUNK_BYTES
 
     def cut(self) -> bytes:
-        """Close the chunk; returns what the file lacks so far, nothing if that is nothing."""
+        """Close the chunk; returns the bytes that the file lacks so far, which may be none."""
         self._tape.close_chunk()
         return self._tape.take()
 

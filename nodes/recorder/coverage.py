@@ -1,4 +1,4 @@
-"""Which ticks of a party there are, and how many are missing: counted here for every recording, written or read."""
+"""The ticks of a party that a recording holds, and how many are missing: one count for writer and readers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_GAPS: Final = 1000
-"""Most gaps of one party that are kept one by one; all are counted."""
+"""The most gaps of one party that are kept one by one; the count includes all."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Ticks that are missing: from ``begin`` to the one before ``end``."""
+    """Missing ticks: ``begin <= tick < end``."""
 
     begin: int
     end: int
@@ -23,12 +23,12 @@ class Gap:
 
 @dataclass
 class Coverage:
-    """The ticks of one party, as they come: where they begin and end, and which are missing between.
+    """The ticks of one party, in order of arrival: the first, the last, and the missing ones between.
 
     Attributes:
         first: the first tick; None before any.
-        next: the one after the last.
-        missing: how many are missing between.
+        next: the tick after the last.
+        missing: number of missing ticks between the two.
     """
 
     first: int | None = None
@@ -37,7 +37,7 @@ class Coverage:
     _gaps: list[Gap] = field(default_factory=list)
 
     def take(self, begin: int, end: int) -> None:
-        """Take in the ticks from ``begin`` to the one before ``end``; such as were there before are passed over."""
+        """Add the ticks ``begin <= tick < end``; ticks that were added before are ignored."""
         if self.first is None:
             self.first = self.next = begin
         if begin > self.next:
@@ -47,7 +47,7 @@ class Coverage:
         self.next = max(self.next, end)
 
     def take_each(self, ticks: NDArray[np.int64]) -> None:
-        """Take in ticks one by one, in order; such as were there before are passed over."""
+        """Add ticks, an array in increasing order; ticks that were added before are ignored."""
         if not len(ticks):
             return
         breaks = np.flatnonzero(np.diff(ticks) != 1) + 1
@@ -55,7 +55,7 @@ class Coverage:
             self.take(int(ticks[begin]), int(ticks[end - 1]) + 1)
 
     def missing_in(self, begin: int, end: int) -> int:
-        """How many of the ticks from ``begin`` to the one before ``end`` are missing.
+        """Number of missing ticks in ``begin <= tick < end``.
 
         ``begin`` is at most the first tick, ``end`` at least the one after the last.
         """
@@ -64,13 +64,13 @@ class Coverage:
         return (self.first - begin) + self.missing + (end - self.next)
 
     def gaps_in(self, begin: int, end: int) -> tuple[Gap, ...]:
-        """Which these are, in order: the first :data:`MOST_GAPS`."""
+        """The missing ticks in ``begin <= tick < end`` as gaps, in order: the first :data:`MOST_GAPS`."""
         first = end if self.first is None else self.first
         found = [Gap(begin, first), *self._gaps, Gap(max(first, self.next), end)]
         return tuple(gap for gap in found if gap.begin < gap.end)[:MOST_GAPS]
 
 
 def missing_by_party(coverages: Mapping[str, Coverage], begin: int, end: int) -> dict[str, int]:
-    """How many of the ticks from ``begin`` to before ``end`` are missing, by party, those that miss some."""
+    """Number of missing ticks in ``begin <= tick < end`` by party, for the parties that miss some."""
     counts = {name: coverage.missing_in(begin, end) for name, coverage in coverages.items()}
     return {name: count for name, count in counts.items() if count > 0}

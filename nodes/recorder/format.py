@@ -1,7 +1,7 @@
-"""What a recording holds: the channels of an MCAP file, their messages' form, and the session it says it is of.
+"""The format of a recording: the channels of its MCAP file, the form of their messages, and the session's metadata.
 
-One message a tick and topic, in JSON, which every viewer of such files can draw: the tick, its time since tick 0, and
-the topic's row. docs/files.md tells it to people; writer and reader both start from here.
+Each tick and topic has one JSON message, which every viewer of MCAP files can draw: the tick, its time since tick 0,
+and the topic's row. Writer and readers both use this module; docs/files.md describes the format for people.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from manyhands.protocol.messages import Condition, Role
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
 METADATA: Final = "session"
-"""The name of the metadata record that says what was recorded."""
+"""The name of the metadata record that describes the session."""
 
 SESSION_FILE: Final = "session.yaml"
 CERTIFICATE_FILE: Final = "certificate.json"
 MEDIA_TYPES: Final[Mapping[str, str]] = {SESSION_FILE: "application/yaml", CERTIFICATE_FILE: "application/json"}
-"""The attachments: the session as it was run, and the certificate it ran under where it had one."""
+"""The attachments: the session as it ran, and the certificate it ran under, if it had one."""
 
 SUPERVISOR: Final = "supervisor"
-"""The node under whose name the session's condition is recorded."""
+"""The node name under which the session's condition is recorded."""
 
 MESSAGE_ENCODING: Final = "json"
 SCHEMA_ENCODING: Final = "jsonschema"
@@ -40,17 +40,18 @@ TIME: Final = "time"
 FIGURES: Final = "figures"
 
 SEQUENCES: Final = 2**32
-"""An MCAP sequence number has 32 bits: it is the tick modulo so many."""
+"""An MCAP sequence number has 32 bits: it is the tick modulo this number."""
 
 MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
-"""A name in a recording. It becomes a table's heading, and a spreadsheet computes what begins with ``=+-@``."""
+"""A name in a recording. It becomes a heading in a table, and a spreadsheet computes a cell that begins with
+``=+-@``."""
 
 _LONGEST_TEXT: Final = 200
 
-_NUMBER: Final = {"type": "number", "nullable": True}  # one type alone: viewers refuse a list of them
+_NUMBER: Final = {"type": "number", "nullable": True}  # a single type: viewers refuse a list of types
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
@@ -81,20 +82,20 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
         },
     ),
 }
-"""Names and texts of the schemas of what is told besides the topics of the table."""
+"""Names and texts of the schemas of the messages that belong to no topic of the table: figures and condition."""
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
-    """The message of figures up to ``tick``; what is infinite or not a number is null."""
+    """The message of figures up to ``tick``; an infinite value or NaN becomes null."""
     finite = {name: json_number(value) for name, value in figures.items()}
     return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
 
 
 def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
-    """Tick and figures of a message that was read as JSON; null is not a number.
+    """Tick and figures of a message that was read as JSON; null becomes NaN.
 
     Raises:
-        ValueError: it is none of figures.
+        ValueError: the message holds no figures.
     """
     match plain:
         case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
@@ -113,7 +114,7 @@ def _number(value: object) -> float:
 
 
 def encode_condition(tick: int, condition: Condition) -> bytes:
-    """The message of how the session was when ``tick`` was the latest known."""
+    """The message of the session's condition when ``tick`` was the latest known tick."""
     return json.dumps(
         {
             TICK: tick,
@@ -133,14 +134,14 @@ def decode_condition(plain: Any) -> tuple[int, Condition]:
     """Tick and condition of a message that was read as JSON.
 
     Raises:
-        ValueError: it is none of a condition.
+        ValueError: the message holds no condition.
     """
     match plain:
         case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
             0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
         ):
-            told = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
-            return tick, Condition(phase, _number(elapsed), states, *told)
+            sentences = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
+            return tick, Condition(phase, _number(elapsed), states, *sentences)
         case _:
             raise ValueError("found another object; expected tick and condition")
 
@@ -153,7 +154,7 @@ def _texts(found: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded.
+    """The session of a recording.
 
     Attributes:
         session: the session's name.
@@ -162,8 +163,8 @@ class Recorded:
         clock: "realtime" or "simulated".
         roles: every node's role.
         ports: the ports of each node, in the order of its traces' columns.
-        masses: the environment's masses, likewise; none where nobody knows of any.
-        version: of this program, that recorded it.
+        masses: the environment's masses, in the order of its traces' columns; empty where they are not known.
+        version: of the program that recorded it.
     """
 
     session: str
@@ -181,7 +182,7 @@ class Recorded:
         return {name: self.ports[name] for name, role in self.roles.items() if role is Role.DEVICE}
 
     def topics(self, node: str) -> tuple[Topic, ...]:
-        """The topics of a node, in the table's order; none of a stranger."""
+        """The topics of a node, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
         return () if role is None else topics_of(role, self.masses)
 
@@ -191,12 +192,12 @@ class Recorded:
 
     @property
     def tick_ns(self) -> float:
-        """T, ns: a whole number wherever it is one but for the rounding of its decimals."""
+        """T, ns. It is a whole number if it differs from one only by the rounding of its decimals."""
         exact = self.period * 1e9
         return float(round(exact)) if math.isclose(exact, round(exact), rel_tol=1e-12) else exact
 
     def as_metadata(self) -> dict[str, str]:
-        """As the file has it: texts by name, structure as JSON."""
+        """As the metadata of a file: texts by name, structure as JSON."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -212,10 +213,10 @@ class Recorded:
 
     @classmethod
     def from_metadata(cls, texts: Mapping[str, str]) -> Recorded:
-        """From what a file has.
+        """The session of a file's metadata.
 
         Raises:
-            ValueError: it is not a recording of this format, or makes no sense.
+            ValueError: the metadata is not of this format and version, or makes no sense.
         """
         found = f"{texts.get('format', '')!r:.40} version {texts.get('version', '')!r:.40}"
         if (texts.get("format"), texts.get("version")) != (FORMAT, VERSION):

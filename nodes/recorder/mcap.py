@@ -1,10 +1,11 @@
-"""An MCAP file as it is written: records one after the other, messages gathered in compressed chunks, an index at last.
+"""Writes an MCAP file: records one after the other, messages in compressed chunks, and an index at the end.
 
 The records are those of https://mcap.dev/spec, most of them as the library ``mcap`` writes them. Its writer makes an
-object of each message and writes it field by field, which takes longer than all else that a recorder does: here the
+object of each message and writes it field by field, which takes longer than all other work of a recorder. Here the
 messages of one trace are laid out together, with their indexes.
 
-The recording on the disk: pieces are appended whole, or the file stays as it was before.
+:class:`Tape` makes the bytes. :class:`RecordingFile` appends each piece to the disk whole, or leaves the file as it
+was.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import open_beside
 
 COMPRESSION: Final = "zstd"
-LEVEL: Final = 1  # higher ones take twice the time and more, for a tenth of the bytes
+LEVEL: Final = 1  # higher levels take twice the time and more, and save a tenth of the bytes
 
 _CHUNK: Final = struct.Struct("<BQQQQI")  # opcode, length, first and last time, uncompressed size, checksum
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
@@ -59,12 +60,12 @@ _HEAD: Final = np.dtype(
     ]
 )
 _HEAD_BYTES: Final = np.dtype(f"V{_HEAD.itemsize}")
-_FRAME_BYTES: Final = 9  # opcode and length, which the length does not count
+_FRAME_BYTES: Final = 9  # opcode and length, which the length field does not count
 _ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
 
 class _Chunk:
-    """The chunk that is open."""
+    """The open chunk."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -78,14 +79,10 @@ class _Chunk:
 
 
 class Tape:
-    """The bytes of a file, in the order in which they are to be written; :meth:`take` takes those that are ready.
-
-    Attributes:
-        waiting: bytes in the chunk that is open, uncompressed.
-    """
+    """The bytes of a file, in the order in which they are to be written; :meth:`take` returns those that are ready."""
 
     def __init__(self, library: str) -> None:
-        """Begin a file, written by ``library``."""
+        """Begin a file; ``library`` is the program that its header names."""
         self._ready: list[bytes] = []
         self._at = self._crc = 0
         self._chunk = _Chunk()
@@ -107,7 +104,7 @@ class Tape:
 
     @property
     def waiting(self) -> int:
-        """Bytes in the chunk that is open, uncompressed."""
+        """Bytes in the open chunk, uncompressed."""
         return self._chunk.size
 
     def metadata(self, name: str, texts: Mapping[str, str]) -> None:
@@ -117,21 +114,21 @@ class Tape:
         self._write(record)
 
     def attach(self, name: str, media_type: str, data: bytes, time: int) -> None:
-        """Write another file's content, made at ``time``, ns since 1970."""
+        """Write the content of another file, made at ``time``, ns since 1970."""
         record = _record(Attachment(time, time, name, media_type, data))
         index = AttachmentIndex(self._at, len(record), time, time, len(data), name, media_type)
         self._attachments.append(_record(index))
         self._write(record)
 
     def schema(self, name: str, encoding: str, text: str) -> int:
-        """Say what messages of some channels are like; returns the schema's number."""
+        """Declare a schema for the messages of some channels; returns its number."""
         number = len(self._schemas) + 1
         self._schemas.append(_record(Schema(number, text.encode(), encoding, name)))
         self._chunk.add(self._schemas[-1])
         return number
 
     def channel(self, topic: str, encoding: str, schema: int, about: dict[str, str]) -> int:
-        """Say that there will be messages of ``topic``; returns the channel's number."""
+        """Declare a channel for messages of ``topic``; returns its number."""
         number = len(self._channels) + 1
         self._channels.append(_record(Channel(number, topic, encoding, about, schema)))
         self._chunk.add(self._channels[-1])
@@ -150,10 +147,10 @@ class Tape:
 
         Args:
             channel: their channel.
-            times: when each was, ns since 1970; at least one.
-            sequences: their numbers.
-            lengths: of each one's data, bytes.
-            columns: of each one's data, all first parts, all second parts, and so on.
+            times: time of each message, ns since 1970; at least one.
+            sequences: their sequence numbers.
+            lengths: length of each message's data, bytes.
+            columns: the data in parts: the first part of every message, then every second part, and so on.
         """
         count, chunk = len(times), self._chunk
         heads = np.empty(count, dtype=_HEAD)
@@ -180,7 +177,7 @@ class Tape:
         self.messages(channel, one * np.uint64(time), numbers, one * np.uint64(len(data)), [[data]])
 
     def close_chunk(self) -> None:
-        """Compress the chunk that is open and write it with its indexes; nothing if there is no message in it."""
+        """Compress the open chunk and write it with its indexes; nothing happens if it holds no message."""
         chunk = self._chunk
         if not chunk.indexes:
             return
@@ -212,7 +209,7 @@ class Tape:
         self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
 
     def take(self) -> bytes:
-        """What is ready to be written and was not taken yet; it ends at a record's border."""
+        """The bytes that are ready and were not taken yet; they end at the border of a record."""
         out = b"".join(self._ready)
         self._ready.clear()
         return out
@@ -265,16 +262,16 @@ def _record(record: McapRecord) -> bytes:
 
 
 class RecordingFile:
-    """A file that takes the place of an older one when it has its beginning, and grows from then on.
+    """A file that replaces an older one once its beginning is written, and grows from then on.
 
-    Every piece is on the disk (fdatasync) when :meth:`append` returns: what a power failure takes is what came after.
+    Every piece is on the disk (fdatasync) when :meth:`append` returns. A power failure loses only what came after.
     """
 
     def __init__(self, path: Path, beginning: bytes) -> None:
         """Begin the file.
 
         Raises:
-            OSError: it cannot be written; an older one of that name is still there.
+            OSError: it cannot be written; an older file of that name is still there.
         """
         partial, self._file = open_beside(path)
         self._fd = self._file.fileno()
@@ -299,11 +296,11 @@ class RecordingFile:
                 rest = rest[os.write(self._fd, rest) :]
             os.fdatasync(self._fd)
         except OSError:
-            os.ftruncate(self._fd, self._length)  # needs no room
+            os.ftruncate(self._fd, self._length)  # works on a full disk as well
             os.lseek(self._fd, self._length, os.SEEK_SET)
             raise
         self._length += len(piece)
 
     def close(self) -> None:
-        """Close it."""
-        self._file.close()  # nothing is buffered in it
+        """Close the file; nothing is buffered."""
+        self._file.close()

@@ -1,20 +1,19 @@
-"""The recorder's process: what its supervisor tells it goes to the disk, twice a second.
+"""The recorder's process: it writes the frames that its supervisor sends to the disk, twice a second.
 
-Writing and syncing take as long as the disk takes, milliseconds or seconds: that is why this is nobody's loop. The
-supervisor keeps what it has not taken in yet, within bounds, and hears of every frame that was. The recorder ends when
-it is told that the session is over, when it cannot write any more, or when the supervisor is gone; the file then has
-all that was taken in before, unless it was killed, which costs less than a second.
+Writing and syncing take milliseconds or seconds, as long as the disk takes, so no process of the loop does it. The
+supervisor keeps frames that the recorder has not taken yet, within bounds, and learns how many were taken. The recorder
+ends when the session is over, when it cannot write any more, or when the supervisor is gone. The file then has all that
+was taken before. If the recorder is killed, less than a second is lost.
 
-What a recorder is given to start with: where to write, what of, and where its supervisor finds it.
+:class:`Plan` is what a recorder starts from: the file, the session, and the folder of its socket. Its statuses go to
+the supervisor on a pipe of their own, one line of JSON each:
 
-What a recorder says to its supervisor: a line of JSON each, on a pipe of their own.
-
-    {"ready": ENDPOINT}               the file is begun; this is where to send observations
-    {"taken": N}                      so many frames in all have been taken in: there is room for others
+    {"ready": ENDPOINT}               the file is begun; observations are expected at this endpoint
+    {"taken": N}                      N frames in all have been taken, so there is room for others
     {"stopped": TEXT, "tick": K}      nothing more can be written; the file is readable up to tick K
-    {"closed": {...}, "tick": K}      the file is whole; ticks missing by device
+    {"closed": {...}, "tick": K}      the file is complete; missing ticks by device
 
-A recorder and its supervisor are of one version and one machine: this is not part of the protocol.
+A recorder and its supervisor are of one version on one machine: these lines are no part of the protocol.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 
 class PlanError(Exception):
-    """A plan cannot be read; names the file and what is wrong."""
+    """A plan cannot be read; the message names the file and what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,9 @@ class Plan:
     Attributes:
         file: the recording, absolute.
         directory: the run's own directory, mode 0700, where the recorder binds its socket.
-        recorded: what it will be told.
-        attachments: files that go into the recording, contents by name; texts.
-        started: when the recording was, ns since 1970.
+        recorded: the session to record.
+        attachments: text files that go into the recording, contents by name.
+        started: start of the recording, ns since 1970.
     """
 
     file: Path
@@ -63,7 +62,7 @@ class Plan:
     started: int = 0
 
     def save(self, path: Path) -> None:
-        """Write it for its owner's eyes only (mode 0600).
+        """Write the plan, readable for its owner alone (mode 0600).
 
         Raises:
             OSError: the file cannot be written.
@@ -80,10 +79,10 @@ class Plan:
 
     @classmethod
     def load(cls, path: Path) -> Plan:
-        """Read it.
+        """Read a plan.
 
         Raises:
-            PlanError: not readable, or no plan.
+            PlanError: the file cannot be read, or holds no plan.
         """
         try:
             data = json.loads(path.read_text())
@@ -101,7 +100,7 @@ class Plan:
 
 
 MAX_LINE_BYTES: Final = 1024 * 1024
-"""Longest line: it may name every device."""
+"""The longest line: it may name every device."""
 
 
 @dataclass(frozen=True)
@@ -113,14 +112,14 @@ class Ready:
 
 @dataclass(frozen=True)
 class Taken:
-    """How many frames have been taken in since the beginning."""
+    """Number of frames that have been taken since the beginning."""
 
     frames: int
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """Nothing more can be written, and why; the file is readable up to ``tick``."""
+    """Nothing more can be written because of ``text``; the file is readable up to ``tick``."""
 
     text: str
     tick: int
@@ -128,7 +127,9 @@ class Stopped:
 
 @dataclass(frozen=True)
 class Closed:
-    """The file is whole up to ``tick``; ``missing``: ticks never told, by device, those devices that miss some."""
+    """The file is complete up to ``tick``; ``missing`` counts the ticks that a device never reported, where there
+    are any.
+    """
 
     missing: Mapping[str, int]
     tick: int
@@ -153,10 +154,10 @@ def encode(status: Status) -> bytes:
 
 
 class Lines:
-    """Puts the pieces that a pipe delivers together again.
+    """Joins the pieces that a pipe delivers into lines, and reads the statuses.
 
     Attributes:
-        nonsense: lines that were no status.
+        nonsense: number of lines that were no status.
     """
 
     def __init__(self) -> None:
@@ -195,44 +196,46 @@ def _decode(line: bytes) -> Status | None:
 
 
 FLUSH_EVERY: Final = from_seconds(0.5)
-"""So that a recorder that is killed costs no second, what was under way to it included."""
+"""Twice a second, so that a killed recorder loses less than a second, frames on the way to it included."""
 
 TAKEN_EVERY: Final = 32
-"""Frames after which they are said to be taken, though more are waiting."""
+"""After so many frames they are reported as taken, even if more are waiting."""
 
-NICENESS: Final = 10  # the loop's processes come first on a busy machine: being late costs nothing here
-_PATIENCE: Final = from_seconds(0.1)
+NICENESS: Final = 10  # on a busy machine the loop's processes come first; a late recorder costs nothing
+_TIMEOUT: Final = from_seconds(0.1)
 
-Say = Callable[[Status], None]
+SendStatus = Callable[[Status], None]
 
 
-def to_pipe(fd: int) -> Say:
-    """A way to tell the supervisor, over its pipe; one that is gone hears nothing, and ``Life`` finds out."""
+def to_pipe(fd: int) -> SendStatus:
+    """A function that sends a status to the supervisor's pipe. A broken pipe is ignored here: ``Life`` sees the
+    supervisor end.
+    """
 
-    def say(status: Status) -> None:
+    def send(status: Status) -> None:
         try:
             os.write(fd, encode(status))
         except BrokenPipeError:
             return
 
-    return say
+    return send
 
 
-def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
-    """Record until the session is over, or nothing more can be written; returns the exit code."""
+def record(plan: Plan, life: Life, clock: Clock, send: SendStatus) -> int:
+    """Record until the session is over or nothing more can be written; returns the exit code."""
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:
         file = RecordingFile(plan.file, core.cut())
     except OSError as error:
-        return _stopped(say, _reason(error), 0)
+        return _stopped(send, _reason(error), 0)
     transport = ZmqTransport.ipc(plan.directory)
     try:
         link, endpoint = transport.bind("recorder", HUB)
-        say(Ready(endpoint))
-        return _Recording(core, file, link, clock, say).run(life)
+        send(Ready(endpoint))
+        return _Recording(core, file, link, clock, send).run(life)
     except TransportError as error:
-        return _stopped(say, str(error), 0)
+        return _stopped(send, str(error), 0)
     finally:
         transport.close()
         file.close()
@@ -241,28 +244,28 @@ def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
 class _Recording:
     """A file being written."""
 
-    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, say: Say) -> None:
-        self._core, self._file, self._link, self._clock, self._say = core, file, link, clock, say
-        self._taken = self._told = 0
-        self._tick = 0  # up to which it is on the disk
+    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, send: SendStatus) -> None:
+        self._core, self._file, self._link, self._clock, self._send = core, file, link, clock, send
+        self._taken = self._reported = 0
+        self._tick = 0  # the file is on the disk up to this tick
 
     def run(self, life: Life) -> int:
-        """Take in, write, say so, until the end."""
+        """Take frames, write them, report them as taken, until the end; returns the exit code."""
         core, clock = self._core, self._clock
         due = Instant(clock.now() + FLUSH_EVERY)
         try:
             while not core.over:
                 frame = self._link.recv(Duration(0))
-                if frame is None:
-                    self._tell()
-                    if life.stopping:  # and all that came before has been taken in
+                if frame is None:  # report before waiting: the supervisor may hold frames back until it has room
+                    self._report_taken()
+                    if life.stopping:  # and every frame that came before has been taken
                         break
-                    frame = self._link.recv(Duration(min(_PATIENCE, max(due - clock.now(), 1))))
+                    frame = self._link.recv(Duration(min(_TIMEOUT, max(due - clock.now(), 1))))
                 if frame is not None:
                     core.take(frame, time.time_ns())
                     self._taken += 1
-                    if self._taken - self._told >= TAKEN_EVERY:
-                        self._tell()
+                    if self._taken - self._reported >= TAKEN_EVERY:
+                        self._report_taken()
                 life.look(clock.now())
                 if core.full or clock.now() >= due:
                     self._write(core.cut())
@@ -270,14 +273,14 @@ class _Recording:
             self._write(core.cut())
             self._write(core.end())
         except OSError as error:
-            return _stopped(self._say, _reason(error), self._tick)
-        self._say(Closed(core.missing_in_all, core.tick))
+            return _stopped(self._send, _reason(error), self._tick)
+        self._send(Closed(core.missing_in_all, core.tick))
         return EXIT_OK
 
-    def _tell(self) -> None:
-        if self._taken > self._told:
-            self._told = self._taken
-            self._say(Taken(self._taken))
+    def _report_taken(self) -> None:
+        if self._taken > self._reported:
+            self._reported = self._taken
+            self._send(Taken(self._taken))
 
     def _write(self, piece: bytes) -> None:
         if piece:
@@ -289,8 +292,8 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _stopped(say: Say, why: str, tick: int) -> int:
+def _stopped(send: SendStatus, why: str, tick: int) -> int:
     text = presentable(why)
-    say(Stopped(text, tick))
+    send(Stopped(text, tick))
     print(f"recording stopped at tick {tick}: {text}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
     return EXIT_FAILED

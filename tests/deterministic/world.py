@@ -246,7 +246,7 @@ class SimulatedSession:
         elif not isinstance(message, Probe):
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
-        self._obey(self.conductor.hear(sender, message, self.scheduler.now))
+        self._obey(self.conductor.receive(sender, message, self.scheduler.now))
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             if self._witness is not None:
                 self._witness.hear(sender, message)
@@ -257,8 +257,8 @@ class SimulatedSession:
                     self._obey(self.conductor.shift(deed.coupling, deed.rung))
                 else:
                     self._obey(self.conductor.stop(deed.reason))
-            for sentence in self._energy.hear(sender, message):
-                self.conductor.tell(sentence, self.scheduler.now)
+            for sentence in self._energy.receive(sender, message):
+                self.conductor.note(sentence, self.scheduler.now)
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:

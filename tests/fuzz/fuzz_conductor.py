@@ -174,7 +174,7 @@ class Watch:
         before = self._snapshot()
         if isinstance(received, Ready) and sender in self.welcomed:
             self.ready.add(sender)
-        out = self.conductor.hear(sender, received, now)
+        out = self.conductor.receive(sender, received, now)
         for one in out:
             if isinstance(one, Send) and isinstance(one.message, Welcome):
                 assert one.node == sender, f"{sender} spoke and {one.node} was welcomed"

@@ -131,9 +131,9 @@ class TestSentences:
 
     def test_who_let_go_is_told_with_who_moved_it(self) -> None:
         incidents = self.incidents()
-        assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
-        assert incidents.hear("environment", self.told(99, moved_cx__cy=1.0)) == []
-        (sentence,) = incidents.hear(
+        assert incidents.receive("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
+        assert incidents.receive("environment", self.told(99, moved_cx__cy=1.0)) == []
+        (sentence,) = incidents.receive(
             "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
         )
         assert sentence.startswith("dy was beyond its limits")
@@ -141,19 +141,19 @@ class TestSentences:
 
     def test_who_moved_itself_is_told_so(self) -> None:
         incidents = self.incidents()
-        incidents.hear("dy", self.told(100, let_go=1.0))
-        (sentence,) = incidents.hear("environment", self.told(100, moved_cy__cx=3.0))
+        incidents.receive("dy", self.told(100, let_go=1.0))
+        (sentence,) = incidents.receive("environment", self.told(100, moved_cy__cx=3.0))
         assert sentence.endswith("nobody else has moved it")
 
     def test_a_party_beyond_its_budget_is_told_and_not_ten_times_a_second(self) -> None:
         incidents = self.incidents()
-        (sentence,) = incidents.hear("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
+        (sentence,) = incidents.receive("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
         assert sentence.startswith("cx (dx) was beyond its energy budget")
         assert sentence.endswith("it has put 1.25 J into the others so far")
-        assert incidents.hear("environment", self.told(200, stops_cx=2.0)) == []
+        assert incidents.receive("environment", self.told(200, stops_cx=2.0)) == []
         later = 100 + round(QUIET / T)
-        assert len(incidents.hear("environment", self.told(later, stops_cx=3.0))) == 1
-        assert incidents.hear("environment", self.told(2 * later, stops_cx=3.0)) == []
+        assert len(incidents.receive("environment", self.told(later, stops_cx=3.0))) == 1
+        assert incidents.receive("environment", self.told(2 * later, stops_cx=3.0)) == []
 
 
 class TestLine:

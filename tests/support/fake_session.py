@@ -111,7 +111,7 @@ class FakeSession:
         """The conductor hears the next message, if there is one."""
         if self.said:
             sender, message = self.said.popleft()
-            self._obey(self.conductor.hear(sender, message, self.now))
+            self._obey(self.conductor.receive(sender, message, self.now))
             return True
         return False
 

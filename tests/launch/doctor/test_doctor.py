@@ -156,10 +156,10 @@ def test_nothing_moves_in_the_session_at_rest() -> None:
 def test_the_delays_of_every_telemetry_are_kept_in_nanoseconds() -> None:
     delays = Delays()
     for node, rows in (("dx", [[250.0], [300.5]]), ("dy", [[0.125]])):
-        delays.tell(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
-    delays.tell(encode(Observation("cx", 2, {}, {})))
-    delays.tell(encode(Condition("running", 0.1, {}, (), (), (), ())))
-    delays.tell(None)
+        delays.take(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
+    delays.take(encode(Observation("cx", 2, {}, {})))
+    delays.take(encode(Condition("running", 0.1, {}, (), (), (), ())))
+    delays.take(None)
     assert delays.tau == [250_000, 300_500, 125]
 
 

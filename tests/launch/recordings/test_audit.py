@@ -351,7 +351,7 @@ def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepare
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
-    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event says why")]
+    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event states why")]
 
 
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
@@ -444,7 +444,7 @@ def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, t
     recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
     done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
     assert broken(done) == {("session", "certificate"): -1}
-    assert "which it says that its session ran under" in done.checks[0].told
+    assert "which its session ran under by its metadata" in done.checks[0].told
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:

@@ -271,7 +271,7 @@ class TestPictures:
     def test_a_summary_of_incidents_is_no_incident(self) -> None:
         incidents = Incidents()
         for number in range(MOST_INCIDENTS + 3):
-            incidents.tell(f"incident {number}")
+            incidents.add(f"incident {number}")
         condition = Condition("running", 0.0, {}, (), (), incidents.sentences)
         assert len(marks_of([(0, condition)], PERIOD)) == MOST_INCIDENTS
 

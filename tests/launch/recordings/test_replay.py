@@ -230,7 +230,7 @@ def test_a_session_of_another_shape_is_refused(prepared: Prepared, tmp_path: Pat
     path = written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 5))
     code, _, err = invoke("replay", path)
     assert code == 2
-    assert "found a session whose period" in err
+    assert "found a session with the period" in err
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:

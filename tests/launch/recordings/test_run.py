@@ -88,7 +88,7 @@ def test_cut_around_every_border_of_a_chunk_and_anywhere_else(written: Written, 
     for length in sorted(at):
         path.write_bytes(data[:length])
         if length < written.borders[0]:
-            with pytest.raises(RecordingError, match="no word of what was recorded"):
+            with pytest.raises(RecordingError, match="no metadata of a session"):
                 read_recording(path)
             continue
         assert_readable(written, path, length)

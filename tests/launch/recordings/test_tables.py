@@ -141,7 +141,7 @@ def test_without_the_devices_forces_there_is_no_f_v(file: Path, tmp_path: Path) 
 
 def test_a_pattern_that_means_nothing_is_refused_and_names_what_there_is(file: Path, tmp_path: Path) -> None:
     (tmp_path / "out.csv").write_text("an older table")
-    with pytest.raises(RecordingError, match=r"found 'dz'.*expected of dx/sample, dx/force"):
+    with pytest.raises(RecordingError, match=r"found 'dz'.*expected one of dx/sample, dx/force"):
         export(read_run(file), tmp_path / "out.csv", "csv", ["dz"])
     assert (tmp_path / "out.csv").read_text() == "an older table"
 

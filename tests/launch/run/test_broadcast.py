@@ -54,7 +54,7 @@ def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> Non
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     links = {name: transport.connect_outlet(endpoint, "supervisor") for name, endpoint in endpoints.items()}
-    observer_broadcast.tell("dx", OF_DEVICE)
+    observer_broadcast.send("dx", OF_DEVICE)
     heard = {name: link.recv(Duration(0)) for name, link in links.items()}
     transport.close()
     assert heard.pop("other") is None
@@ -69,7 +69,7 @@ def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     observer_broadcast.serve(transport, IPC, topology(told))
     for _ in range(3):
-        observer_broadcast.tell("dx", OF_DEVICE)
+        observer_broadcast.send("dx", OF_DEVICE)
     transport.close()
     assert observer_broadcast.missed == 3
 
@@ -93,9 +93,9 @@ def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     link = transport.connect_outlet(endpoints["watch"], "supervisor")
-    observer_broadcast.tell("dx", full)
+    observer_broadcast.send("dx", full)
     assert link.recv(Duration(0)) is None
     assert observer_broadcast.missed == 1
-    observer_broadcast.tell("dx", OF_DEVICE)
+    observer_broadcast.send("dx", OF_DEVICE)
     assert link.recv(Duration(0)) is not None
     transport.close()

@@ -125,7 +125,7 @@ def test_a_tick_that_is_none_is_left_out(tick: float) -> None:
 
 def test_incidents_are_listed_where_there_were_any() -> None:
     incidents = Incidents()
-    incidents.tell("dx was killed by SIGKILL while running")
+    incidents.add("dx was killed by SIGKILL while running")
     incidents.restarts["dx"] += 1
     made = whole({"dx": HONEST}, incidents=incidents)
     assert made["incidents"] == ["dx was killed by SIGKILL while running"]

@@ -59,7 +59,7 @@ class ReadyRecorder:
             tick = self.told * ROWS
             x = np.arange(tick - ROWS, tick, dtype=np.float64).reshape(ROWS, 1)
             for device in ("dx", "dy", "dz"):
-                self.recorder.tell(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
+                self.recorder.take(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
 
     def attend(self) -> bool:
         """Wait for whatever the recorder says; whether there may be more."""
@@ -187,7 +187,7 @@ def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, 
     while stage.attend():
         pass
     assert stage.incidents == [
-        f"recording ended at tick {ROWS}: somebody ended the recorder; {tmp_path / 'r.mcap'} is whole up to there"
+        f"recording ended at tick {ROWS}: a signal ended the recorder; {tmp_path / 'r.mcap'} is complete up to there"
     ]
     assert assert_prefix(tmp_path / "r.mcap", ROWS) == ROWS
     assert read_recording(tmp_path / "r.mcap").cut is None
@@ -251,7 +251,7 @@ def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: ReadyRecorder, t
 
 
 def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: ReadyRecorder) -> None:
-    stage.recorder.tell(
+    stage.recorder.take(
         observation_frame("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
     )
     assert stage.recorder.lost == 1
@@ -287,8 +287,8 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
 def test_without_a_recording_nothing_is_asked_or_told(tmp_path: Path) -> None:
     nobody = Recorder()
     nobody.start(tmp_path)
-    nobody.tell(observation_frame("dx", Telemetry(1, {}, {})))
-    nobody.tell(None)
+    nobody.take(observation_frame("dx", Telemetry(1, {}, {})))
+    nobody.take(None)
     assert (nobody.fds, nobody.has_room, nobody.attend({1}), nobody.finish(0)) == ((), True, None, None)
     assert (nobody.missing, nobody.failure, nobody.as_plain()) == ({}, None, {})
     assert list(tmp_path.iterdir()) == []

@@ -133,8 +133,8 @@ class Test_whoever_dies:
 
     def test_those_who_return_go_on_where_the_session_is(self) -> None:
         s = session()
-        s.conductor.hear("environment", Telemetry(400, {}, {}), 0)
-        s.conductor.hear("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
+        s.conductor.receive("environment", Telemetry(400, {}, {}), 0)
+        s.conductor.receive("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
         (original,) = s.processes["dx"].starts
         assert original.tick == 0
         s.kill("dy")
@@ -155,15 +155,15 @@ class Test_the_order:
         c = session().conductor
         told = c.exited("cx", -9, 0)
         assert told == [Send("environment", Absent("cx")), Send("dx", Absent("cx"))]
-        told = c.hear("environment", Offer("cx", "ipc:///anew"), 0)
+        told = c.receive("environment", Offer("cx", "ipc:///anew"), 0)
         assert told == [ReleaseName("cx"), StartProcess("cx")]
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
             Send("cx", Connect({"environment": "ipc:///anew"})),
             Send("dx", Return("cx", "ipc:///cx-dx.anew")),
         ]
-        (first, *rest) = c.hear("cx", Ready(), 0)
+        (first, *rest) = c.receive("cx", Ready(), 0)
         assert first == Send("cx", Start(20_000_000, TICKS, 1))
         assert rest == []
 
@@ -171,16 +171,16 @@ class Test_the_order:
         c = session().conductor
         c.exited("dx", -9, 0)
         c.exited("cx", -9, 0)
-        assert c.hear("environment", Offer("cx", "ipc:///anew"), 0) == [ReleaseName("cx"), StartProcess("cx")]
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        assert c.receive("environment", Offer("cx", "ipc:///anew"), 0) == [ReleaseName("cx"), StartProcess("cx")]
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
             Send("cx", Absent("dx")),
             Send("cx", Connect({"environment": "ipc:///anew"})),
         ]
-        assert StartProcess("dx") not in c.hear("cx", Offer("dx", "ipc:///for-dx"), 0)
-        assert StartProcess("dx") in c.hear("cx", Ready(), 0)
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert StartProcess("dx") not in c.receive("cx", Offer("dx", "ipc:///for-dx"), 0)
+        assert StartProcess("dx") in c.receive("cx", Ready(), 0)
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc:///for-dx"}))]
 
     def test_who_shakes_hands_with_one_that_dies_begins_again_at_no_charge(self) -> None:
@@ -210,37 +210,37 @@ class Test_offers:
     def test_unasked_are_counted_and_change_nothing(self, sender: str, peer: str) -> None:
         c = session().conductor
         before = dict(c.states)
-        assert c.hear(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
+        assert c.receive(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
         assert (c.states, c.ignored) == (before, 1)
 
     def test_only_from_who_binds_only_while_it_is_owed_and_only_once(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
         for sender in ("dx", "dy", "cy", "stranger"):
-            assert c.hear(sender, Offer("cx", "ipc:///elsewhere"), 0) == []
-        assert StartProcess("cx") in c.hear("environment", Offer("cx", "ipc:///anew"), 0)
-        assert c.hear("environment", Offer("cx", "ipc:///elsewhere"), 0) == []
+            assert c.receive(sender, Offer("cx", "ipc:///elsewhere"), 0) == []
+        assert StartProcess("cx") in c.receive("environment", Offer("cx", "ipc:///anew"), 0)
+        assert c.receive("environment", Offer("cx", "ipc:///elsewhere"), 0) == []
         assert c.ignored == 5
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
         assert Send("cx", Connect({"environment": "ipc:///anew"})) in told
 
     def test_what_a_dead_process_had_said_does_not_keep_the_name_from_the_next(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
-        assert c.hear("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
+        assert c.receive("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
         # a local one is not there
-        assert c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
+        assert c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
     def test_a_hello_of_a_former_process_is_not_taken_for_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)
-        c.hear("cx", Offer("dx", "ipc:///anew"), 0)
+        c.receive("cx", Offer("dx", "ipc:///anew"), 0)
         c.started("dx", 77)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [ReleaseName("dx")]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [ReleaseName("dx")]
         assert c.states["dx"] is NodeState.STARTING
-        assert Send("dx", Welcome()) in c.hear("dx", hello_of(GRAPH, "dx", {}, 77), 0)
+        assert Send("dx", Welcome()) in c.receive("dx", hello_of(GRAPH, "dx", {}, 77), 0)
 
 
 class Test_the_budget:
@@ -313,7 +313,7 @@ class Test_the_budget:
         c.exited("dx", -9, 0)
         assert c.states["dx"] is NodeState.GONE
         c.exited("dy", -9, 0)
-        c.hear("cy", Offer("dy", "ipc:///anew"), 0)
+        c.receive("cy", Offer("dy", "ipc:///anew"), 0)
         assert c.not_started("dy", "Resource temporarily unavailable", 0) == []
         assert "dy could not be started (Resource temporarily unavailable)" in c.faults[1]
 
@@ -325,7 +325,7 @@ class Test_returns_that_fail:
         s.see_end()
         s.read("environment")
         s.deliver()
-        assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("heard"))]
+        assert s.conductor.receive("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("received"))]
         assert s.conductor.states["cx"] is NodeState.LEAVING
         s.said.clear()  # it said nothing but that
         s.kill("cx")
@@ -336,7 +336,7 @@ class Test_returns_that_fail:
     def test_a_fault_of_one_that_runs_ends_the_session(self) -> None:
         """A device beyond its limits is not started anew: it has decided to stop."""
         c = session().conductor
-        assert c.hear("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("heard")), Terminate()]
+        assert c.receive("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("received")), Terminate()]
         assert c.faults == ["dx: too fast"]
 
     def test_a_hello_that_is_refused(self) -> None:
@@ -347,7 +347,7 @@ class Test_returns_that_fail:
         s.deliver()
         c = s.conductor
         c.started("dx", 7)
-        (told,) = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "ipc:///d"}, 7), 0)
+        (told,) = c.receive("dx", hello_of(GRAPH, "dx", {"dy": "ipc:///d"}, 7), 0)
         assert isinstance(told, Send)
         assert isinstance(told.message, Refusal)
         assert c.states["dx"] is NodeState.LEAVING
@@ -386,7 +386,7 @@ class Test_returns_that_fail:
 class Test_the_end:
     def done(self, s: FakeSession, *nodes: str) -> None:
         for node in nodes:
-            s.conductor.hear(node, DONE, 0)
+            s.conductor.receive(node, DONE, 0)
             s.processes.pop(node, None)
             s.conductor.exited(node, 0, 0)
 
@@ -405,7 +405,7 @@ class Test_the_end:
         s.see_end()
         s.read("cx")
         s.deliver()
-        s._obey(s.conductor.hear("environment", DONE, 0))
+        s._obey(s.conductor.receive("environment", DONE, 0))
         assert s.killed == ["dx"]
         while s.see_end():
             pass
@@ -481,23 +481,23 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.silent("dx", 0) == [ReleaseName("dx"), Send("cx", Absent("dx"))]
         assert c.states["dx"] is NodeState.LOST
         assert c.silent("dx", 0) == []
-        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert c.receive("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "tcp://anew"}))]
-        assert c.hear("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
+        assert c.receive("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
         assert c.faults == []
 
     def test_it_may_be_back_before_there_is_a_place_for_it(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
-        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.receive("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
 
     def test_one_that_was_not_dead_is_told_to_join_again(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        told = c.hear("dx", Telemetry(9, {}, {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        told = c.receive("dx", Telemetry(9, {}, {}), 0)
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
         assert c.ignored == 1
 
     def test_others_do_not_wait_for_it_to_come_back(self) -> None:
@@ -519,33 +519,33 @@ class Test_nodes_that_are_started_elsewhere:
         c = session(3, "cx").conductor
         c.silent("cx", 0)
         c.exited("dx", -9, 0)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0)[1:] == [Send("dx", Absent("cx")), Send("dx", Connect({}))]
-        c.hear("environment", Offer("cx", "tcp://anew"), 0)
-        assert Send("cx", Absent("dx")) in c.hear("cx", hello_of(GRAPH, "cx", {"dx": "tcp://cx-dx"}), 0)
-        assert c.hear("cx", Offer("dx", "tcp://cx-dx.anew"), 0) == []
-        c.hear("dx", Ready(), 0)
-        assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.hear("cx", Ready(), 0)
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0)[1:] == [Send("dx", Absent("cx")), Send("dx", Connect({}))]
+        c.receive("environment", Offer("cx", "tcp://anew"), 0)
+        assert Send("cx", Absent("dx")) in c.receive("cx", hello_of(GRAPH, "cx", {"dx": "tcp://cx-dx"}), 0)
+        assert c.receive("cx", Offer("dx", "tcp://cx-dx.anew"), 0) == []
+        c.receive("dx", Ready(), 0)
+        assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.receive("cx", Ready(), 0)
 
     def test_it_has_a_budget_too(self) -> None:
         c = session(1, "dx").conductor
         c.silent("dx", 0)
-        c.hear("cx", Offer("dx", "tcp://anew"), 0)
-        c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        c.hear("dx", Ready(), 0)
+        c.receive("cx", Offer("dx", "tcp://anew"), 0)
+        c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
+        c.receive("dx", Ready(), 0)
         c.silent("dx", 0)
         assert c.states["dx"] is NodeState.GONE
         assert len(c.faults) == 1
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
 
     def test_the_wrong_bundle_is_refused_and_the_right_one_may_follow(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        first, last = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
+        first, last = c.receive("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
         assert isinstance(first, Send)
         assert isinstance(first.message, Refusal)
         assert last == ReleaseName("dx")
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
         assert c.faults == []
 
 
@@ -585,6 +585,6 @@ def test_a_policy_may_end_the_session() -> None:
 def test_a_link_that_is_joined_is_offered_and_joined_again_by_one_way_alone() -> None:
     """A place is told once, and only after it was made."""
     into = {target: {event for (_, event), one in LINK_TRANSITIONS.items() if one is target} for target in LinkState}
-    assert into[LinkState.JOINED] == {LinkEvent.TOLD}
-    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.TOLD} == {LinkState.OFFERED}
+    assert into[LinkState.JOINED] == {LinkEvent.SENT}
+    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.SENT} == {LinkState.OFFERED}
     assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.PLACE} == {LinkState.CUT}

@@ -21,7 +21,7 @@ from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
-from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, Attention, Supervisor
+from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastHeard, Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
@@ -93,7 +93,7 @@ class Faulty:
         return NodeHello(PROTOCOL_VERSION, self.id, "example-1", name, self.graph.nodes[name], pid, binds)
 
     def say(self, sender: str, message: Message) -> None:
-        self.supervisor._hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor._receive(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
 
     def dies(self, node: str) -> None:
         told = self.conductor.exited(node, -9, self.clock.at)
@@ -256,7 +256,7 @@ def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
 def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
     incidents = Incidents()
     for number in range(MOST_INCIDENTS + 5):
-        incidents.tell(f"number {number}")
+        incidents.add(f"number {number}")
     assert len(incidents.sentences) == MOST_INCIDENTS + 1
     assert incidents.sentences[0] == "5 earlier incidents"
     assert incidents.sentences[-1] == f"number {MOST_INCIDENTS + 4}"
@@ -264,12 +264,12 @@ def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
 
 
 def test_attention() -> None:
-    attention = Attention()
-    assert attention.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
-    attention.note("b", Instant(10))
-    assert attention.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
-    attention.forget("a")
-    assert attention.quiet(["a", "b"], Instant(20), Duration(10)) == []
+    last_heard = LastHeard()
+    assert last_heard.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
+    last_heard.note("b", Instant(10))
+    assert last_heard.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
+    last_heard.forget("a")
+    assert last_heard.quiet(["a", "b"], Instant(20), Duration(10)) == []
 
 
 def test_one_process_is_killed_and_its_log_goes_on_with_the_next(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ class Heard:
 
     def say(self, sender: str, what: Message | bytes) -> None:
         frame = what if isinstance(what, bytes) else encode(what)
-        self.supervisor._hear(sender, frame, self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor._receive(sender, frame, self.hub, self.processes)  # type: ignore[arg-type]
 
 
 @settings(max_examples=60)

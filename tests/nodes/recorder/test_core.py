@@ -307,7 +307,7 @@ def test_a_file_of_somebody_else_is_no_recording(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     path = tmp_path / "r.mcap"
-    for data, why in ((b"", "begin"), (b"PK" * 20, "begin"), (b"\x89MCAP0\r\n", "no word of what was recorded")):
+    for data, why in ((b"", "begin"), (b"PK" * 20, "begin"), (b"\x89MCAP0\r\n", "no metadata of a session")):
         path.write_bytes(data)
         with pytest.raises(RecordingError, match=why):
             read_recording(path)
