@@ -119,24 +119,6 @@ def gain_for_share(share: float, tau_hat: float, pieces: int | None = None) -> f
     return (1.0 + 3.0 * t + v) / 2.0
 
 
-def device_share_fixed(kappa: Real, tau_hat: Real) -> Share:
-    """The greatest share (*) for one constant delay; by the module's argument it serves every delay up to that one.
-
-    It is the limit of :func:`device_share` for infinitely many pieces. F_t is singular at t = tau_hat, and the result
-    is rounded, so that it is for comparison and not for a proof.
-
-    Args:
-        kappa: K = kappa T Delta_D^-1; dimensionless.
-        tau_hat: tau/T, 0 ... 1.
-
-    Raises:
-        ValueError: no positive share exists, because kappa is not above :func:`least_gain` (at tau_hat = 0: below it).
-    """
-    gain, t = _gain(kappa), _tick_fraction(tau_hat)
-    share = _exact_share(gain, t, Fraction(0))
-    return Share(float(share), float(_exact_weight(gain, t, Fraction(0), share)))
-
-
 def device_share(kappa: Real, tau_hat: Real, pieces: int = PIECES) -> Share:
     """The greatest share that ``pieces`` equal pieces of [0, tau_hat] prove for every delay up to tau_hat.
 

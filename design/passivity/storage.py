@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +31,6 @@ from manyhands.design.models.statespace import Matrix, StateSpace
 
 _RANK_TOLERANCE = 1e-9  # static directions differ from slow ones (omega T of 1e-6 and more) by far more
 _EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution
-
-NeutralAt = Literal["input", "output"]
-"""Where a neutral pair is zero: at the input for E_hat (w = 0), at the output for V_hat (C psi + D w = 0)."""
 
 
 def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
@@ -72,56 +68,6 @@ class StorageFace:
     P_0: Matrix
     directions: Matrix
     complement: Matrix
-
-
-def neutral_pairs(system: StateSpace, at: NeutralAt) -> Matrix:
-    """An orthonormal basis, (n+m) x d, of the neutral pairs (psi, w) of ``system``."""
-    n, m = system.order, system.inputs
-    steady = np.hstack([system.A - np.eye(n), system.B])
-    silent = np.hstack([np.zeros((m, n)), np.eye(m)]) if at == "input" else np.hstack([system.C, system.D])
-    return kernel(np.vstack([steady, silent]))
-
-
-def neutral_equalities(system: StateSpace, at: NeutralAt, pairs: Matrix) -> tuple[Matrix, Matrix]:
-    """The equalities on P that follow from M(P) (psi, w) = 0 for neutral ``pairs``: left-hand rows and right-hand side.
-
-    [A - I, B]^T P psi = c with c = (0, C psi / 2) for pairs silent at the input and (C^T w / 2, D^T w / 2)
-    at the output.
-
-    Returns:
-        psi (n x d) and c ((n+m) x d).
-    """
-    n = system.order
-    psi, w = pairs[:n], pairs[n:]
-    if at == "input":
-        return psi, np.vstack([np.zeros_like(psi), system.C @ psi / 2.0])
-    return psi, np.vstack([system.C.T @ w / 2.0, system.D.T @ w / 2.0])
-
-
-def equality_residual(system: StateSpace, P: Matrix, at: NeutralAt) -> float:
-    """The residual of the neutral equalities at P, relative to their larger side; 0 if P is exactly on the face."""
-    pairs = neutral_pairs(system, at)
-    psi, right = neutral_equalities(system, at, pairs)
-    left = np.hstack([system.A - np.eye(system.order), system.B]).T @ P @ psi
-    scale = max(float(np.max(np.abs(P), initial=0.0)), float(np.max(np.abs(right), initial=0.0)), 1e-300)
-    return float(np.max(np.abs(left - right), initial=0.0)) / scale
-
-
-def storage_face(system: StateSpace, at: NeutralAt) -> StorageFace | None:
-    """Solve the neutral equalities; None if they have no symmetric solution, so that (2) cannot hold.
-
-    At the output of V_hat, None means that V(1) is not symmetric; at the input of E_hat, that the static stiffness is
-    not.
-    """
-    pairs = neutral_pairs(system, at)
-    psi, right = neutral_equalities(system, at, pairs)
-    left = np.hstack([system.A - np.eye(system.order), system.B]).T
-    return _solved(
-        system,
-        lambda N: (left @ N @ psi).ravel(),
-        right.ravel(),
-        kernel(pairs.T),
-    )
 
 
 def storage_face_of(
