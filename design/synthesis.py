@@ -5,7 +5,7 @@
 | class | objective | method |
 |---|---|---|
 | spring-damper | feasible | one exact program a block (:mod:`manyhands.design.levels.spring_damper`), or Theorem 4 |
-| spring-damper | stiffest | the same program with another aim |
+| spring-damper | stiffest | the same program with a different aim |
 | spring-damper | loop-shaping, closed-loop | sequential convex programs (:mod:`manyhands.design.transparency.design`) |
 | linear | feasible | the convex program over fixed poles, or Theorem 4 |
 | linear | stiffest | the convex program over fixed poles |

@@ -72,6 +72,8 @@ from manyhands.design.solver import (
     value,
 )
 
+# Necessary conditions on one block of V
+
 _FREQUENCIES = 400
 _ROUNDING = 1e-9  # relative to the largest gain on the circle
 _EDGE = 1e-12  # relative: exact arithmetic may find a coupling that is this near to the limit beyond it
@@ -170,6 +172,8 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
                 ("lower the coupling's impedance around that frequency", "shorten the period"),
             )
 
+
+# The joint program, and the small program for one block
 
 # caps, as multiples of Delta_D; the first that leaves (10) a margin is used, because storage matrices grow with the cap
 GREATEST_LEVELS = (100.0, 1e4)
@@ -431,6 +435,8 @@ def _storage(n: int) -> Any:
 def _positive(P: Any, n: int) -> list[cp.Constraint]:
     return [P >> _LEAST_STORAGE * np.eye(n)] if n else []
 
+
+# Certification: levels for all parties of a loop
 
 Progress = Callable[[str], None]
 

@@ -63,6 +63,8 @@ from manyhands.design.solver import (
     value,
 )
 
+# Cone complementarity linearisation
+
 TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
 MOST_ITERATIONS = 200
 
@@ -254,6 +256,8 @@ class _Path(Generic[Found]):
 def _parameter(variable: Any) -> cp.Parameter:
     return cp.Parameter(variable.shape, symmetric=True)
 
+
+# The program, and the spring-damper class
 
 _STRICT = 1e-6  # the solver reads "> 0" as ">= this", in scaled coordinates of order one
 _STRICT_E = 1e-9  # the same for (14): a mode of frequency omega without a damper dissipates (omega T)^2 at most
@@ -463,6 +467,8 @@ def _spring_damper(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> SpringD
 def _symmetric(m: int) -> cp.Variable:
     return cp.Variable((m, m), symmetric=True)
 
+
+# The linear class
 
 MOST_STATES = 24  # n_i + m_i of one block: (15) has 2 n_i + 4 m_i rows, and its program grows with their sixth power
 ROOM = 1e-3  # of (15), in scaled ports: W Z = I holds only up to 1e-4, and what it leaves is enough for a proof

@@ -66,6 +66,8 @@ from manyhands.design.solver import reachability
 
 Angles = NDArray[np.float64]
 
+# The Hermitian part of E_hat over frequency
+
 _SMALL = 64  # up to so many states a general solver is no slower; a triangular one may stall in the threads it starts
 _GRID = 48  # angles from _LOWEST to pi, in a geometric series; poles are added
 _LOWEST = 1e-5  # rad a tick: 0.01 rad/s at 1 kHz
@@ -153,6 +155,8 @@ def crossings(dissipation: Dissipation, Phi: Matrix) -> Angles:
     hamiltonian = np.block([[A - B @ RC / 2.0, -B @ RB], [C.T @ RC / 4.0, C.T @ RB / 2.0 - A.T]])
     return crossing_angles(hamiltonian, _NEAR_AXIS, _HAMILTONIAN_ROUNDING * float(np.linalg.norm(hamiltonian)))
 
+
+# The best level
 
 Progress = Callable[[str], None]
 
@@ -394,6 +398,8 @@ def _refined(limit: Callable[[float], float], low: float, high: float, t: float,
     better = result.fun < t - _EIGENVALUE_ROUNDING * abs(t)  # at 0 and pi the ends of the interval are the minima
     return (float(result.fun), float(result.x)) if better else (t, worst)
 
+
+# The storage function
 
 MOST_TIGHTENED = 5e-4  # the first eps
 LEAST_TIGHTENED = 1e-12  # the last eps: below it, rounding is as large

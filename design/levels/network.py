@@ -76,11 +76,11 @@ def port_dissipation(Z: csc_array, m: int) -> Matrix:
         Z: :func:`dissipation_matrix` of the network.
         m: number of ports.
     """
-    felt = _felt_masses(Z, m)
+    tied = _tied_masses(Z, m)
     S = Z[:m, :m].toarray()
-    if len(felt):
-        Z_qu = csc_array(Z[felt][:, :m])
-        solver = splu(csc_array(Z[felt][:, felt]))
+    if len(tied):
+        Z_qu = csc_array(Z[tied][:, :m])
+        solver = splu(csc_array(Z[tied][:, tied]))
         for first in range(0, m, _COLUMNS):
             chosen = slice(first, first + _COLUMNS)
             S[:, chosen] -= Z_qu.T @ solver.solve(Z_qu[:, chosen].toarray())
@@ -194,11 +194,11 @@ def _grounded(Z: csc_array) -> NDArray[np.bool_]:
     return np.asarray(Z @ np.ones(Z.shape[0]) > _ROUNDING * Z.diagonal())
 
 
-def _felt_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
+def _tied_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
     """Indices of the masses whose part of Z is regular: all masses that links join to a port or to ground."""
     _, component = connected_components(Z, directed=False)
-    tied = _grounded(Z)
-    tied[:m] = True
-    felt = np.isin(component, component[tied])
-    felt[:m] = False
-    return np.flatnonzero(felt)
+    anchored = _grounded(Z)
+    anchored[:m] = True
+    tied = np.isin(component, component[anchored])
+    tied[:m] = False
+    return np.flatnonzero(tied)

@@ -144,9 +144,9 @@ class Network:
     @property
     def order(self) -> int:
         """The order of Rest: two for each mass that a port moves; less if masses float freely."""
-        return 2 * len(self.felt().masses)
+        return 2 * len(self.reachable().masses)
 
-    def felt(self) -> Network:
+    def reachable(self) -> Network:
         """The network without the masses that no chain of links joins to a port, because no port ever moves them.
 
         A link without stiffness and damping joins nothing, and the ground transmits no motion.
@@ -182,9 +182,9 @@ class Network:
 
         The order is 2n if a port moves every mass and springs hold it, directly or through others; otherwise less.
         """
-        felt = self.felt()
-        if len(felt.masses) < len(self.masses):
-            return felt.split(T)
+        reachable = self.reachable()
+        if len(reachable.masses) < len(self.masses):
+            return reachable.split(T)
         m, n = len(self.ports), len(self.masses)
         K, B, M = self.stiffness_matrix(), self.damping_matrix(), self.mass_matrix()
         chosen = self._deflected()

@@ -65,6 +65,8 @@ from manyhands.design.passivity.frequency import generic_points, least_ratio, pa
 from manyhands.design.passivity.storage import StorageFace, storage_face_of, storage_inequality
 from manyhands.design.solver import ProgramInfeasible, affine, solve, value
 
+# Coordinates
+
 _INSIDE = 0.9995  # an A of greater spectral radius is shrunk to this radius, so that the Gramians exist
 _UNSEEN = 1e-9  # part of the largest eigenvalue of a Gramian below which a direction counts as unobservable
 
@@ -182,6 +184,8 @@ def _factor(P: Matrix) -> Matrix:
     return np.asarray(np.linalg.cholesky(P).T) if P.size else P
 
 
+# Unreachable motions
+
 _RADIUS_ROUNDING = 1e-11  # a spectral radius this near to 1 counts as on the circle; a port's row this small as zero
 UNREACHABLE = 1e-11
 """Relative to A's norm: a smaller coupling to the ports is rounding."""
@@ -191,7 +195,7 @@ _INDEPENDENT = 1e-6  # the same for the eigenvectors of a motion whose storage i
 
 
 @dataclass(frozen=True, eq=False)
-class Parted:
+class Separated:
     """A discrete system and its unreachable motions.
 
     Attributes:
@@ -210,7 +214,7 @@ class Parted:
         return symmetric_part(reachable.T @ P_f @ reachable + unreachable.T @ self.P_u @ unreachable)
 
 
-def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
+def separated(system: StateSpace, tolerance: float = UNREACHABLE) -> Separated:
     """Separate the unreachable motions of a discrete ``system``, if they have a storage matrix of their own.
 
     If the system has no such motions, or they have no storage matrix, ``reachable`` is the system itself.
@@ -222,7 +226,7 @@ def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
             still serve the whole system, and the inequality decides that. A refutation of the reachable part does not
             hold for the whole.
     """
-    whole = Parted(system, np.eye(system.order), np.zeros((0, 0)))
+    whole = Separated(system, np.eye(system.order), np.zeros((0, 0)))
     if system.order == 0:
         return whole
     d = state_units(system)
@@ -238,7 +242,7 @@ def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
     if P_u is None:
         return whole
     reached = back[: M.shape[1]]
-    return Parted(StateSpace(reached @ A @ M, reached @ B, C @ M, system.D), back / d, P_u)
+    return Separated(StateSpace(reached @ A @ M, reached @ B, C @ M, system.D), back / d, P_u)
 
 
 def storage_of_motion(A: Matrix) -> Matrix | None:
@@ -290,13 +294,18 @@ def _kernel(M: Matrix, tolerance: float) -> Matrix:
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
 
 
+# The analysis
+
 Pairs = list[tuple[complex, NDArray[np.complex128]]]
 
 _NEUTRAL = 1e-12  # of the supply form's norm: a smaller exchange counts as zero
 _REFUTED = 1e-11  # of the supply form's norm: with a supply below minus this, a pair draws energy
 _FACE = 1e-8  # relative residual of the neutral equalities
 _SUM_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)  # of a sum of a few dozen products, relative to its largest term
-_HARDLY_FELT = (1e-8, 1e-5)  # tolerances of :func:`parted` that are tried if the analysis is undecided without them
+_WEAKLY_COUPLED = (
+    1e-8,
+    1e-5,
+)  # tolerances of :func:`separated`, tried if the analysis is undecided without them  # tolerances of :func:`separated` that are tried if the analysis is undecided without them
 _PASSES = 4  # solutions of the program, each in the coordinates of the storage matrix before
 _STORAGE_PART = 1e-2  # P >= this times the room in the dissipation, so that P > 0 is strict too
 _TRUSTED_GAIN = 1e-7  # energy that a moment matrix must draw, per unit of its trace
@@ -343,12 +352,12 @@ def analyse(
     """
     Delta, Phi = checked_levels(system, Delta, Phi)
     discrete, rate = in_discrete_time(system, time)
-    parts = parted(discrete)
+    parts = separated(discrete)
     finding = _decide(discrete, parts, Delta, Phi, time, rate)
     if finding is None or not (finding.holds or finding.frequency is not None):
         # The storage matrix is checked on the whole system, so that weakly coupled motions may be separated as well.
-        for tolerance in _HARDLY_FELT:
-            fewer = parted(discrete, tolerance)
+        for tolerance in _WEAKLY_COUPLED:
+            fewer = separated(discrete, tolerance)
             if fewer.reachable.order < parts.reachable.order:
                 parts = fewer
                 other = _decide(discrete, parts, Delta, Phi, time, rate)
@@ -362,7 +371,9 @@ def analyse(
     return finding
 
 
-def _decide(whole: StateSpace, parts: Parted, Delta: Matrix, Phi: Matrix, time: Time, rate: float) -> Analysis | None:
+def _decide(
+    whole: StateSpace, parts: Separated, Delta: Matrix, Phi: Matrix, time: Time, rate: float
+) -> Analysis | None:
     """Analyse the reachable part of a discrete system, and check a positive result on the whole; None: undecided."""
     discrete = parts.reachable
     units = scaled(discrete)
