@@ -302,10 +302,7 @@ _NEUTRAL = 1e-12  # of the supply form's norm: a smaller exchange counts as zero
 _REFUTED = 1e-11  # of the supply form's norm: with a supply below minus this, a pair draws energy
 _FACE = 1e-8  # relative residual of the neutral equalities
 _SUM_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)  # of a sum of a few dozen products, relative to its largest term
-_WEAKLY_COUPLED = (
-    1e-8,
-    1e-5,
-)  # tolerances of :func:`separated`, tried if the analysis is undecided without them  # tolerances of :func:`separated` that are tried if the analysis is undecided without them
+_WEAKLY_COUPLED = (1e-8, 1e-5)  # tolerances of :func:`separated` to be tried if the analysis is undecided
 _PASSES = 4  # solutions of the program, each in the coordinates of the storage matrix before
 _STORAGE_PART = 1e-2  # P >= this times the room in the dissipation, so that P > 0 is strict too
 _TRUSTED_GAIN = 1e-7  # energy that a moment matrix must draw, per unit of its trace

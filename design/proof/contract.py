@@ -115,7 +115,7 @@ def well_posed(promises: list[Finding], enforced: bool = False) -> Finding:
     missing = [finding.condition for finding in promises if not finding.holds]
     argument = "follows from the promises at infinite frequency and (10)"
     if missing:
-        argument = f"not proved, because this is not: {missing[0]}"
+        argument = f"not proved, because this condition is not: {missing[0]}"
     what = "the controller has one force" if enforced else "I + D_E D_V is regular"
     return Finding(f"the loop is well posed: {what}", not missing, 0.0, 0.0, argument=argument)
 
