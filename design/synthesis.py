@@ -343,7 +343,7 @@ def certificate_of(
 
     Args:
         loop: the haptic loop.
-        wanted: what was asked of the coupling, for the record.
+        wanted: the request, which the certificate records.
         found: the coupling.
         progress: called with a line of text for each step.
         environment: levels whose Phi_E and storage are used; None searches the environment's level.

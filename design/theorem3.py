@@ -180,8 +180,8 @@ GREATEST_LEVELS = (100.0, 1e4)
 _T_KEPT = (0.9999, 0.995, 0.9, 0.5)  # parts of the best t that the second program tries to keep, in this order
 _ENOUGH_ROOM = 1e-7  # ten times the solver's tolerance
 _LEAST_STORAGE = 1e-9
-_LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 asks OSP levels to be positive, (10) does not
-_MOST_ROOM = 1e-2  # cap on the room asked in the Lemma 1 inequalities, scaled coordinates
+_LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 requires positive OSP levels, (10) does not
+_MOST_ROOM = 1e-2  # cap on the room in the inequalities of Lemma 1, in scaled coordinates
 
 
 @dataclass(frozen=True, eq=False)

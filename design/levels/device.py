@@ -18,18 +18,21 @@ If F_t >= 0 for every t in [0, tau_hat], tau_hat = tau/T, and one c >= 0, then G
 
     F_t >= 0  <=>  a^2/(b - c) + p^2/(c - q) <= 1 - share,    q <= c <= b,
 
-so a >= 0, and the left side is least, (a + p)^2/(b - q), at c = q + (b - q) p/(a + p). What is left is linear in share:
+so a >= 0, and the left side is least, (a + p)^2/(b - q), at c = q + (b - q) p/(a + p). The rest is linear in share:
 
     share <= v / (v^2 + (1 + 4t) v + 4 t^2),    v = 2 kappa - 1 - 3t.                                           (*)
 
-**A delay that varies costs no more than its longest.** The c of t = tau_hat is c >= q + p(a + p) >= tau_hat/4, and then
-p^2/(c - q) = t^2/(4c - t + t^2), whose derivative in t is t (8c - t)/(4c - t + t^2)^2, grows over all of [0, tau_hat].
+**A varying delay costs no more than its longest value.** The c at t = tau_hat is c >= q + p(a + p) >= tau_hat/4. Then
 
-So share > 0 asks for kappa > 1/2 + 3/2 tau_hat; the greatest share is 1/(1 + 8 tau_hat), at kappa = 1/2 + 5/2 tau_hat;
-and without a delay share = 1/(2 kappa), which is the paper's (8)-(9) at kappa = 1/2.
+    p^2/(c - q) = t^2/(4c - t + t^2)
 
-It is not far from necessary: a heavy mass on its damper, behind a constant delay, needs kappa >= (1 + tau_hat)^2/2 for
-G_hat to be passive, the same at tau_hat = 0 and 1 and less by tau_hat (1 - tau_hat)/2 between.
+grows over all of [0, tau_hat], because its derivative in t is t (8c - t)/(4c - t + t^2)^2. So share > 0 requires
+kappa > 1/2 + 3/2 tau_hat. The greatest share is 1/(1 + 8 tau_hat), at kappa = 1/2 + 5/2 tau_hat. Without a delay
+share = 1/(2 kappa), which is the paper's (8)-(9) at kappa = 1/2.
+
+The condition is not far from necessary. A heavy mass on its damper, behind a constant delay, needs
+kappa >= (1 + tau_hat)^2/2 for G_hat to be passive. This is the same bound at tau_hat = 0 and 1, and less by
+tau_hat (1 - tau_hat)/2 between.
 
 **In pieces.** A proof does not need this closed form. It can cut [0, tau_hat] into pieces, replace t^2 in F_t by its
 tangent at a piece's middle, and test the ends of every piece. With pieces of length h this costs at most h^2/16 of

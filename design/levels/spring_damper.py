@@ -37,7 +37,7 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.solver import ProgramInfeasible, solve, symmetric, value
 
-ROOM = 1e-4  # of Lambda: the distance that an aim keeps from the strict conditions; also the part of the greatest K_s
+ROOM = 1e-4  # of Lambda: the distance of an aim to the strict conditions; K_s stays below its limit by the same part
 
 
 @dataclass(frozen=True, eq=False)

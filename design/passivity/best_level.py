@@ -2,9 +2,9 @@
 
 Both levels are searched with Lemma 1 of [Bianchini2010]_, in which the level enters linearly,
 
-    maximise  d (level d I)   or   trace of the level    subject to   P > 0,  M(P) <= 0,
+    maximise  d (level d I)   or   trace of the level    subject to   P > 0,  M(P) <= 0.
 
-The level may be negative: then the system lacks so much passivity. The optimum of the program lies on an edge. So the
+The level may be negative: the system then lacks so much passivity. The optimum of the program lies on an edge. So the
 level is lowered, as little as possible, until :func:`~manyhands.design.passivity.lemma1.analyse` finds and checks a
 storage matrix. The returned level is proved. For the shape "scalar" it comes with a bound that no storage matrix can
 exceed,

@@ -125,6 +125,8 @@ def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
     best = _least_of(system, Q, R, start, silent)
     if best is None:
         raise ValueError("every pair is silent: there is nothing to compare the supply with")
+    # A level slightly below the best value is crossed only if a lower value exists. Between two crossings the ratio is
+    # above or below this level throughout, so that one point in each gap shows where it is lower.
     for _ in range(_ROUNDS):
         step = _LEVEL_STEP * max(scale, abs(best.value))
         angles = _crossings(system, Q - (best.value - step) * N)

@@ -164,8 +164,9 @@ def minimise_peak(
 def _iterates(family: Family, x: Matrix, what: str, radius: float, most_steps: int) -> Iterator[Minimum]:
     """The best so far: first the start (its level is inf if it need not be a member), then after each program.
 
-    Each program promises a level. The true peak of its answer decides: if the peak is lower than the best, the step is
-    taken; otherwise the trust region shrinks. Peaks that the program did not bound join the working set.
+    Each program promises a level, and the true peak of its answer shows how far the linearisation holds. If the true
+    gain is a fair part of the promised gain, the next program starts from the answer; otherwise the trust region
+    shrinks. Peaks that the program did not bound join the working set.
     """
     angles, values = peaks(family, x)
     working = angles[:_FIRST_PEAKS]
