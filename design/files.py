@@ -1,4 +1,4 @@
-"""Safe reading and writing of files: regular files only, written whole or not at all, and never through a link.
+"""Safe reading and writing: only regular files are read; files are written whole or not at all, never through a link.
 
 A path may come from a session file, from a bundle or from an untrusted person, and a folder may be shared. So a file
 is checked to be regular and of bounded size before any of its bytes are used. A file under construction has a name
