@@ -11,7 +11,8 @@ the parallel sum [Anderson1969]_ of X = Delta_G - t I and Y = Delta_V - t I,
     Phi(t) = X (X + Y)^{-1} Y,        s^T Phi(t) s = min over a + b = s of (a^T X a + b^T Y b),
 
 and a greater Phi_E only helps the second inequality. Delta_G and Delta_V have the structure of V, hence Phi(t) has it
-too, and structure costs nothing. What remains is a search over the frequency,
+too: each block can receive its own part alone, and structure costs nothing. What remains is a search over the
+frequency,
 
     t* = min over w of lambda_min [ Delta_G + H(w)      H(w)         ]
                                   [     H(w)        Delta_V + H(w)   ],
