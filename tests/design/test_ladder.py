@@ -333,7 +333,7 @@ def test_rungs_that_divide_a_device_differently_are_not_mixed() -> None:
     proof = prove_ladder([{**data, "id": "0"} for data in rungs], 0)
     assert proof.together.holds
     assert not proof.independent.holds
-    assert "another Delta_D" in proof.independent.argument
+    assert "a different Delta_D" in proof.independent.argument
     assert np.linalg.eigvalsh(osp - np.diag([0.147, 0.05])).min() > 0.0  # each rung keeps what the device promises
     assert (
         np.linalg.eigvalsh(osp - np.diag([0.147, 0.147])).min() < 0.0

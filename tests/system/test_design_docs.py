@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from manyhands import design
 from manyhands.launch import cli
 
 ROOT = Path(__file__).parents[2]
@@ -160,3 +161,8 @@ def test_the_check_sees_what_is_wrong() -> None:
     page = "The limit (24) is 2740 N/m, not 2750, in 3 steps, `x = 7.5`.\n```console\n$ manyhands x\n2740\n```\n"
     assert unfounded(page) == ["2750"]
     assert unfounded(page + "<!-- computed by: python a.py -->\n| 2750.5 |\n") == []
+
+
+def test_the_page_describes_every_public_name_of_design() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert [name for name in design.__all__ if f"`{name}`" not in text] == []
