@@ -122,7 +122,7 @@ def test_every_key_that_was_asked_counts(problems, linear: Certificate, asked, w
     assert same == []
 
 
-def test_what_a_message_shows_of_a_foreign_file_is_short_and_plain(problems, proved: Certificate) -> None:
+def test_messages_quote_foreign_files_shortly_and_plainly(problems, proved: Certificate) -> None:
     asked = {"coupling": "\x1b[2J", "objective": "x" * 1000, "order": [0] * 10_000}
     foreign = dataclasses.replace(proved, asked=asked)
     text = "\n".join([asked_text(asked), *differences(foreign, problems.example_1(), SpringDamperGiven(problems.C26))])

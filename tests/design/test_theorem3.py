@@ -195,9 +195,7 @@ def test_other_coordinates_of_a_block_do_not_matter(problems) -> None:
     assert same == pytest.approx(problems.margin(loop, certified(loop, problems.C27)), rel=1e-3)
 
 
-def test_blocks_of_several_ports_beyond_the_joint_program_get_a_level_of_their_own(
-    problems, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_blocks_beyond_the_joint_program_get_their_own_level(problems, monkeypatch: pytest.MonkeyPatch) -> None:
     """The greatest multiple of Delta_D is an OSP level like another: certified, with no more margin than the best."""
     loop = problems.example_1(problems.centralised)
     blocks = problems.blocks(loop, problems.C27)
@@ -226,7 +224,7 @@ def test_a_second_order_block_is_certified(problems, units) -> None:
     assert problems.margin(loop, certify_given(loop, blocks)) > 0.9
 
 
-def test_a_second_order_block_that_is_not_passive_is_refused_with_its_frequency(problems) -> None:
+def test_a_nonpassive_second_order_block_is_refused_with_its_frequency(problems) -> None:
     loop = problems.example_1()
     with pytest.raises(Infeasible, match=r"V_hat is not passive at .* rad/s"):
         certify_given(loop, (resonant(2000.0, 40000.0, 300.0, 0.005, loop.period, np.eye(2)),) * 3)
@@ -262,7 +260,7 @@ def test_a_damper_that_is_hardly_there(problems, linear: bool) -> None:
 
 
 @pytest.mark.parametrize("linear", [False, True], ids=["springs", "linear"])
-def test_a_level_that_10_does_not_ask_for_is_positive_all_the_same(problems, linear: bool) -> None:
+def test_a_level_that_condition_10_does_not_need_is_positive(problems, linear: bool) -> None:
     """The weak device alone decides the best t; nothing in (10) keeps the other block's level above zero."""
     loop, coupling = two_ports(problems, ((0,), (1,)), [0.05, 5.0], 100.0), problems.uniform(20.0, 1e-3, 2)
     levels = certify_given(loop, problems.blocks(loop, coupling) if linear else coupling.restrict(loop.partition))

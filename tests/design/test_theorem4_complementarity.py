@@ -61,7 +61,7 @@ def hopeless() -> Relaxed[Matrix]:
     return output_feedback(A, B, C)
 
 
-def test_a_program_without_solution_is_not_converged_and_says_how_far_it_got() -> None:
+def test_a_program_without_solution_does_not_converge_and_reports_its_residual() -> None:
     with pytest.raises(
         StoppedShort, match=r"output feedback: stopped after 12 iterations at .*, wanted < 1e-04"
     ) as error:

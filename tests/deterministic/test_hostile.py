@@ -36,12 +36,12 @@ def test_lying_stamps_gain_nothing(clock: str) -> None:
 
 
 @pytest.mark.parametrize("late", [0.2, 0.7, 2.2])
-def test_who_is_late_within_patience_costs_the_others_no_more_than_a_transient(late: float) -> None:
+def test_guests_late_within_the_timeout_cost_others_only_a_transient(late: float) -> None:
     outcome = run(Case(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
 
 
-def test_who_begins_far_from_its_tool_puts_no_more_into_the_others_than_its_budget() -> None:
+def test_a_start_far_from_its_tool_stays_within_the_energy_budget() -> None:
     """The first sample has no step: at once it was 4.8 J, and 1.7 J of that reached the others in a quarter second."""
     outcome = run(case(100616), 60)
     assert not [text for kind, text in outcome.wrong if kind is Wrong.ENERGY]
@@ -55,7 +55,7 @@ def test_of_two_late_couplings_of_a_guest_neither_hides_the_other() -> None:
 
 
 @pytest.mark.parametrize(("seed", "ticks"), [(4100141, 150), (4100291, 320)])
-def test_ticks_of_a_return_and_ticks_that_nobody_can_tell_apart_are_not_the_others(seed: int, ticks: int) -> None:
+def test_ticks_of_a_return_and_ambiguous_ticks_are_not_the_others(seed: int, ticks: int) -> None:
     """Of a late guest: each of its returns delayed the others; a sixth of its late ticks was taken for theirs."""
     assert run(case(seed), ticks).wrong == ()
 

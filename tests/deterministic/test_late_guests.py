@@ -62,7 +62,7 @@ def sound(session: Session) -> Session:
     ],
     ids=["always", "a little", "every other tick", "two in turns"],
 )
-def test_who_is_late_within_patience_is_frozen_and_the_others_stay_certified(delays: dict[str, Delay]) -> None:
+def test_guests_late_within_the_timeout_are_frozen_and_others_stay_certified(delays: dict[str, Delay]) -> None:
     session = sound(Session(prepared(), 600, delays))
     guests = {f"c{device[1:]}" for device in delays}
     for device in {"dx", "dy", "dz"} - delays.keys():
@@ -104,7 +104,7 @@ def test_what_it_cost_is_what_the_others_waited() -> None:
     ],
     ids=["a burst", "a slow start", "all alike", "all in turns"],
 )
-def test_who_is_late_for_a_while_or_as_the_others_are_is_not_frozen(delays: dict[str, Delay]) -> None:
+def test_devices_late_briefly_or_like_all_others_are_not_frozen(delays: dict[str, Delay]) -> None:
     session = sound(Session(prepared(), 700, delays))
     assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
     assert named(session) == set()

@@ -133,7 +133,7 @@ HOLD = "import sys; from pathlib import Path; from manyhands.launch.files import
 HOLD += "with claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 
 
-def test_a_second_launch_with_one_recording_is_refused_at_once_and_says_whose_it_is(tmp_path: Path) -> None:
+def test_a_second_launch_with_one_recording_is_refused_naming_the_owner(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -167,7 +167,7 @@ def test_a_claim_is_of_one_file_and_goes_with_the_run(tmp_path: Path) -> None:
         pass
 
 
-def test_a_lock_is_not_taken_through_a_link_or_from_a_pipe(tmp_path: Path) -> None:
+def test_no_lock_is_taken_through_a_link_or_pipe(tmp_path: Path) -> None:
     ours, lock = tmp_path / "ours", tmp_path / ".run.npz.lock"
     ours.write_bytes(b"precious")
     lock.symlink_to(ours)

@@ -110,7 +110,7 @@ def test_a_strong_honest_hand_is_not_scaled(designed: Prepared) -> None:
     assert simulation.environment.energy.given[0] > 0.1
 
 
-def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
+def test_the_default_is_the_devices_ability_and_at_most_a_hands() -> None:
     limits = [
         "devices.dx.limits={force: 8, speed: 2, displacement: 0.2}",
         "devices.dy.limits={power: 3, energy: 4}",
@@ -145,7 +145,7 @@ class TestSentences:
         (sentence,) = incidents.hear("environment", self.told(100, moved_cy__cx=3.0))
         assert sentence.endswith("nobody else has moved it")
 
-    def test_a_party_beyond_its_budget_is_told_and_not_ten_times_a_second(self) -> None:
+    def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()
         (sentence,) = incidents.hear("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
         assert sentence.startswith("cx (dx) was beyond its energy budget")

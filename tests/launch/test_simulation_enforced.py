@@ -182,7 +182,7 @@ def test_without_enforcement_there_is_no_certificate(file: Path, tmp_path: Path)
         read_certificate(certificate, session)
 
 
-def test_a_level_beyond_the_devices_is_enforced_all_the_same_but_certifies_nothing(file: Path) -> None:
+def test_a_level_beyond_the_devices_is_enforced_but_certifies_nothing(file: Path) -> None:
     session = load_session(file, ["environment.level=1.4"])
     with pytest.raises(NotCertified, match="declared level"):
         prepare(session)

@@ -235,7 +235,7 @@ def test_one_that_was_never_there() -> None:
     assert np.any(run.x[:, 2] != 0.0)  # its hand moves on
 
 
-def test_a_returning_coupling_starts_at_rest_with_a_ledger_of_its_own() -> None:
+def test_a_returning_coupling_starts_at_rest_with_a_new_ledger() -> None:
     simulation = Simulation(example())
     before = simulation.couplings["cx"], simulation.ledgers["cx"]
     kept = simulation.couplings["cy"]

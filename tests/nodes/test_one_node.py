@@ -183,7 +183,7 @@ def test_a_force_beyond_the_limit_is_clipped_last_before_the_actuator(
         (float("nan"), "found a displacement of nan m at dx", 0.0),
     ],
 )
-def test_a_device_beyond_its_limits_lets_go_and_says_nothing_of_where_it_is(
+def test_a_device_beyond_its_limits_lets_go_and_hides_its_position(
     sample: float,
     sentence: str,
     told: float,
@@ -260,7 +260,7 @@ def test_a_coupling_admits_no_sample_that_its_device_could_not_have(
     assert node.report().counts["dropped_out_of_range"] == 3
 
 
-def test_a_coupling_clips_a_force_before_it_is_handed_on_and_absorbed(
+def test_a_coupling_clips_a_force_before_passing_and_absorbing_it(
     bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
 ) -> None:
     bundle = bundles["cx"]

@@ -296,7 +296,7 @@ class Test_a_peer_that_comes_back:
         assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
         assert not peer_link.reachable
 
-    def test_closes_the_place_that_waited_for_it_if_it_is_lost_once_more(self) -> None:
+    def test_closes_the_waiting_link_if_the_peer_is_lost_again(self) -> None:
         peer_link, first, second = joined(FrameLink()), FrameLink(), FrameLink()
         peer_link.greet(first, handshake_of(peer_link))  # type: ignore[arg-type]
         peer_link.greet(second, handshake_of(peer_link))  # type: ignore[arg-type]
@@ -328,7 +328,7 @@ def test_the_last_signal_is_said_again_as_it_was() -> None:
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2
 
 
-def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
+def test_a_zero_force_carries_the_finished_tick_and_no_stamp() -> None:
     link = FrameLink()
     peer_link = joined(link)
     peer_link.send_zero(Force, -1)  # before the first tick nothing is over
@@ -378,9 +378,7 @@ frames = st.one_of(
 
 
 @given(coming=st.lists(frames, max_size=20), turns=st.booleans(), greets=st.booleans())
-def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
-    coming: list[bytes], turns: bool, greets: bool
-) -> None:
+def test_no_frame_raises_and_only_the_ticks_signal_is_admitted(coming: list[bytes], turns: bool, greets: bool) -> None:
     peer_link, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
     link = FrameLink(*coming)
     if greets:

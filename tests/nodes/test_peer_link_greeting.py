@@ -108,7 +108,7 @@ def hello(peer: Peer) -> LinkHello:
     return LinkHello(PROTOCOL_VERSION, "id", "s", peer.name, peer.role, peer.ports)
 
 
-def test_a_peer_that_is_absent_is_not_waited_for_and_has_its_peer_link(transport: MemoryTransport) -> None:
+def test_an_absent_peer_is_not_awaited_and_keeps_its_peer_link(transport: MemoryTransport) -> None:
     links, endpoints = bind_links(common(LEFT, RIGHT), transport)
     del links["left"]
     answering(transport.connect(endpoints["right"], "c"), hello(RIGHT), Welcome(), Sample(0, 0, np.array([0.5])))

@@ -255,7 +255,7 @@ def test_pages_in_use_are_locked_where_that_is_permitted() -> None:
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_a_limit_that_is_too_small_leaves_the_process_able_to_allocate() -> None:
+def test_too_small_a_limit_leaves_the_process_able_to_allocate() -> None:
     """As an ordinary user; locking with what is to come would have the next allocations fail."""
     code = """
 import resource

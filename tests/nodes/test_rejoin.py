@@ -92,7 +92,7 @@ def test_who_connects_waits_to_be_told(peer_links: list[PeerLink], line: Offerin
     assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
 
 
-def test_every_absence_of_the_same_peer_has_a_place_of_its_own(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
         part(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3

@@ -68,7 +68,7 @@ def check_rows(stage: ThreadedSession) -> None:
 
 
 @pytest.mark.parametrize("who", ["dx", "cx", ENVIRONMENT])
-def test_a_node_that_is_lost_comes_back_and_the_session_is_done(
+def test_a_lost_node_comes_back_and_the_session_finishes(
     prepared: Prepared, new_life: Callable[[], Any], who: str
 ) -> None:
     with held(prepared, new_life) as stage:
@@ -119,9 +119,7 @@ def test_both_ends_of_a_link_are_lost_at_once(
     assert reports["dy"].counts["jumps"] == 0
 
 
-def test_a_peer_lost_in_the_middle_of_its_return_is_met_at_the_next(
-    prepared: Prepared, new_life: Callable[[], Any]
-) -> None:
+def test_a_peer_lost_during_its_return_reconnects_at_the_next(prepared: Prepared, new_life: Callable[[], Any]) -> None:
     """The environment is told of an absence while the place that it offered before still waits."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
@@ -178,7 +176,7 @@ def test_couplings_change_their_rungs(
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["told again", "not told again"])
-def test_an_environment_that_comes_back_finds_the_rungs_that_it_knows_of(
+def test_a_returned_environment_finds_the_rungs_it_knows(
     prepared: Prepared, new_life: Callable[[], Any], told: bool
 ) -> None:
     with held(prepared, new_life) as stage:
@@ -231,7 +229,7 @@ class Test_in_real_time:
             assert report.figures["ledger_min"] >= ROUNDING, name
 
     @pytest.mark.parametrize("session", ["prepared", "colocated"])
-    def test_a_user_that_is_silent_for_a_while_is_frozen_and_let_in_again(
+    def test_a_temporarily_silent_user_is_frozen_and_rejoins(
         self, session: str, new_life: Callable[[], Any], request: pytest.FixtureRequest
     ) -> None:
         stage = ThreadedSession(request.getfixturevalue(session), new_life, clock=REALTIME)

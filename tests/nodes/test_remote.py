@@ -199,7 +199,7 @@ def load_role(path: Path) -> Any:
     return remote.role_of(path)
 
 
-def test_of_others_a_guest_has_the_names_and_public_keys_of_its_peers_alone(machine: Path, keys: Keys) -> None:
+def test_a_guest_knows_only_its_peers_names_and_public_keys(machine: Path, keys: Keys) -> None:
     text = (machine / "dx.bundle").read_text()
     held = {name for name, key in keys.public.keys.items() if key in text}
     assert held == {"dx", "cx", "supervisor"}

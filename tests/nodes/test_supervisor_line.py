@@ -191,7 +191,7 @@ def test_a_life_that_ends_is_noticed_while_it_waits(line: AnsweringLine) -> None
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOT_ADMITTED, Trouble.NOT_PROVED])
-def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: AnsweringLine, trouble: Trouble) -> None:
+def test_a_refusing_supervisor_is_given_up_at_once(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused) as error:
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -203,7 +203,7 @@ def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: AnsweringL
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOBODY, Trouble.BROKEN_OFF])
-def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: AnsweringLine, trouble: Trouble) -> None:
+def test_an_absent_or_busy_supervisor_is_given_a_minute(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused, match=str(trouble)):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -271,7 +271,7 @@ def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: AnsweringLin
     assert len(line.said) == 32
 
 
-def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line: AnsweringLine) -> None:
+def test_an_echo_of_another_question_is_ignored_without_delay(line: AnsweringLine) -> None:
     stray = Echo(0, 10**12, 10**12)
     line.answer = lambda probe: [stray, Echo(probe.sent, probe.sent, probe.sent)]  # type: ignore[union-attr]
     one = control(line)

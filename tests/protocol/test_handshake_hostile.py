@@ -348,7 +348,7 @@ honest = st.sampled_from([encode(hello) for pair in PAIRS for hello in pair] + [
 @both_sides
 @given(script=st.lists(st.integers(1, 600) | junk | honest, max_size=6), deaf=st.booleans())
 @settings(max_examples=cases(50, 150))
-def test_a_handshake_over_a_link_ends_in_time_and_with_a_clear_word(
+def test_a_links_handshake_ends_in_time_with_a_clear_message(
     own: LinkHello, hopes: LinkHello, opens: bool, script: list[bytes | int], deaf: bool
 ) -> None:
     handshake, link = side(own, hopes, opens), Scripted(script, deaf)

@@ -493,7 +493,7 @@ def test_public_keys_cannot_be_changed_afterwards(pair: KeyPair) -> None:
         (["dx"], "found no mapping"),
     ],
 )
-def test_what_are_no_public_keys_is_refused_in_memory_and_in_a_file(tmp_path: Path, keys: Any, said: str) -> None:
+def test_invalid_public_keys_are_refused_in_memory_and_in_files(tmp_path: Path, keys: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         PublicKeys("s", keys)
     file = tmp_path / "public.json"

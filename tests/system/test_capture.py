@@ -73,7 +73,7 @@ def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
 
 
 @pytest.mark.alone
-def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_insecure_one_all(folder: Path) -> None:
+def test_a_capture_shows_insecure_sessions_whole_and_keyed_ones_not(folder: Path) -> None:
     keyed = captured(folder, "--keys", folder / "keys")
     plain = captured(folder, "--insecure")
 
@@ -96,7 +96,7 @@ def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_ins
 SYN, ACK, FIN = 0x02, 0x10, 0x01
 
 
-def test_what_was_sent_is_found_however_it_was_cut_and_in_whatever_order_it_was_seen() -> None:
+def test_sent_bytes_are_found_however_cut_and_in_any_order() -> None:
     value = struct.pack("<d", 0.12345678901234567)
     segments = [
         Segment(3, 5000, ACK, 6, value[4:] + b"-end"),

@@ -143,7 +143,7 @@ def test_every_number_in_the_text_is_one_of_a_block() -> None:
     assert unfounded(PAGE.read_text(encoding="utf-8")) == []
 
 
-def test_what_is_too_slow_to_run_here_names_the_program_that_prints_it() -> None:
+def test_examples_too_slow_for_a_test_name_their_program() -> None:
     found = COMPUTED.findall(PAGE.read_text(encoding="utf-8"))
     assert found
     for command, _ in found:

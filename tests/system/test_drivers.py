@@ -60,7 +60,7 @@ def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path:
 
 
 @pytest.mark.alone
-def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None:
+def test_a_hand_at_a_browser_moves_a_running_sessions_other_user() -> None:
     clock = RealtimeClock()
     with started("launch", "browser") as process:
         read_until(process, "running: tick")

@@ -312,9 +312,7 @@ def test_a_guest_that_is_interrupted_leaves_and_the_others_go_on(home: Home, mac
     assert 0 < ticks["dx"] < ticks["dy"]
 
 
-def test_a_guest_that_is_interrupted_before_the_first_tick_is_waited_for_again(
-    home: Home, machine: Path, listen: Listen
-) -> None:
+def test_a_guest_interrupted_before_the_first_tick_is_awaited_again(home: Home, machine: Path, listen: Listen) -> None:
     """It has joined and waits for another guest, who never comes."""
     home.invited("dx", machine)
     ended: list[tuple[int, str]] = []

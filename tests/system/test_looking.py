@@ -138,7 +138,7 @@ def test_top() -> None:
     assert "example-1-operator (process " in looked("top", "--once")
 
 
-def test_whoever_looks_on_ends_as_he_likes_and_one_that_stalls_changes_nothing(session: subprocess.Popen[str]) -> None:
+def test_observers_end_freely_and_a_stalled_one_changes_nothing(session: subprocess.Popen[str]) -> None:
     """At the end of the session its last onlooker ends by itself, and the session as if nobody had looked on."""
     with (
         onlooker("echo", "d/sample") as leaves,

@@ -147,7 +147,7 @@ def test_a_devices_bundle_has_nothing_of_the_others(owner: Owner) -> None:
     assert known <= Patterns(keys).found_in([content]) <= known | {owner.publics[DEVICE]}
 
 
-def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owner: Owner, machine: Path) -> None:
+def test_a_remote_device_never_holds_other_parties_data(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
     others = owner.raw(*distinctive_session.DEVICES[1:], ENVIRONMENT)
     key = party_secrets.as_keys({"the device's private key": owner.secrets[DEVICE]})
@@ -171,7 +171,7 @@ def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owne
     assert {path.name for path in machine.iterdir()} == {f"{DEVICE}.bundle", f"{DEVICE}.key"}
 
 
-def test_a_device_that_joined_from_elsewhere_opens_its_bundle_and_its_key_alone(owner: Owner, machine: Path) -> None:
+def test_a_remote_device_opens_only_its_bundle_and_its_key(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
     log = owner.folder / "opened.log"
     command = watched([*MANYHANDS, *joining(port)], log)

@@ -132,7 +132,7 @@ def test_an_observer_is_told_what_it_may_read_and_nothing_else() -> None:
     assert all(observation.figures and not observation.traces for observation in told().observations)
 
 
-def test_a_flood_of_junk_is_read_as_fast_as_the_supervisor_allows_and_counted() -> None:
+def test_a_flood_of_junk_is_read_within_the_allowance_and_counted() -> None:
     counted = refused_by(surrounded(), SUPERVISOR)["out_of_turn"] - told().refused["out_of_turn"]
     assert 0 < counted <= told().queued <= around.FLOOD
 
@@ -184,7 +184,7 @@ def test_what_a_member_says_out_of_turn_is_counted() -> None:
     }
 
 
-def test_a_force_beyond_its_limit_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_excessive_force_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hand feels the limit for as long as its coupling is mad, and the world is what it is with that force."""
     simulation = Simulation(prepared())
     guard = simulation.guards["dy"]
@@ -205,7 +205,7 @@ def test_a_force_beyond_its_limit_is_clipped_at_the_device_and_counted(monkeypat
     }
 
 
-def test_more_strays_in_one_wait_than_a_queue_holds_end_the_session_and_name_their_sender() -> None:
+def test_too_many_strays_in_one_wait_end_sessions_naming_the_sender() -> None:
     played = play(acts={"dx": "flooding device"})
     outcome = played.outcome
     assert outcome.code == 1

@@ -202,7 +202,7 @@ def test_a_needle_in_frequency_is_found(width: float) -> None:
 
 
 @pytest.mark.parametrize("width", [1e-2, 1e-5])
-def test_a_needle_that_the_grid_does_not_know_is_found_by_the_hamiltonian(
+def test_the_hamiltonian_finds_a_needle_between_the_points_of_the_grid(
     monkeypatch: pytest.MonkeyPatch, width: float
 ) -> None:
     split = needle(0.7, width, 3.0)

@@ -45,7 +45,7 @@ def test_a_network_is_its_split_at_every_frequency(problems, data: st.DataObject
 
 
 @given(st.data())
-def test_the_split_of_matrices_is_that_of_the_network_they_come_from(problems, data: st.DataObject) -> None:
+def test_matrices_split_as_the_network_they_come_from(problems, data: st.DataObject) -> None:
     network = data.draw(problems.networks(tied=True))
     if np.abs(np.linalg.eigvals(network.environment(T).A)).max(initial=0.0) > 1.0 - 1e-9:
         return  # masses that drift freely have a pole at 1, which matrices may not have

@@ -84,7 +84,7 @@ def test_the_couplings_of_the_paper_up_to_their_greatest_level(problems, name: s
     assert not analyse(V_hat, 1.0001 * greatest).holds
 
 
-def test_a_mass_with_a_damper_is_exactly_as_dissipative_as_its_damper() -> None:
+def test_a_damped_mass_is_exactly_as_dissipative_as_its_damper() -> None:
     mass, b = 0.2, 1.37
     device = StateSpace([[-b / mass]], [[1.0 / mass]], [[1.0]], [[0.0]])
     finding = analyse(device, np.array([[b]]), time="continuous")

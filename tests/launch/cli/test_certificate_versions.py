@@ -81,7 +81,7 @@ def test_there_is_one_for_every_session_that_can_be_certified() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_certificate_of_0_5_0_is_proved_as_what_it_is(name: str) -> None:
+def test_a_0_5_0_certificate_is_proved_as_its_own_version(name: str) -> None:
     read, data = load(old(name))
     assert all(finding.holds for finding in prove(data))
     assert to_json(read) == old(name).read_text()  # nothing is added when it is written again
@@ -151,7 +151,7 @@ def test_a_feasible_certificate_is_not_one_for_the_stiffest(feasible: Path, stif
     assert not bundle.exists()
 
 
-def test_a_certificate_of_0_5_0_is_invited_under_with_the_same_line(stiffest: Path, tmp_path: Path) -> None:
+def test_a_0_5_0_certificate_gives_the_same_invitation_line(stiffest: Path, tmp_path: Path) -> None:
     """Whether it was asked for as the session asks is not known: it says so, and goes on as 0.5.0 did."""
     bundle = tmp_path / "dx.bundle"
     done = manyhands_command("invite", stiffest, "dx", "--certificate", old("example1"), "--insecure", "-o", bundle)
@@ -160,7 +160,7 @@ def test_a_certificate_of_0_5_0_is_invited_under_with_the_same_line(stiffest: Pa
     assert bundle.exists()
 
 
-def test_a_run_under_a_certificate_of_0_5_0_keeps_it_and_is_audited_with_it(tmp_path: Path) -> None:
+def test_a_run_keeps_and_audits_its_0_5_0_certificate(tmp_path: Path) -> None:
     """The copy in the recording is the file itself, of version 2 and with its own id; its rungs are made now."""
     prepared = prepare(load_named("example1.yaml"), old("example1"))
     kept = kept_files(prepared)
@@ -175,7 +175,7 @@ def test_a_run_under_a_certificate_of_0_5_0_keeps_it_and_is_audited_with_it(tmp_
     assert (done.exit_code, f"certificate {first.id}: proved again, and this session's" in done.stdout) == (0, True)
 
 
-def test_a_file_that_would_not_keep_its_id_is_not_run_under(feasible: Path, tmp_path: Path) -> None:
+def test_a_certificate_file_that_would_change_its_id_is_refused(feasible: Path, tmp_path: Path) -> None:
     """Another order of keys, with the id of that order, is proved as it is, but a recording would write it anew."""
     data = dict(reversed(json.loads(feasible.read_text()).items()))
     data["id"] = identity(data)

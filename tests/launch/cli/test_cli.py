@@ -151,7 +151,7 @@ def test_the_session_a_certificate_belongs_to_is_checked(tmp_path: Path) -> None
     assert "it is the session's: the session's name differs" in other.stderr
 
 
-def test_too_stiff_a_coupling_is_exit_3_with_what_could_be_relaxed() -> None:
+def test_too_stiff_a_coupling_exits_3_and_names_possible_relaxations() -> None:
     result = manyhands_command("design", "example1.yaml", "--json", *given("3000", "0"))
     assert result.exit_code == 3
     said = json.loads(result.stdout)

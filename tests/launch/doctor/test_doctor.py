@@ -222,7 +222,7 @@ def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says:
     assert NO.said in one.change
 
 
-def test_a_processor_for_each_chain_and_one_for_the_environment_are_enough(worth: Worth) -> None:
+def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Worth) -> None:
     assert advice(a_machine(usable=(0, 1, 2, 3)), measurement(510.0, 600.0), worth, chains=3) == ()
     (one,) = advice(a_machine(usable=(0, 1, 2)), measurement(510.0, 600.0), worth, chains=3)
     assert one.change == "give it more processors: 3 usable, 3 users and an environment want 4"

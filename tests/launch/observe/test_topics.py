@@ -35,7 +35,7 @@ class TestNames:
         assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])
         assert named_topics(ABOUT)["environment/masses"].columns == ("hub",)
 
-    def test_a_session_that_nothing_proves_has_no_ledgers_and_one_without_masses_none_of_them(self) -> None:
+    def test_uncertified_sessions_list_no_ledgers_and_massless_ones_no_masses(self) -> None:
         names = named_topics(replace(ABOUT, certificate=None, masses={}))
         assert not [name for name in names if name.endswith(("/ledger", "/masses"))]
         assert "environment/tools" in names
@@ -87,7 +87,7 @@ class TestEcho:
     def test_others_say_nothing_of_it(self) -> None:
         assert echoed("cx/tool", telemetry("d", 10, 2), telemetry("cy", 10, 2), condition(), b"junk") == []
 
-    def test_every_so_many_ticks_wherever_a_batch_begins_and_to_the_count(self) -> None:
+    def test_the_interval_and_count_do_not_depend_on_batches(self) -> None:
         batches = [telemetry("d", 105, 98), telemetry("d", 205)]
         assert [line["tick"] for line in echoed("d/sample", *batches, every=50)] == [50, 100, 150, 200]
         assert [line["tick"] for line in echoed("d/sample", *batches, every=50, count=3)] == [50, 100, 150]
@@ -106,7 +106,7 @@ class TestEcho:
         }  # fmt: skip
         assert line["states"]["cx"] == "running"
 
-    def test_what_is_no_number_is_null_and_what_does_not_fit_is_left_out(self) -> None:
+    def test_non_numbers_are_null_and_misfitting_fields_are_omitted(self) -> None:
         echo = EchoLines(find_topic(ABOUT, "d/sample"), ABOUT.period)
 
         def lines(tick: int, trace: list[list[float]]) -> list[str]:

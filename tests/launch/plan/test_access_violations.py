@@ -105,7 +105,7 @@ def test_a_stolen_certificate_with_two_blocks_exchanged_is_refused_at_launch(tmp
 
 @settings(max_examples=40)
 @given(data=st.data())
-def test_a_block_that_needs_what_its_process_may_not_read_cannot_be_designed(
+def test_a_block_needing_data_its_process_may_not_read_is_refused(
     drawn_plain_sessions: st.SearchStrategy[dict[str, Any]], data: st.DataObject, tmp_path: Path
 ) -> None:
     plain = data.draw(drawn_plain_sessions)

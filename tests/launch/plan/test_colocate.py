@@ -34,7 +34,7 @@ def test_a_coupling_of_several_devices_is_in_the_process_of_none() -> None:
     assert "expected couplings of one device each, or false" in str(caught.value)
 
 
-def test_nobody_may_do_more_than_before_and_what_is_not_sent_is_nobodys() -> None:
+def test_colocation_adds_no_right_and_unsent_signals_have_no_reader() -> None:
     """Sample and force fall away between the two; everything else that one may read or write stays."""
     apart, together = (set(Plan(session_of(colocate=flag)).access) for flag in (False, True))
     assert together < apart

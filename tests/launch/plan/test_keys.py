@@ -231,7 +231,7 @@ def test_a_first_run_that_is_interrupted_can_be_repeated(
     assert {name: keys.pair(name).public for name in NAMES} == dict(keys.public.keys)
 
 
-def test_an_addition_that_is_interrupted_leaves_the_public_keys_and_can_be_repeated(
+def test_an_interrupted_addition_keeps_the_public_keys_and_can_be_repeated(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_keys(ONE, folder)
@@ -285,9 +285,7 @@ def test_two_runs_at_once_are_refused(folder: Path) -> None:
     assert make_keys(TWO, folder).new == ("dy", "cdy")
 
 
-def test_a_file_system_that_locks_no_folders_is_used_all_the_same(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_without_folder_locks_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locks(_descriptor: int, _how: int) -> None:
         raise OSError(9, "Bad file descriptor")  # what NFS says to an exclusive lock of what is open for reading
 
@@ -331,7 +329,7 @@ def test_a_private_key_that_is_a_link_is_refused(folder: Path, tmp_path: Path) -
     assert elsewhere.read_bytes() == before
 
 
-def test_a_private_folder_that_is_a_link_or_a_file_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_link_or_file_as_private_folder_is_refused(folder: Path, tmp_path: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private").rename(tmp_path / "elsewhere")
     (folder / "private").symlink_to(tmp_path / "elsewhere")
@@ -448,7 +446,7 @@ def test_keys_of_one_run(tmp_path: Path) -> None:
         keys.pair("dy")
 
 
-def test_a_node_is_given_the_file_where_its_key_is_kept_or_one_of_this_run(folder: Path, tmp_path: Path) -> None:
+def test_a_node_gets_its_kept_key_file_or_this_runs(folder: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir(mode=0o700)
     make_keys(ONE, folder)

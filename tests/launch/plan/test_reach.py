@@ -89,7 +89,7 @@ def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
     assert ways.public("watch").keys() == {"watch", "supervisor"}
 
 
-def test_every_listener_has_a_port_of_its_own_and_only_what_is_remote_leaves_the_loopback(session: Session) -> None:
+def test_listeners_have_their_own_ports_and_local_links_stay_on_loopback(session: Session) -> None:
     graph = topology(session)
     listen = Listen("192.0.2.7", 7400)
     ways = reach(Plan(session), "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))

@@ -94,7 +94,7 @@ def test_it_begins_where_it_came_in(tmp_path: Path) -> None:
     assert x[15:, 0].tolist() == np.sin(np.arange(15.0, 30.0) + 1.0).tolist()
 
 
-def test_it_writes_at_least_once_a_second_and_what_is_written_can_be_read() -> None:
+def test_it_writes_at_least_once_a_second_in_readable_form() -> None:
     pieces = written(core_of(), [*frames(40, 5), condition(SessionPhase.OVER.value)])
     assert len(pieces) == len(list(frames(40, 5))) // 4 + 1
     assert all(pieces)
@@ -122,7 +122,7 @@ def test_it_ends_when_it_is_as_long_as_was_asked_for() -> None:
     assert core.ending is Ending.DURATION
 
 
-def test_it_ends_when_the_supervisor_is_gone_and_has_what_came_before() -> None:
+def test_it_ends_with_the_supervisor_and_keeps_what_came_before() -> None:
     core = core_of()
     written(core, [observation("dx", 5, 5), None, observation("dx", 10, 5)])
     assert (core.ending, core.tick) == (Ending.GONE, 10)

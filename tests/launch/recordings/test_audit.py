@@ -182,9 +182,7 @@ def test_what_was_recorded_and_what_should_be_are_told(recording: Path, tmp_path
     assert (first.tick, first.column, first.recorded, first.recomputed) == (AT, "E", honest + 1e-3, honest)
 
 
-def test_a_frozen_coupling_leaves_a_gap_that_is_told_and_the_rest_is_checked(
-    prepared: Prepared, tmp_path: Path
-) -> None:
+def test_a_frozen_couplings_gap_is_reported_and_the_rest_is_checked(prepared: Prepared, tmp_path: Path) -> None:
     rows = simulated(prepared, 600, [Silence("cx", 150, 220), Silence("cz", 260, 300)])
     path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
     done = audited(path)
@@ -340,7 +338,7 @@ def test_a_process_that_came_back_begins_at_rest(prepared: Prepared) -> None:
     assert again.gaps == []
 
 
-def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepared: Prepared) -> None:
+def test_a_device_left_behind_goes_on_from_its_position(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)
     played = played_device(bundle, [0.1] * 100 + [0.0] * 200, {100: 4})

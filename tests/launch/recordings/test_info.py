@@ -89,7 +89,7 @@ def test_what_is_no_recording_is_refused(text: bytes, tmp_path: Path) -> None:
         read_info(path)
 
 
-def test_the_command_says_what_is_damaged_and_fails_only_when_it_is_asked_to_check(tmp_path: Path) -> None:
+def test_the_command_reports_damage_and_fails_only_with_check(tmp_path: Path) -> None:
     whole, path = recording(), tmp_path / "run.mcap"
     path.write_bytes(whole)
     runner = CliRunner()

@@ -169,7 +169,7 @@ class Test_softening:
         assert self.broken(m, "dy", 200.0, 200.0) == {"cy": 1}  # cx is softer already
         assert m.rungs == {"cx": 2, "cy": 1}
 
-    def test_without_a_ladder_it_is_told_how_to_get_one_and_once(self) -> None:
+    def test_without_a_ladder_one_notice_names_the_key_for_one(self) -> None:
         m = Measured(Policy.SOFTEN)
         assert self.broken(m, "dx", 200.0, 200.0) == {}
         assert m.notices["dx delay"].endswith("see design.ladder in the session file")
@@ -227,14 +227,14 @@ class Test_waiting_for_another_user:
             decided |= shifts(m.tell_taus("dx", (TICKS, 2300.0)))
         assert decided == {"cx": 3}
 
-    def test_the_rest_is_judged_and_by_the_longest_delay_of_the_rest(self) -> None:
+    def test_the_remaining_ticks_are_judged_by_their_longest_delay(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         for end in range(TICKS, 4 * TICKS, TICKS):
             m.late(end, cz=range(end - TICKS, end - 50))
             m.tell_taus("dx", (50, 2300.0), (50, 200.0))
         assert m.rungs == {"cx": 1}
 
-    def test_a_message_is_held_until_the_environment_has_told_of_its_ticks(self) -> None:
+    def test_a_message_is_held_until_the_environment_reports_its_ticks(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.late(50)
         assert m.tell_taus("dx", (TICKS, 50.0)) == []
@@ -340,7 +340,7 @@ class Test_climbing:
             m.tell("dz", 0, worst=30.0)
         assert m.rungs == {"cz": 2}
 
-    def test_who_is_softened_again_after_a_climb_has_to_be_calm_for_twice_as_long(self) -> None:
+    def test_softening_after_a_climb_doubles_the_required_calm(self) -> None:
         m, waits = self.softened("dz"), []
         for _ in range(4):
             waits.append(self.calm(m, "dz"))
@@ -383,7 +383,7 @@ def test_a_wrong_period_is_no_matter_of_softness(policy: Policy) -> None:
         assert decisions == [Notice("dx period", text)]
 
 
-def test_to_stop_ends_the_session_and_to_warn_does_nothing_but_tell() -> None:
+def test_stop_ends_the_session_and_warn_only_reports() -> None:
     for policy in (Policy.STOP, Policy.WARN):
         m = Measured(policy, Rungs())
         m.tell("dx", 1)
@@ -405,7 +405,7 @@ counts = st.floats() | st.sampled_from([0.0, 1.0, 1e300, math.nan, math.inf, -1.
     st.booleans(),
     st.lists(st.tuples(st.sampled_from([*CHAINS, "cx", "stranger"]), st.integers(0, 300), counts, counts, counts)),
 )
-def test_without_the_delay_of_each_tick_couplings_only_get_softer_and_notices_are_few(
+def test_without_tick_delays_couplings_only_soften_and_notices_are_few(
     policy: Policy, independent: bool, messages: list[tuple[str, int, float, float, float]]
 ) -> None:
     m = Measured(policy, Rungs(independent=independent))

@@ -49,7 +49,7 @@ def test_nothing_is_said_where_nothing_may_be_read() -> None:
     assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
 
 
-def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
+def test_each_observer_gets_its_own_topics_and_strangers_get_nothing() -> None:
     told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))

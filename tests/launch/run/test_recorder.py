@@ -118,9 +118,7 @@ def test_all_that_is_told_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> N
     assert stage.recorder.fds == ()
 
 
-def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_has_one(
-    prepared: Prepared, tmp_path: Path
-) -> None:
+def test_the_recording_holds_the_session_as_run_and_its_certificate(prepared: Prepared, tmp_path: Path) -> None:
     certified = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dx.mass=0.3"]))
     for number, (one, names) in enumerate(
         ((prepared, ["session.yaml"]), (certified, ["session.yaml", "certificate.json"]))
@@ -143,7 +141,7 @@ def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_ha
     assert load_session(folder / "s.yaml") == certified.session
 
 
-def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_its_file_and_is_reported_once(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(2 * FRAMES_A_CHUNK)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
@@ -160,7 +158,7 @@ def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage:
     assert stage.recorder.failure is None
 
 
-def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_at_a_reported_tick(stage: ReadyRecorder, tmp_path: Path) -> None:
     """The kernel refuses the recorder what would make its file longer; tests/system has a disk that is really full."""
     assert stage.recorder.pid is not None
     resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
@@ -193,7 +191,7 @@ def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, 
     assert read_recording(tmp_path / "r.mcap").cut is None
 
 
-def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_in_real_time_a_slow_recorder_loses_ticks_and_counts_them(stage: ReadyRecorder, tmp_path: Path) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGSTOP)
     while stage.recorder.lost == 0:
@@ -232,7 +230,7 @@ def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: Rea
 
 
 @simulated
-def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(stage: ReadyRecorder) -> None:
+def test_under_the_simulated_clock_an_incomplete_recording_is_a_failure(stage: ReadyRecorder) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGKILL)
     while stage.attend():
@@ -258,7 +256,7 @@ def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: ReadyReco
     stage.finish()
 
 
-def test_a_recording_that_cannot_be_begun_is_an_error_before_the_session(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_recording_that_cannot_begin_fails_before_the_session(prepared: Prepared, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir(mode=0o700)
     (tmp_path / "r.mcap").mkdir()
     recorder = RecorderProcess(prepared, "realtime", tmp_path / "r.mcap")

@@ -183,7 +183,7 @@ class Test_the_order:
         told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc:///for-dx"}))]
 
-    def test_who_shakes_hands_with_one_that_dies_begins_again_at_no_charge(self) -> None:
+    def test_a_rejoining_node_restarts_free_when_its_peer_dies(self) -> None:
         s = session(restarts=1)
         s.kill("cx")
         s.see_end()
@@ -213,7 +213,7 @@ class Test_offers:
         assert c.hear(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
         assert (c.states, c.ignored) == (before, 1)
 
-    def test_only_from_who_binds_only_while_it_is_owed_and_only_once(self) -> None:
+    def test_only_the_binding_peer_may_offer_once_while_it_is_due(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
         for sender in ("dx", "dy", "cy", "stranger"):
@@ -224,7 +224,7 @@ class Test_offers:
         told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
         assert Send("cx", Connect({"environment": "ipc:///anew"})) in told
 
-    def test_what_a_dead_process_had_said_does_not_keep_the_name_from_the_next(self) -> None:
+    def test_messages_of_a_dead_process_do_not_block_its_name(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
         assert c.hear("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
@@ -233,7 +233,7 @@ class Test_offers:
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
-    def test_a_hello_of_a_former_process_is_not_taken_for_the_next_ones(self) -> None:
+    def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)
         c.hear("cx", Offer("dx", "ipc:///anew"), 0)
@@ -249,7 +249,7 @@ class Test_the_budget:
         assert c.exited("dx", -9, 0) == [Terminate()]
         assert c.faults == ["dx was killed by SIGKILL while running"]
 
-    def test_a_user_who_has_used_it_up_stays_frozen_and_the_rest_go_on(self) -> None:
+    def test_a_user_without_restarts_left_stays_frozen_and_others_go_on(self) -> None:
         s = session(restarts=2)
         for _ in range(3):
             s.kill("dx")
@@ -281,7 +281,7 @@ class Test_the_budget:
         s.settle()
         assert s.conductor.states["dx"] is NodeState.GONE
 
-    def test_deaths_on_the_way_back_count_and_the_long_run_before_does_not_excuse_them(self) -> None:
+    def test_deaths_while_rejoining_count_despite_a_long_run_before(self) -> None:
         s = session(restarts=2)
         s.now = 10 * WINDOW
         for _ in range(3):
@@ -319,7 +319,7 @@ class Test_the_budget:
 
 
 class Test_returns_that_fail:
-    def test_a_fault_on_the_way_back_is_a_death_and_not_the_sessions_end(self) -> None:
+    def test_a_fault_while_rejoining_is_a_death_and_ends_no_session(self) -> None:
         s = session()
         s.kill("cx")
         s.see_end()
@@ -440,7 +440,7 @@ class Test_the_end:
         assert s.conductor.exited("dx", -9, 0) == []
         assert (s.conductor.phase, s.conductor.faults) == (SessionPhase.OVER, [])
 
-    def test_who_says_it_is_done_long_before_the_environment_ends_the_session(self) -> None:
+    def test_a_node_done_long_before_the_environment_ends_the_session(self) -> None:
         s = session()
         self.done(s, "dx")
         assert s.conductor.too_late() == [Terminate()]
@@ -514,7 +514,7 @@ class Test_nodes_that_are_started_elsewhere:
         s.settle()
         assert s.joined()
 
-    def test_two_that_come_back_side_by_side_find_each_other_in_the_end(self) -> None:
+    def test_two_nodes_that_rejoin_side_by_side_meet_in_the_end(self) -> None:
         """Each was told that the other is absent."""
         c = session(3, "cx").conductor
         c.silent("cx", 0)
@@ -582,7 +582,7 @@ def test_a_policy_may_end_the_session() -> None:
     assert c.faults == ["dx: too slow"]
 
 
-def test_a_link_that_is_joined_is_offered_and_joined_again_by_one_way_alone() -> None:
+def test_a_link_is_offered_and_joined_again_by_one_way_alone() -> None:
     """A place is told once, and only after it was made."""
     into = {target: {event for (_, event), one in LINK_TRANSITIONS.items() if one is target} for target in LinkState}
     assert into[LinkState.JOINED] == {LinkEvent.TOLD}

@@ -129,7 +129,7 @@ def faulty(prepared: Prepared) -> Iterator[Faulty]:
     made.transport.close()
 
 
-def test_a_process_is_started_anew_from_its_bundle_and_what_the_last_one_said_is_forgotten(faulty: Faulty) -> None:
+def test_a_process_restarts_from_its_bundle_without_its_predecessors_messages(faulty: Faulty) -> None:
     faulty.say("dx", Telemetry(100, {"speed": 0.5}, {}))
     assert "dx" in faulty.progress().telemetry
     faulty.dies("dx")
@@ -212,7 +212,7 @@ class Test_silence:
         assert "cx" not in faulty.progress().silent
         assert faulty.conductor.incidents.total == 0  # nothing is done about it
 
-    def test_is_not_that_of_one_that_is_lost_or_has_just_come_back(self, faulty: Faulty) -> None:
+    def test_is_not_shown_for_a_lost_or_just_returned_node(self, faulty: Faulty) -> None:
         faulty.say("dx", Telemetry(1, {}, {}))
         faulty.dies("dx")
         faulty.clock.at = 10 * TELEMETRY_SILENCE
@@ -223,7 +223,7 @@ class Test_silence:
         assert "dx" not in faulty.progress().silent
 
 
-def test_the_table_shows_who_is_lost_who_is_silent_and_what_happened(faulty: Faulty) -> None:
+def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -> None:
     shown = StringIO()
     console = Console(file=shown, width=220, force_terminal=True)
     table = LiveTable(console, "t", faulty.graph, 0)
@@ -272,7 +272,7 @@ def test_attention() -> None:
     assert attention.quiet(["a", "b"], Instant(20), Duration(10)) == []
 
 
-def test_one_process_is_killed_and_its_log_goes_on_with_the_next(tmp_path: Path) -> None:
+def test_a_killed_processs_log_goes_on_with_the_next(tmp_path: Path) -> None:
     processes = Processes(tmp_path)
     try:
         for _ in range(2):

@@ -179,7 +179,7 @@ def test_the_most_ticks_that_can_have_run(elapsed: float, clock: str, ticks: int
     assert most_ticks(from_seconds(elapsed), 0.001, clock, ticks) == pytest.approx(most, abs=1)
 
 
-def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(prepared: Prepared) -> None:
+def test_an_impossible_tick_is_refused_counted_and_moves_nothing(prepared: Prepared) -> None:
     """One frame from one guest with a valid key; its tick is a hundred years of the session's time."""
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
@@ -201,7 +201,7 @@ def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(pr
     heard.transport.close()
 
 
-def test_a_guest_without_telemetry_loses_its_own_rows_alone_and_that_is_reported(prepared: Prepared) -> None:
+def test_a_guest_without_telemetry_loses_its_rows_alone_as_reported(prepared: Prepared) -> None:
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
     for device in ("dx", "dz"):

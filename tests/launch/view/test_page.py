@@ -79,7 +79,7 @@ def test_a_picture_has_what_is_new() -> None:
     assert (begin, len(x), x[-1]) == (9, 22, 0.199)  # the last that was told, and ten new ones
 
 
-def test_a_page_that_did_not_read_is_told_what_is_kept_and_no_more() -> None:
+def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:
     feed, cursor = fed(moving(100)), Cursor()
     picture(feed, cursor)
     for tick in range(200, 100_100, 100):
@@ -100,7 +100,7 @@ def test_alarms_are_told_when_they_change_with_the_time_of_day() -> None:
     )
 
 
-def test_a_session_that_is_over_is_told_so_and_strange_frames_are_counted() -> None:
+def test_the_page_learns_the_end_and_strange_frames_are_counted() -> None:
     feed = fed(conditioned("over"), b"strange", observed("nobody", 1, {}))
     assert picture(feed, Cursor())["over"] is True
     assert feed.scene.malformed == 2
@@ -286,7 +286,7 @@ def test_a_page_that_does_not_read_is_given_up(watch: Watch, monkeypatch: pytest
     assert (page.most, page.waiting, page.closed) == (1, 0, served.GIVEN_UP)
 
 
-def test_a_watch_takes_in_what_a_broadcast_shows_and_notices_its_end(tmp_path: Path) -> None:
+def test_a_watch_receives_what_a_broadcast_shows_and_its_end(tmp_path: Path) -> None:
     read, write = os.pipe()
     child = os.posix_spawnp(
         "cat", ["cat"], {}, file_actions=[(os.POSIX_SPAWN_DUP2, read, 0), (os.POSIX_SPAWN_CLOSE, write)]

@@ -238,7 +238,7 @@ def test_pages_that_never_say_their_token_keep_nobody_out(serving: Callable[...,
     serving(do, Token(TOKEN))
 
 
-def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
+def test_a_page_on_every_address_needs_token_and_numeric_host(
     serving: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(application_module, "WRONG_TOKEN_COSTS", 0.0)
@@ -263,7 +263,7 @@ def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
 @pytest.mark.parametrize(
     "host", ["0.0.0.0", "::", "", "0", "127.1", "::ffff:192.0.2.7", "192.0.2.7", "localhost.example"]
 )
-def test_a_host_that_is_not_known_to_be_the_loopback_asks_for_a_token(host: str) -> None:
+def test_a_host_not_known_as_loopback_needs_a_token(host: str) -> None:
     assert not is_loopback(host)
 
 

@@ -88,7 +88,7 @@ def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: MessageLink,
     assert block.report().counts["saturated"] == 1
 
 
-def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, world: MessageLink) -> None:
+def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: MessageLink) -> None:
     step(block, world, 0, 0.001, 1.5)
     block.say(np.array([0.001]), 1, 0)
     world.say(force(7, 0.0))
@@ -129,7 +129,7 @@ def shift(block: Block, world: MessageLink, tick: int, rung: int) -> int | None:
     return climbed
 
 
-def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
+def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
     block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
     step(block, world, 0, 0.001, 5 * LIMIT)
@@ -159,7 +159,7 @@ def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
     assert block.environment.gate.dropped["wrong_kind"] == 0
 
 
-def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world: MessageLink) -> None:
+def test_a_block_ignores_a_misdirected_absence(block: Block, world: MessageLink) -> None:
     world.say(Absent("dx"), force(0, 0.5))
     block.say(np.zeros(1), 0, 0)
     assert block.hear(0, NOW) is Received.SIGNAL
@@ -185,7 +185,7 @@ def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, wo
     assert len(world.said) == 1
 
 
-def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
+def test_a_returned_environment_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
     """Of which it was told D_V at the handshake: it knows of no other before it is told to shift."""
     assert shift(block, world, 0, 2) == 2
     block.say(np.zeros(1), 1, 0)

@@ -68,7 +68,7 @@ def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life
         np.testing.assert_array_equal(stage.lines[coupling].trace("f_v"), stage.lines[device].trace("f_v"))
 
 
-def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) -> None:
+def test_a_ticks_signal_is_sent_again_and_not_computed_anew(prepared: Prepared) -> None:
     """The environment may have reckoned with the first already; and a block is asked for one p(k) a tick."""
     bundles = cut(prepared, RunPlan("simulated", None, ""))
     device, coupling = bundles["dx"], bundles["cx"]

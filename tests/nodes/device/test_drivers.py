@@ -148,7 +148,7 @@ def test_idle_is_a_favour_not_a_duty(make: Make) -> None:
     assert any(lazy.sample(50))
 
 
-def test_what_is_told_is_named_and_finite_and_closing_can_be_done_again(driver: Driver) -> None:
+def test_its_report_is_named_and_finite_and_closing_is_repeatable(driver: Driver) -> None:
     driver.sample(0)
     driver.idle()
     assert all(type(name) is str and np.isfinite(value) for name, value in driver.figures().items())

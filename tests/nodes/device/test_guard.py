@@ -29,7 +29,7 @@ def test_a_force_within_its_limits_is_handed_on_as_it_is() -> None:
     assert g.clipped == 0
 
 
-def test_a_force_beyond_is_clipped_axis_by_axis_and_counted_once_a_tick() -> None:
+def test_an_excessive_force_is_clipped_by_axis_and_counted_per_tick() -> None:
     g = guard()
     f = [-9.0, 3.0]
     np.testing.assert_array_equal(g.clip(f), [-8.0, 2.0])
@@ -46,7 +46,7 @@ def test_what_is_no_number_is_no_force() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats(0.0, 1e300)), min_size=1, max_size=6))
-def test_whatever_the_force_it_is_within_and_changed_no_more_than_needed(pairs: list[tuple[float, float]]) -> None:
+def test_any_force_ends_within_limits_and_changes_only_as_needed(pairs: list[tuple[float, float]]) -> None:
     f, limits = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
     saturation = Saturation(limits.tolist())
     clipped = np.array(saturation.clip(f.tolist()))
@@ -99,7 +99,7 @@ def test_a_speed_is_that_of_one_period() -> None:
     assert slow.breach([0.0, 0.5]) is None
 
 
-def test_a_device_that_never_leaves_its_limits_is_told_as_it_is() -> None:
+def test_a_device_within_its_limits_reports_its_position_unchanged() -> None:
     g = guard()
     for x in ([0.0, 0.0], [0.001, 0.0005], [0.2, 0.5]):
         assert g.tell(x, 1000) is x
@@ -107,7 +107,7 @@ def test_a_device_that_never_leaves_its_limits_is_told_as_it_is() -> None:
     assert (g.let_go, g.holds) == (0, True)
 
 
-def test_a_device_beyond_its_speed_lets_go_and_takes_hold_again_by_a_ramp() -> None:
+def test_beyond_its_speed_a_device_lets_go_and_returns_by_ramp() -> None:
     g = guard()
     g.tell([0.0, 0.0])
     assert g.tell([0.01, 0.0]) == [pytest.approx(0.002), 0.0]  # as far as its speed allows

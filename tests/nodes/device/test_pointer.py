@@ -83,7 +83,7 @@ class Device:
         return self.driver.figures()[names.GRASPED] == 1.0
 
 
-def test_held_it_goes_where_the_pointer_is_and_pushes_back_as_its_hand_does() -> None:
+def test_held_it_follows_the_pointer_and_pushes_back_like_its_hand() -> None:
     device = Device()
     assert device.go(100) == 0.0
     assert not device.grasped
@@ -120,7 +120,7 @@ def test_caught_again_it_is_drawn_from_where_it_is() -> None:
     assert device.go(1500, at(-0.06)) == pytest.approx(-0.06, rel=1e-3)
 
 
-def test_a_hand_that_falls_silent_is_open_after_two_seconds_of_ticks() -> None:
+def test_a_silent_hand_opens_after_two_seconds_of_ticks() -> None:
     device = Device()
     device.go(1, at(0.01))
     device.go(round(PATIENCE / T) - 1)
@@ -163,7 +163,7 @@ def test_the_promise_is_kept_whoever_holds_it_when(acts: list[tuple[Grasp | Rele
     assert np.all(np.isfinite(device.x))
 
 
-def test_a_hand_that_kept_its_tension_when_it_closed_would_break_it() -> None:
+def test_keeping_the_tension_at_closing_would_break_the_level() -> None:
     """What the check above is able to see: a spring that is tense from the beginning is energy from nowhere."""
     device = Device()
     device.driver._held.holding = lambda x, v: [*x, *v, 0.0, 0.05]  # type: ignore[method-assign]

@@ -88,7 +88,7 @@ def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Cal
     assert told == done
 
 
-def test_telemetry_is_told_when_it_is_time_and_nothing_is_told_twice(device: Device) -> None:
+def test_telemetry_is_sent_when_due_and_nothing_twice(device: Device) -> None:
     for tick in range(2 * ROWS):
         device.tick(tick)
     assert [telemetry.tick for telemetry in device.line.telemetry] == [ROWS, 2 * ROWS]
@@ -140,7 +140,7 @@ def test_periods_that_are_none_are_counted(device: Device, after: int, breaches:
     assert device.end()["period_breaches"] == breaches
 
 
-def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) -> None:
+def test_periods_without_force_or_with_a_jump_are_not_judged(device: Device) -> None:
     device.tick(0)
     device.account.release(1)
     device.tick(1, after=7 * MS)
@@ -149,7 +149,7 @@ def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) 
     assert device.end()["period_breaches"] == 0
 
 
-def test_a_tick_is_late_when_its_force_comes_after_the_next_was_due(device: Device) -> None:
+def test_a_force_after_the_next_due_time_makes_its_tick_late(device: Device) -> None:
     device.tick(0, tau=MS)
     device.tick(1, tau=MS + 1)
     counts = device.end()

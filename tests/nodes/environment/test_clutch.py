@@ -129,7 +129,7 @@ def test_every_phase_knows_what_it_can_be_told() -> None:
 
 
 @pytest.mark.parametrize("ramp", [1, 7, RAMP])
-def test_a_ramp_rises_and_falls_in_its_ticks_and_never_faster_than_it_may(ramp: int) -> None:
+def test_a_ramp_takes_its_ticks_and_keeps_its_greatest_rate(ramp: int) -> None:
     world = ClutchedLoop(1, [[0], [1]], ramp)
     core, p = world.core, np.zeros(2)
     core.clutches.freeze(0)
@@ -165,7 +165,7 @@ def test_who_leaves_may_turn_round() -> None:
     assert turned < core.clutches.ratio(0) <= turned + math.pi / 40.0
 
 
-def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
+def test_freezing_begins_with_the_next_react() -> None:
     """Between react and settle the tick is decided: the tool rests where this tick has left it."""
     world = ClutchedLoop(3, [[0], [1]])
     core, other = world.core, copy.deepcopy(world.core)
@@ -289,7 +289,7 @@ def test_all_may_be_frozen_and_come_back() -> None:
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), blocks=st.sampled_from([[[0], [1], [2]], [[0, 2], [1]], [[3, 1], [0, 4], [2]]]))
-def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: int, blocks: list[list[int]]) -> None:
+def test_others_feel_at_most_one_ticks_motion_of_the_frozen_tool(seed: int, blocks: list[list[int]]) -> None:
     """At the freezing tick, at the engaging one, and at the first of the ramp, whatever the forces were.
 
     With the same history, f_j differs from what it were else by (I + D_jj D_V,j)^-1 D_ji times the difference of the
@@ -414,7 +414,7 @@ def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
     assert np.max(after) <= 1.5 * after[0]
 
 
-def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> None:
+def test_an_offset_of_several_axes_shrinks_by_motion_in_all() -> None:
     world = ClutchedLoop(12, [[0, 2, 1]])
 
     def hand(k: int) -> np.ndarray:
@@ -426,7 +426,7 @@ def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> N
     assert 0.0 < np.linalg.norm(offsets[-2]) <= LET_GO
 
 
-def test_an_offset_is_not_let_go_under_a_force_that_has_turned() -> None:
+def test_an_offset_is_kept_under_a_force_that_has_turned() -> None:
     """The force of the tick itself decides, by trial; that of the tick before only says whether to try."""
     k, o = 1000.0, 5e-7
     core = EnvironmentCore(StateSpace.static([[k]]), np.zeros((1, 1)), None, T, None, 1)
@@ -502,7 +502,7 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
     assert core.clutches.ratio(0) > 0.99 * SLOWEST
 
 
-def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> None:
+def test_a_feedthrough_exchanged_within_a_tick_acts_in_the_next() -> None:
     """Forces are found, then a block changes its rung, then the tick ends: as it would have without that."""
     within, behind = ClutchedLoop(23, [[0, 2], [1]]), ClutchedLoop(23, [[0, 2], [1]])
     fresh = within.feedthrough(2)

@@ -158,7 +158,7 @@ def frozen_for(world: TwoCouplings, ticks: int) -> int:
     return behind
 
 
-def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(world: TwoCouplings) -> None:
+def test_a_member_behind_receives_its_due_tick_and_is_awaited_there(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     assert world.hear(world.cy) is Received.NOTHING
@@ -171,7 +171,7 @@ def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(wo
     assert world.cy.missing(due)
 
 
-def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> None:
+def test_it_rejoins_by_a_ramp_from_zero_force(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -187,7 +187,7 @@ def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> 
     assert world.core.clutches.ratio(1) == 1.0
 
 
-def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: TwoCouplings) -> None:
+def test_the_signal_of_its_due_tick_may_come_early(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -220,7 +220,7 @@ def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
     assert (world.p[1], world.cy.membership.state) == (0.03, Membership.ACTIVE)
 
 
-def test_a_signal_sent_before_it_knew_its_due_tick_does_not_activate_it(world: TwoCouplings) -> None:
+def test_a_signal_from_before_its_due_tick_was_known_activates_nobody(world: TwoCouplings) -> None:
     """It is on its way to that tick, and would be waited for in between."""
     behind = frozen_for(world, 20)
     world.say("cy", behind)
@@ -236,7 +236,7 @@ def test_a_signal_sent_before_it_knew_its_due_tick_does_not_activate_it(world: T
     assert world.members.all_active
 
 
-def test_where_nobody_is_active_the_session_goes_on_at_the_tick_of_who_is_ahead(world: TwoCouplings) -> None:
+def test_with_nobody_active_the_session_continues_at_the_furthest_tick(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.ends["cx"].say(Absent("dx"))
     world.hear(world.cx)
@@ -255,7 +255,7 @@ def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: TwoCouplings, ahead: int
     assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
-def test_a_signal_of_a_later_tick_from_an_active_member_is_a_stray(world: TwoCouplings) -> None:
+def test_an_active_members_signal_of_a_later_tick_is_a_stray(world: TwoCouplings) -> None:
     world.together(3)
     world.say("cy", world.tick + 1)
     assert world.hear(world.cy) is Received.NOTHING
@@ -263,7 +263,7 @@ def test_a_signal_of_a_later_tick_from_an_active_member_is_a_stray(world: TwoCou
     assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
-def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: TwoCouplings) -> None:
+def test_a_coupling_without_its_device_is_answered_at_its_early_tick(world: TwoCouplings) -> None:
     """It would wait for that and say nothing more, and whoever waits for its device's return would wait for it."""
     frozen_for(world, 20)
     ahead = world.tick + LEAD
@@ -289,7 +289,7 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: TwoCou
     assert world.core.clutches.frozen(1)
 
 
-def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: TwoCouplings) -> None:
+def test_a_member_absent_when_due_gets_a_pause(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -354,7 +354,7 @@ def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
     assert world.life.failure.startswith("environment: cy sent 513 stray frames")
 
 
-def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: TwoCouplings) -> None:
+def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> None:
     world.together(3)
     world.members.let_go(world.tick)
     first = world.tick
@@ -386,7 +386,7 @@ class Test_a_coupling_that_was_lost:
         world.together(3, but="cy")
         assert world.core.clutches.frozen(1)
 
-    def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: TwoCouplings) -> None:
+    def test_is_at_the_first_rung_and_shifted_again_before_it_rejoins(self, world: TwoCouplings) -> None:
         world.together(200)
         world.members.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
         world.together(2 * RAMP)
@@ -629,7 +629,7 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
-def test_who_is_excluded_for_being_late_is_not_active_before_its_pause_is_over(world: TwoCouplings) -> None:
+def test_a_member_excluded_for_lateness_stays_inactive_for_its_pause(world: TwoCouplings) -> None:
     for member in world.members.all:
         world.say(member.peer_link.peer.name)
         assert world.hear(member) is Received.SIGNAL
@@ -670,7 +670,7 @@ def waiting(world: TwoCouplings) -> int:
     return tick
 
 
-def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: TwoCouplings) -> None:
+def test_members_ahead_wait_only_for_a_bounded_time_for_silent_ones(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.say("cy", world.tick + 2)
     assert waiting(world) == world.tick + 2
@@ -724,7 +724,7 @@ def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, 
     assert world.cy.membership.state is Membership.ACTIVE
 
 
-def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: TwoCouplings) -> None:
+def test_at_the_end_frozen_members_are_answered_for_a_bounded_time(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.lose("cx")  # nobody to talk to
     end = world.members.last = world.tick

@@ -194,7 +194,7 @@ class Test_core:
         self.written(core, tmp_path / "r.mcap")
         assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
 
-    def test_ticks_that_were_told_are_not_told_again_and_those_that_never_were_are_counted(self) -> None:
+    def test_repeated_ticks_are_refused_and_missing_ticks_are_counted(self) -> None:
         core = RecorderCore(RECORDED)
         for tick, rows in ((10, 10), (10, 10), (15, 10), (30, 10)):
             core.take(encode(observation("a", tick, rows, 1)), 5)
@@ -227,7 +227,7 @@ def files_no_longer_than(length: int) -> Iterator[None]:
 
 
 class Test_file:
-    def test_it_takes_the_place_of_an_older_one_when_it_has_its_beginning(self, tmp_path: Path) -> None:
+    def test_it_replaces_an_older_file_once_its_beginning_is_written(self, tmp_path: Path) -> None:
         path = tmp_path / "r.mcap"
         path.write_bytes(b"an older run")
         with files_no_longer_than(3), pytest.raises(OSError, match="too large"):

@@ -150,7 +150,7 @@ def fits(schema: dict[str, Any], value: Any) -> bool:
             return False
 
 
-def test_every_message_is_as_its_schema_says_in_words_that_viewers_know() -> None:
+def test_every_message_matches_its_schema_in_words_viewers_know() -> None:
     for schema, _, message in READERS["seeking"]():
         assert schema.encoding == "jsonschema"
         told = json.loads(schema.data)
@@ -175,7 +175,7 @@ def test_channels_say_what_they_are() -> None:
     assert channels["/s/supervisor/condition"].metadata == {"node": "supervisor", "role": "supervisor"}
 
 
-def test_the_statistics_are_true_and_every_chunk_is_found_by_its_index() -> None:
+def test_the_statistics_hold_and_the_index_finds_every_chunk() -> None:
     found, told = summary(), by_topic(READERS["not seeking"]())
     assert found.statistics is not None
     counts = {found.channels[number].topic: count for number, count in found.statistics.channel_message_counts.items()}

@@ -266,7 +266,7 @@ def test_a_hub_says_how_much_it_has_read(joined: tuple[Hub, Link, Link]) -> None
         assert hub.handled == before + done
 
 
-def test_a_name_that_was_forgotten_is_free_for_the_next_and_the_first_may_stay(ends: "Ends") -> None:
+def test_a_forgotten_name_is_free_and_its_first_owner_may_stay(ends: "Ends") -> None:
     """An observer's visits: each joins anew, and the one before may still be about to leave."""
     hub, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
     first = ends.join(endpoint, "dy")

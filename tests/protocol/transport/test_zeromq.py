@@ -144,7 +144,7 @@ def test_an_ipc_endpoint_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyP
         transport.close()
 
 
-def test_the_longest_socket_path_binds_and_a_longer_one_is_told_clearly(tmp_path: Path) -> None:
+def test_the_longest_socket_path_binds_and_longer_ones_fail_clearly(tmp_path: Path) -> None:
     directory = tmp_path / ("d" * (MAX_SOCKET_PATH - len(bytes(tmp_path)) - 1 - 5))
     directory.mkdir()
     transport = ZmqTransport.ipc(directory)
@@ -215,7 +215,7 @@ def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger:
     assert bound.recv(LONG) == b"second"
 
 
-def test_a_hub_drops_and_counts_what_is_not_one_frame_of_a_named_node(
+def test_a_hub_counts_and_drops_anything_except_named_nodes_single_frames(
     transport: ZmqTransport, stranger: Stranger
 ) -> None:
     hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))

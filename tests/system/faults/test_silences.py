@@ -76,7 +76,7 @@ def test_under_the_simulated_clock_a_stopped_or_slow_process_changes_nothing() -
 
 
 @pytest.mark.alone
-def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
+def test_in_real_time_a_stopped_device_is_frozen_and_returns() -> None:
     outcome = play(
         (told_of(100), send(signal.SIGSTOP, "dx")),
         (gone_on({"dx", "cx"}, 200), send(signal.SIGCONT, "dx")),
@@ -91,7 +91,7 @@ def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
 
 
 @pytest.mark.alone
-def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -> None:
+def test_in_real_time_a_slow_device_costs_others_only_its_absence() -> None:
     others: list[tuple[int, int]] = []
 
     def ticks(progress: Progress) -> None:
@@ -112,9 +112,7 @@ def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -
 
 
 @pytest.mark.alone
-def test_a_device_whose_coupling_stops_lets_go_at_the_first_sample_without_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_lets_go_at_the_first_sample_without_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "driver.log"
     popen = subprocess.Popen
 

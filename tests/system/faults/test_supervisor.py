@@ -32,7 +32,7 @@ def children(process: subprocess.Popen[str]) -> dict[str, int]:
     return found
 
 
-def test_nodes_end_when_their_supervisor_is_killed_while_one_is_on_its_way_back() -> None:
+def test_nodes_end_when_their_supervisor_dies_during_a_rejoin() -> None:
     with started("launch", HERE / "pair.yaml", "--clock", "simulated") as process:
         read_until(process, "running: tick")
         first = children(process)
