@@ -120,7 +120,7 @@ class Innocence:
         """Count what the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
-            members = node._members
+            members = node.members
             if self._acted < 0 and members is not None and not members.all_active:
                 self._acted = tick
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
@@ -133,7 +133,7 @@ class Innocence:
         if self._began < 0:
             self._began = tick
         allowed = self._power * self._T * (tick + 1 - self._began)
-        given = 0.0 if node._core is None else sum(node._core.energy.given[i] for i in self._guests)
+        given = 0.0 if node.core is None else sum(node.core.energy.given[i] for i in self._guests)
         self._least = min(self._least, given - allowed)
         if given - allowed - self._least > self._energy + SLACK:
             self._too_much = (
@@ -165,7 +165,7 @@ class Innocence:
             if name in self.honest and absences:
                 found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
             acted = acted or (name not in self.honest and absences > 0)
-        core = None if world.environment is None else world.environment._core
+        core = None if world.environment is None else world.environment.core
         for i, coupling in enumerate(self._couplings) if core is not None else ():
             scaled = core.energy.scaled[i]
             if scaled and coupling in self.honest:

@@ -156,7 +156,7 @@ class SimulatedSession:
     @property
     def members(self) -> Members | None:
         """The environment's, once it is in its loop."""
-        return None if self.environment is None else self.environment._members
+        return None if self.environment is None else self.environment.members
 
     @property
     def tick(self) -> int:

@@ -142,7 +142,7 @@ def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
     hub, _ = transport.bind_hub(HUB_NAME, ())
     assert isinstance(hub, ZmqHub)
     hub.dropped.update(dict.fromkeys(HUB_DROPS, 1))
-    supervisor._conductor.ignored = supervisor._collector.refused = 1
+    supervisor.conductor.ignored = supervisor._collector.refused = 1
     supervisor._tally(hub, transport)
     transport.close()
     assert [row[0] for row in table("| count at the hub | is |")] == list(supervisor._refused)

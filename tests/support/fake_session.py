@@ -93,7 +93,7 @@ class FakeSession:
         self.now = 0
         self._places, self._pids = itertools.count(), itertools.count(1)
         for node in graph.nodes:
-            self._start(node)
+            self.start(node)
         self.settle()
 
     def settle(self) -> None:
@@ -111,7 +111,7 @@ class FakeSession:
         """The conductor hears the next message, if there is one."""
         if self.said:
             sender, message = self.said.popleft()
-            self._obey(self.conductor.hear(sender, message, self.now))
+            self.obey(self.conductor.hear(sender, message, self.now))
             return True
         return False
 
@@ -127,7 +127,7 @@ class FakeSession:
     def see_end(self) -> bool:
         """The conductor sees the next end of a process, if there is one."""
         if self.ended:
-            self._obey(self.conductor.exited(*self.ended.popleft(), self.now))
+            self.obey(self.conductor.exited(*self.ended.popleft(), self.now))
             return True
         return False
 
@@ -146,7 +146,7 @@ class FakeSession:
         ends = self.processes.get(binder), self.processes.get(connector)
         return all(ends) and ends[0].bound[connector] == ends[1].connected.get(binder)  # type: ignore[union-attr]
 
-    def _start(self, node: str) -> None:
+    def start(self, node: str) -> None:
         assert node not in self.processes, f"{node} was started while it still runs"
         assert all(ended != node for ended, _ in self.ended), f"{node} was started before its end was seen"
         binds = [link.connector for link in self.graph.links_of(node) if link.binder == node]
@@ -159,14 +159,14 @@ class FakeSession:
     def _place(self, node: str, peer: str) -> str:
         return f"ipc:///{node}-{peer}.{next(self._places)}"
 
-    def _obey(self, instructions: list[Instruction]) -> None:
+    def obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:
             match one:
                 case Send(node, message):
                     if node in self.processes:
                         self.processes[node].inbox.append(message)
                 case StartProcess(node):
-                    self._start(node)
+                    self.start(node)
                 case KillProcess(node):
                     self.killed.append(node)
                     self.kill(node)

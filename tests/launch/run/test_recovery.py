@@ -367,7 +367,7 @@ class Test_returns_that_fail:
         c = s.conductor
         assert c.look(RETURN_TIME) == []
         s.said.clear()
-        s._obey(c.look(RETURN_TIME + 1))
+        s.obey(c.look(RETURN_TIME + 1))
         assert s.killed == ["dx"]
         assert c.look(RETURN_TIME + 1) == []
         s.settle()
@@ -405,7 +405,7 @@ class Test_the_end:
         s.see_end()
         s.read("cx")
         s.deliver()
-        s._obey(s.conductor.hear("environment", DONE, 0))
+        s.obey(s.conductor.hear("environment", DONE, 0))
         assert s.killed == ["dx"]
         while s.see_end():
             pass
@@ -504,13 +504,13 @@ class Test_nodes_that_are_started_elsewhere:
         """Its user may have gone home."""
         s = session(3, "cx")
         s.processes.pop("cx")
-        s._obey(s.conductor.silent("cx", 0))
+        s.obey(s.conductor.silent("cx", 0))
         s.kill("dx")
         s.kill("environment")
         s.settle()
         assert s.conductor.states["dx"] is NodeState.RUNNING
         assert s.conductor.states["environment"] is NodeState.RUNNING
-        s._start("cx")  # and then its user starts it again
+        s.start("cx")  # and then its user starts it again
         s.settle()
         assert s.joined()
 
@@ -560,8 +560,8 @@ class Test_rungs:
     )
     def test_and_told_again_when_somebody_comes_back_who_does_not_know(self, victim: str, told: set[str]) -> None:
         s = session()
-        s._obey(s.conductor.shift("cx", 2))
-        s._obey(s.conductor.shift("cu", 1))
+        s.obey(s.conductor.shift("cx", 2))
+        s.obey(s.conductor.shift("cu", 1))
         s.settle()
         s.processes["environment"].shifts.clear()
         s.kill(victim)

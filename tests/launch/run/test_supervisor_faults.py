@@ -75,7 +75,7 @@ class Faulty:
         self.supervisor = Supervisor(prepared, clock=clock, reach=IPC, ticks=0, record=False)
         self.clock = StoppedClock()
         self.supervisor._clock = self.clock  # type: ignore[assignment]
-        self.conductor = self.supervisor._conductor
+        self.conductor = self.supervisor.conductor
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
         self.hub, endpoint = self.transport.bind_hub("control", [])
@@ -93,11 +93,11 @@ class Faulty:
         return NodeHello(PROTOCOL_VERSION, self.id, "example-1", name, self.graph.nodes[name], pid, binds)
 
     def say(self, sender: str, message: Message) -> None:
-        self.supervisor._hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor.hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
 
     def dies(self, node: str) -> None:
         told = self.conductor.exited(node, -9, self.clock.at)
-        self.supervisor._carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor.carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
 
     def told(self) -> list[object]:
         """What the environment was told since it was last asked."""
@@ -114,7 +114,7 @@ class Faulty:
             self.say("environment", Telemetry(100 * message, {}, {}))  # nobody was waited for
 
     def progress(self) -> Progress:
-        return self.supervisor._progress(self.processes)  # type: ignore[arg-type]
+        return self.supervisor.progress(self.processes)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_a_process_restarts_from_its_bundle_without_its_predecessors_messages(fa
     faulty.say("dx", faulty.hello("dx", faulty.processes.pids["dx"]))
     faulty.say("dx", Ready())
     assert faulty.conductor.states["dx"] is NodeState.RUNNING
-    outcome = faulty.supervisor._outcome(None)
+    outcome = faulty.supervisor.outcome(None)
     assert outcome.code == 0
     assert [one.split("s: ")[1] for one in outcome.incidents] == [
         "dx was killed by SIGKILL while running",
@@ -157,7 +157,7 @@ def test_a_machine_without_processes_uses_up_the_budget_and_no_more(faulty: Faul
     faulty.say("cx", Offer("dx", "ipc:///s/anew"))
     assert faulty.conductor.states["dx"] is NodeState.GONE
     assert faulty.conductor.phase is SessionPhase.RUNNING
-    outcome = faulty.supervisor._outcome(None)
+    outcome = faulty.supervisor.outcome(None)
     assert outcome.code == 1
     assert "dx could not be started (Resource temporarily unavailable)" in outcome.faults[0]
 
@@ -166,7 +166,7 @@ def test_a_process_that_cannot_return_is_killed(faulty: Faulty) -> None:
     faulty.dies("dx")
     faulty.say("cx", Offer("dx", "ipc:///s/anew"))
     faulty.clock.at = 10**12
-    faulty.supervisor._carry_out(faulty.conductor.look(faulty.clock.at), faulty.hub, faulty.processes)  # type: ignore[arg-type]
+    faulty.supervisor.carry_out(faulty.conductor.look(faulty.clock.at), faulty.hub, faulty.processes)  # type: ignore[arg-type]
     assert faulty.processes.killed == ["dx"]
 
 
@@ -189,7 +189,7 @@ class Test_a_slow_device:
         stopped.breaches("dx")
         assert stopped.conductor.phase is SessionPhase.ENDING
         assert stopped.processes.sent == [signal.SIGTERM]
-        assert stopped.supervisor._outcome(None).code == 1
+        assert stopped.supervisor.outcome(None).code == 1
         stopped.transport.close()
 
     def test_is_not_slow_under_the_simulated_clock(self, prepared: Prepared) -> None:

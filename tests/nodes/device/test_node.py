@@ -112,11 +112,10 @@ class Alone:
         assert isinstance(bundle, DeviceBundle)
         self.time, self.line, self.life = Time(), line, life
         self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)
-        node = self.node = DeviceNode(bundle, self.hand)  # type: ignore[arg-type]
-        node._realtime = node._clock = self.time  # type: ignore[assignment]
+        node = self.node = DeviceNode(bundle, self.hand, self.time)  # type: ignore[arg-type]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
-        node._peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node.peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
         node.loop(Start(0, 0), life, line)
 
 

@@ -100,7 +100,7 @@ def tools(core: EnvironmentCore) -> np.ndarray:
     """x_e(k), m, of the tick that is decided."""
     later = copy.deepcopy(core)
     later.settle()
-    return np.array(later._x_e)
+    return np.array(later.tools)
 
 
 def states(core: EnvironmentCore, count: int) -> list[tuple[float, bool]]:
@@ -226,7 +226,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         scale = max(scale, float(np.max(np.abs(expected))))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * scale + 1e-12)
         core.settle()
-        np.testing.assert_allclose(core._x_e, oracle.x_e, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(core.tools, oracle.x_e, rtol=0, atol=1e-12)
         given_up += oracle.given_up
         newly = [i for i in range(len(blocks)) if core.clutches.settled(i) and not before[i][1]]
         assert len(newly) <= 1
@@ -306,7 +306,7 @@ def test_others_feel_at_most_one_ticks_motion_of_the_frozen_tool(seed: int, bloc
     def compare(deed: Callable[[EnvironmentCore], None]) -> float:
         """The tick with and without ``deed``: how much the others' forces differ; and how much they may."""
         without = copy.deepcopy(core)
-        rest = np.array(core._x_e)[frozen]
+        rest = np.array(core.tools)[frozen]
         deed(core)
         found, expected = react(core, p).copy(), react(without, p).copy()
         moved = [tools(which)[frozen] - rest for which in (core, without)]

@@ -93,15 +93,15 @@ class RogueSession:
     _seen: tuple[int, float] = field(
         default_factory=lambda: (-1, time.monotonic())
     )  # ticks of all nodes, and since when
-    _leaves: int = -1  # to be written
-    _done: int = -1  # to be read
+    leaves: int = -1
+    done: int = -1
 
     def go_on(self, leaves: int = 1) -> None:
         """Let the session do some ticks, and wait until it has."""
         for _ in range(leaves):
-            os.write(self._leaves, b".")
-            ready, _, _ = select.select([self._done], [], [], DEADLINE)
-            if not ready or not os.read(self._done, 1):
+            os.write(self.leaves, b".")
+            ready, _, _ = select.select([self.done], [], [], DEADLINE)
+            if not ready or not os.read(self.done, 1):
                 raise Ended(f"the session did not go on after {self.ticks} ticks")
             self.ticks += LEAVE
 
@@ -185,10 +185,10 @@ def play(
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         given: tuple[int, ...] = ()
         if attack:
-            leaves, stage._leaves = os.pipe()
-            stage._done, done = os.pipe()
+            leaves, stage.leaves = os.pipe()
+            stage.done, done = os.pipe()
             given = (leaves, done)
-            stack.callback(os.close, stage._done)
+            stack.callback(os.close, stage.done)
         _cast(patch, acts, given)
         _overhear(patch, stage, forge or (lambda bundles: bundles))
         if attack is None:
@@ -209,7 +209,7 @@ def _carry_out(attack: Attack, stage: RogueSession) -> Any:
         stage.wait_for(lambda progress: progress.phase is SessionPhase.RUNNING)
         return attack(stage)
     finally:
-        os.close(stage._leaves)  # the rest of the ticks need no leave
+        os.close(stage.leaves)  # the rest of the ticks need no leave
 
 
 def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, ...]) -> None:
