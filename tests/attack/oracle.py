@@ -1,4 +1,4 @@
-"""What contradicts a certificate: suspects in floats, and those of them that remain in long numbers."""
+"""Contradictions to a certificate: suspects in floats, and those that long numbers confirm."""
 
 from __future__ import annotations
 

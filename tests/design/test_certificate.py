@@ -1,4 +1,4 @@
-"""The certificate file: exact, tamper-evident, and refused with the file's name when it is not one."""
+"""The certificate file: exact, tamper-evident; a file that is not a certificate is refused by name."""
 
 import copy
 import hashlib

@@ -1,4 +1,4 @@
-"""What a proof alone does not say: that a certificate is about this session, and not about another."""
+"""A proof does not show which session a certificate belongs to; the comparison with the session does."""
 
 import dataclasses
 

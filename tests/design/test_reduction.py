@@ -1,4 +1,4 @@
-"""A certificate less its frozen blocks proves like any other, and (10) holds at any ratios of the blocks."""
+"""A certificate without its frozen blocks proves like any other, and (10) holds at any ratios of the blocks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Theorem 3 itself: whatever prove() accepts is stable, with every passive hand, by the eigenvalues of the closed loop.
+"""Theorem 3 itself: every loop that prove() accepts is stable with every passive hand, by its eigenvalues.
 
-Claims are made by design() and forged: physical data of a proved certificate are changed until they may well be
-unstable, and some of what is claimed with them. What the loop does is computed here from E, V and the devices alone.
+The claims come from design() and from forgeries: the physical data of a proved certificate are changed until the loop
+may be unstable, together with some of the claims. The loop itself is computed here from E, V and the devices alone.
 """
 
 import copy

@@ -1,4 +1,4 @@
-"""From a wish to a certificate, and errors that say what to relax."""
+"""From a wish to a certificate; errors name what to relax."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Cone complementarity: it finds inverses where there are some, says where it stopped, and hands on what it has."""
+"""Cone complementarity finds inverses if there are any, and reports how far it got if it stops short."""
 
 import re
 

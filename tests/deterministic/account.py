@@ -1,4 +1,4 @@
-"""Who waits for whom in a session that does not go on, in words."""
+"""An account in words of which node waits for which, for a session that does not go on."""
 
 from __future__ import annotations
 

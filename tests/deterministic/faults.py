@@ -1,7 +1,7 @@
-"""What happens to a session of :mod:`tests.deterministic.world`: faults by its seed, and when it is given up.
+"""The faults of a session of :mod:`tests.deterministic.world`, drawn by its seed, and when it is given up.
 
-Mostly a fault waits for a stretch of calm. Some come while the one before is not over: after a time of any order of
-magnitude, or just when somebody on the way back says something to the supervisor.
+Most faults wait for a stretch of calm. Some come while the one before is not over: after a time of any order of
+magnitude, or just when a rejoining node sends something to the supervisor.
 """
 
 from __future__ import annotations

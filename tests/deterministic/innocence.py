@@ -1,4 +1,4 @@
-"""What must hold for the others in a session with a hostile guest, watched tick by tick and judged at the end."""
+"""Invariants for the others in a session with a hostile guest, watched in each tick and judged at the end."""
 
 from __future__ import annotations
 

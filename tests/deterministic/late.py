@@ -1,4 +1,4 @@
-"""Sessions of which some users sample late: drivers that take their time, and what telemetry tells of everybody."""
+"""Sessions in which some users sample late: slow drivers, and the telemetry of everybody."""
 
 from __future__ import annotations
 

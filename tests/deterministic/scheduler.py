@@ -1,8 +1,8 @@
-"""Threads of which only one runs at any moment, in an order and in a virtual time that a seed decides.
+"""Threads of which exactly one runs at any moment; a seed decides their order and the virtual time.
 
-A node's loop is ordinary code that blocks where it receives and sleeps; so each has a thread. Wherever it would block
-it comes to :meth:`Scheduler.wait` instead and hands the baton to whoever is next. Time is a number: it advances to the
-earliest instant at which somebody can go on, and what a node computes costs it a little, drawn by the seed.
+A node's loop is ordinary code that blocks where it receives and sleeps, so each node has a thread. Instead of blocking,
+the thread calls :meth:`Scheduler.wait`, which lets the next thread run. Time is a number: it advances to the earliest
+instant at which a thread can go on. A node's computations cost a little of it, drawn by the seed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Sessions withstand faults, by a fixed set of seeds.
 
-Others, by the thousand: ``python -m tests.deterministic.campaign``.
+Other seeds, by the thousand: ``python -m tests.deterministic.campaign``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Hostile guests within their bounds cost the others nothing but a stated transient, by a fixed set of seeds.
+"""Hostile guests within their bounds cost the others at most a stated transient, by a fixed set of seeds.
 
-Others, by the thousand: ``python -m tests.deterministic.hostile``.
+Other seeds, by the thousand: ``python -m tests.deterministic.hostile``.
 """
 
 from __future__ import annotations

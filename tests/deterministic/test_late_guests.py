@@ -1,6 +1,6 @@
-"""Users whose samples come late, within what the environment waits for, and what becomes of the others.
+"""Users whose samples come late, within the environment's timeouts, and the effect on the others.
 
-Whole sessions in virtual time, in the product's real-time clock, with its conductor and its judgement of delays.
+Whole sessions in virtual time under the realtime clock, with the product's conductor and its judgement of delays.
 """
 
 from __future__ import annotations

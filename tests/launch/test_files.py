@@ -1,4 +1,4 @@
-"""Files that are written: whole, through no link, one run at a time, and all by the same two functions."""
+"""Written files are whole, go through no link, serve one run at a time, and use the same two functions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Files that come from elsewhere: pipes and devices, claims of size, bombs, secrets, and the names that stand in them.
+"""Files from elsewhere: pipes and devices, claims of size, bombs, secrets, and the names in them.
 
-Nothing here is timed: what would wait for ever, or fill the memory, shows by doing so.
+Nothing here is timed: a wait without end, or a full memory, shows itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Output that cannot be written any more: a display is dropped, a session goes on, a command that only prints ends."""
+"""Output without a reader: the display is dropped, a session goes on, a command that only prints ends."""
 
 from __future__ import annotations
 

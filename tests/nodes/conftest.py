@@ -1,4 +1,4 @@
-"""What a node's loop runs against in a test: a life that goes on, and a line to nobody."""
+"""Surroundings of a node's loop in a test: a life that goes on, and a line without a supervisor."""
 
 from __future__ import annotations
 

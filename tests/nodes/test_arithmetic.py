@@ -1,4 +1,4 @@
-"""A product is the same number, whichever way it is found."""
+"""Every way to compute a product gives the same number."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A process's log: every line whole, nothing raised, bounded whatever is noted and whatever the disk does."""
+"""A process's log: every line is whole, nothing is raised, and its length is bounded on any disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodes' loops over the in-memory transport, in threads, without processes: same numbers as the simulation."""
+"""The nodes' loops in threads over the in-memory transport give the same numbers as the simulation."""
 
 from __future__ import annotations
 

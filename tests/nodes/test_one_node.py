@@ -1,4 +1,4 @@
-"""One node alone, with a test at the other end of its links that does not keep to the rules."""
+"""One node alone, with a test at the other end of its links that breaks the rules."""
 
 from __future__ import annotations
 

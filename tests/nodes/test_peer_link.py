@@ -1,4 +1,4 @@
-"""Waiting for a signal while a peer sends other things: how many are read, and what is looked after meanwhile."""
+"""A wait for a signal while the peer sends other frames: how many are read, and what else is attended to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a node and its peers come together: who is told what first, and who is waited for."""
+"""How a node and its peers connect: the order of messages, and which peers are awaited."""
 
 from __future__ import annotations
 

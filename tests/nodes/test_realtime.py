@@ -1,4 +1,4 @@
-"""What is asked of the kernel: granted where it may be, refused in a sentence where not, and given back."""
+"""Requests to the kernel: granted where allowed, refused in one sentence elsewhere, and given back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a node does at its links when the supervisor says that a peer is lost, or back."""
+"""A node's actions at its links when the supervisor reports that a peer is lost, or back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes that are lost and come back, over the in-memory transport, in threads: who waits, who goes on, from where."""
+"""Nodes that are lost and come back, in threads over the in-memory transport: which wait, which go on, and where."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a guest refuses before it has knocked anywhere: each in one line that says what is wrong, and no secret."""
+"""Errors of a guest before its first connection: one line each, with the cause and without any secret."""
 
 from __future__ import annotations
 

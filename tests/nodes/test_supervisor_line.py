@@ -1,4 +1,4 @@
-"""A node's line to the supervisor: the conversation, word by word, over a line that a test holds the other end of."""
+"""A node's line to the supervisor, message by message; the test holds the other end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened to a node between its ticks is told once, with its tick, in the figures of its telemetry."""
+"""An event between two ticks of a node appears once, with its tick, in its telemetry's figures."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Whatever comes in: ``decode`` returns, and returns something that could have been sent; and it takes no more memory
-than a frame may.
-"""
+"""For any input ``decode`` returns a message that could have been sent, or a refusal, within a frame's memory."""
 
 import math
 import random

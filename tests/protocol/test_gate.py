@@ -1,4 +1,4 @@
-"""What a gate admits, and under which name it counts the rest."""
+"""What a gate admits, and under which name it counts every other frame."""
 
 import math
 import struct

@@ -1,9 +1,9 @@
-"""Both sides of a handshake, and between them somebody who loses, repeats, reorders, changes and invents frames.
+"""Both sides of a handshake with an attacker between them: it drops, repeats, reorders, changes and invents frames.
 
-What a handshake can promise without cryptography, and does: nobody is taken for a node that it does not claim to be
-in every part of its hello, whatever came before; nothing that was altered in an essential part is accepted; and
-whoever is left alone succeeds. That a hello is truly its sender's is the transport's business, and that D_V is the
-certificate's the environment's: here only its shape is essential.
+A handshake without cryptography promises three things. A peer is accepted only as the node that every part of its hello
+names, whatever came before. A hello altered in an essential part is refused. A pair that the attacker leaves alone
+succeeds. The transport ensures that a hello comes from its sender. The environment ensures that D_V is the
+certificate's: here only the shape of D_V is essential.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""The handshake over every transport, both sides at once: whoever is at fault, both end with a clear error."""
+"""The handshake over every transport, both sides at once: after any fault both end with a clear error."""
 
 import dataclasses
 import threading

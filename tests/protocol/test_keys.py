@@ -1,4 +1,4 @@
-"""Keys: what must not leak, whose files are trusted, and what is a key at all."""
+"""Keys: which secrets must not leak, which files are trusted, and which text is a key."""
 
 from __future__ import annotations
 

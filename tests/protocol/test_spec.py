@@ -1,4 +1,4 @@
-"""SPEC.md says what the code does: its examples are the known byte vectors, its tables are compared with the data."""
+"""SPEC.md agrees with the code: its examples are the known byte vectors, its tables equal the data."""
 
 import dataclasses
 import re

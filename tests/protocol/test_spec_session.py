@@ -1,4 +1,4 @@
-"""SPEC.md says what a session does: who listens and who connects, what is answered and counted, who is trusted."""
+"""SPEC.md describes a session: the side that listens, the side that connects, answers, counts, and trust."""
 
 import dataclasses
 import importlib

@@ -1,7 +1,7 @@
-"""A session of nodes that do nothing but keep the protocol of joining, leaving and coming back, around a conductor.
+"""A session around a conductor whose nodes only keep the protocol of joining, leaving and coming back.
 
-Nothing is sent at once: what the nodes say, what they are told and the ends of their processes wait in queues, and a
-test decides what comes next. What a process had said before it was killed still arrives.
+Nothing is sent at once: the messages of nodes, the messages to them, and the ends of their processes wait in queues. A
+test decides which comes next. Messages of a process from before its death still arrive.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CERTIFICATE = "c"
 
 
 def hello_of(graph: Topology, node: str, endpoints: dict[str, str], pid: int = 1) -> NodeHello:
-    """What ``node`` says first."""
+    """The first message of ``node``."""
     return NodeHello(PROTOCOL_VERSION, CERTIFICATE, "s", node, graph.nodes[node], pid, endpoints)
 
 
@@ -51,14 +51,14 @@ class Process:
     """One process of a node.
 
     Attributes:
-        bound: where it waits for each peer that connects to it.
-        connected: where it has connected to, by peer.
-        absent: whom it was told not to wait for.
-        connects: whether it was told where its peers are.
-        ready: whether it has said so.
-        starts: what it was started with.
-        shifts: what it was told of the ladder.
-        inbox: what it has not read.
+        bound: its own endpoint for each peer that connects to it.
+        connected: the endpoints that it has connected to, by peer.
+        absent: peers that were reported absent to it.
+        connects: whether it has received its peers' endpoints.
+        ready: whether it has sent Ready.
+        starts: the Start messages that it has received.
+        shifts: the Shift messages that it has received.
+        inbox: messages that it has not read.
     """
 
     bound: dict[str, str]
@@ -75,12 +75,12 @@ class FakeSession:
     """The nodes of ``graph``, all of them with processes, and their conductor.
 
     Attributes:
-        conductor: the one in question.
-        processes: those that live, by node.
-        said: what the nodes have said and the conductor has not heard.
-        ended: processes that have ended, which the conductor has not seen.
-        killed: nodes whose processes the conductor had killed.
-        now: ns.
+        conductor: the conductor under test.
+        processes: the living processes, by node.
+        said: messages of nodes that the conductor has not received yet.
+        ended: ends of processes that the conductor has not seen yet.
+        killed: nodes whose processes the conductor has killed.
+        now: the time, ns.
     """
 
     def __init__(self, graph: Topology, conductor: Conductor) -> None:
@@ -97,7 +97,7 @@ class FakeSession:
         self.settle()
 
     def settle(self) -> None:
-        """Let everything that is under way arrive."""
+        """Deliver everything under way, until all queues are empty."""
         while self.said or self.ended or any(process.inbox for process in self.processes.values()):
             while self.deliver():
                 pass
@@ -108,7 +108,7 @@ class FakeSession:
                 pass
 
     def deliver(self) -> bool:
-        """The conductor hears the next message, if there is one."""
+        """Give the conductor the next message, if there is one."""
         if self.said:
             sender, message = self.said.popleft()
             self.obey(self.conductor.hear(sender, message, self.now))
@@ -116,7 +116,7 @@ class FakeSession:
         return False
 
     def read(self, node: str) -> bool:
-        """A node reads the next message, if there is one."""
+        """Let a node read its next message, if there is one."""
         process = self.processes.get(node)
         if process is None or not process.inbox:
             return False
@@ -125,7 +125,7 @@ class FakeSession:
         return True
 
     def see_end(self) -> bool:
-        """The conductor sees the next end of a process, if there is one."""
+        """Report the next end of a process to the conductor, if there is one."""
         if self.ended:
             self.obey(self.conductor.exited(*self.ended.popleft(), self.now))
             return True

@@ -1,4 +1,4 @@
-"""The benchmarks of the loop run for a moment, and say what they say in the form in which it is read. No timings."""
+"""The benchmarks of the loop run for a moment and report in the documented form. No timings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What somebody else on the network can read of a session: of one with keys nothing, of one without all of it."""
+"""What an eavesdropper on the network can read: nothing of a session with keys, everything without keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/design.md is executed: every block prints what it says, and every number in the text is one of a block."""
+"""docs/design.md is executed: every block prints the output shown, and every number in the text is one of a block."""
 
 from __future__ import annotations
 

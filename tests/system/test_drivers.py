@@ -1,4 +1,4 @@
-"""Whole sessions whose devices are moved by what was recorded, or by a hand at a browser."""
+"""Whole sessions whose devices are moved by a recording, or by a hand at a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""However a session ends, nothing is left of it, and the exit code says how it ended.
+"""After any end of a session nothing is left, and the exit code shows how it ended.
 
 Nothing here waits for time to pass: each end is brought about at an event that the supervisor reports.
 """

@@ -1,4 +1,4 @@
-"""The examples run as they stand, draw what they say, and show the physics that they are about."""
+"""The examples run as they stand, draw what they promise, and show their physics."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Nodes and observers that join from outside: with the invitation they have a part in the session, or a clear error.
+"""Nodes and observers from outside: the invitation gives them a part in the session, or a clear error.
 
-Real processes over real sockets. Nothing here waits for time to pass: guests try until the session is there, and what a
-test brings about, it does at an event that it was told of.
+Real processes over real sockets. Nothing here waits for time to pass: guests try until the session is there, and a test
+acts only at an event that was reported to it.
 """
 
 from __future__ import annotations

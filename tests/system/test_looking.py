@@ -1,4 +1,4 @@
-"""Looking on at a session that really runs: every command, its ends, and that nobody who looks on changes anything."""
+"""Observing a running session: every command, its ends, and no effect of an observer on the session."""
 
 from __future__ import annotations
 

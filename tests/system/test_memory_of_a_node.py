@@ -1,7 +1,7 @@
-"""What a node's process has of the others: nothing, in its bundle, in its memory, and in the files that it opens.
+"""A node's process holds nothing of the others: in its bundle, its memory, and the files that it opens.
 
-The session is one whose every number and name is like no other. Searching finds them, as the same search in the
-supervisor's process shows, which has them all.
+Every number and name of the session is distinctive. The same search in the supervisor's process, which has them all,
+shows that the search finds them.
 """
 
 from __future__ import annotations

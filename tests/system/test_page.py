@@ -1,4 +1,4 @@
-"""The page in a browser: what moves is drawn, what happens is told, and a drag is felt by the other user."""
+"""The page in a browser: it draws motion, shows incidents, and passes a drag to the other user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the other tests here rely on: searches find what is there and nothing else, and what is opened is seen."""
+"""The searches that other tests rely on find exactly what is there, and every opened file is seen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole sessions that are recorded as they run, and what is kept of them: the recorder killed, the disk really full."""
+"""Whole sessions recorded as they run, with the recorder killed, or with a disk that is really full."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole session recorded, run again and audited; and what is told of a file that was changed afterwards."""
+"""A whole session is recorded, run again and audited; a file changed afterwards is reported."""
 
 from __future__ import annotations
 

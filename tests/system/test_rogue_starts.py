@@ -1,4 +1,4 @@
-"""Sessions that do not start, because somebody in them or their certificate is not what it should be; and say why."""
+"""Sessions that refuse to start and report why: a wrong member, or a wrong certificate."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Rogues around a session and within it: whatever they do is refused and counted, and moves nothing.
+"""Rogues around a session and within it: every attack is refused and counted, and moves nothing.
 
 Around it: strangers with no keys or with the keys of others, and crowds before its doors. Within it: members with their
-real keys that say what they should not. Processes, sockets and keys are real; the values of a run without rogues are
-those that a run with them must have, to the last bit.
+real keys that send what they should not. Processes, sockets and keys are real. A run with rogues must have the values
+of a run without them, to the last bit.
 """
 
 from __future__ import annotations

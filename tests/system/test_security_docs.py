@@ -1,4 +1,4 @@
-"""docs/security.md is executed: its terminals are shells, its commands run in its order and say what it quotes."""
+"""docs/security.md is executed: its terminals are shells, and its commands run in order with the quoted output."""
 
 from __future__ import annotations
 

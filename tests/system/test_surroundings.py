@@ -1,4 +1,4 @@
-"""What surrounds a session: signals of its terminal, poor locales, narrow terminals, a user without rights."""
+"""The surroundings of a session: signals of its terminal, poor locales, narrow terminals, a user without rights."""
 
 from __future__ import annotations
 

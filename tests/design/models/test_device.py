@@ -1,4 +1,4 @@
-"""Simulated devices: exact between samples, and honest about the work of the hand's intention."""
+"""Simulated devices are exact between samples and account for all work of the hand's intention."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Environments of every kind: what they are at each frequency, their split, and the passivity each method keeps."""
+"""Environments of every kind: frequency response, split, and the passivity that each method keeps."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Environments that are known by a declared level alone: what can be certified with them, and what a proof says."""
+"""Environments known only by a declared level: what can be certified with them, and what the proof concludes."""
 
 from __future__ import annotations
 

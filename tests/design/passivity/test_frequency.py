@@ -1,4 +1,4 @@
-"""The least supply over frequency: against brute force, and where a grid would miss it."""
+"""The least supply over frequency: against brute force, and between the points of a grid."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Lemma 1 as an analysis: yes with a storage matrix, no with a reason, never the solver's word."""
+"""Lemma 1 as an analysis: yes with a storage matrix, no with a reason, never by the solver's status alone."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Motions that no port moves or feels, taken apart: what is left behaves alike, and both together store energy."""
+"""Motions that no port moves or feels are separated: the rest behaves alike, and both together store energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates put together by hand from closed forms, and an independent opinion on what they claim.
+"""Certificates built by hand from closed forms, and an independent judgement of their claims.
 
 Nothing here uses the package under test, or the rest of design: storage matrices come from energies or from Riccati
 equations of scipy, and :meth:`Certificates.refuted` judges by frequency responses and eigenvalues.

@@ -1,4 +1,4 @@
-"""Forged claims: what is changed to look better, with the id and the margins of its own content, is found and named."""
+"""Forged claims, improved and given the id and margins of their own content, are found and named."""
 
 import copy
 import dataclasses

@@ -1,4 +1,4 @@
-"""Whatever valid JSON is handed in, a proof ends with findings or with one error that names the key."""
+"""For any valid JSON a proof ends with findings or with one error that names the key."""
 
 from __future__ import annotations
 

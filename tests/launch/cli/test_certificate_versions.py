@@ -1,4 +1,4 @@
-"""Certificates on the command line, by their format's version: those of 0.5.0, and what a session asks of new ones.
+"""Certificates of each format version on the command line: those of 0.5.0, and requirements on new ones.
 
 The files of 0.5.0 (``tests/design/data/certificates-0.5.0``) are as ``manyhands design SESSION -o FILE`` of that
 release wrote them, one for each shipped session that can be certified, and for the example with a model.

@@ -1,4 +1,4 @@
-"""The command line: exit codes, what goes to which output, and messages that tell what to do."""
+"""The command line: exit codes, standard output and error, and messages that name the remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`manyhands design`, `verify` and `budget`: pictures, what other programs read, and Ctrl-C on the way."""
+"""`manyhands design`, `verify` and `budget`: pictures, the output for other programs, and Ctrl-C meanwhile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands about who may take part: what they refuse, in which words, and what they leave."""
+"""The commands for keys and guests: their refusals, messages, and files."""
 
 from __future__ import annotations
 

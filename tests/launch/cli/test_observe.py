@@ -1,4 +1,4 @@
-"""The commands that look on, where there is nothing to look at, and what a shell is told at Tab."""
+"""The observing commands without a session, and completion at Tab."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The doctor without a machine: what files say of one, what figures mean, and processes that misbehave."""
+"""The doctor without a machine: its reading of files, its advice on figures, and processes that misbehave."""
 
 from __future__ import annotations
 

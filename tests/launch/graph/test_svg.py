@@ -1,4 +1,4 @@
-"""A session's graph as a picture: everything is in it, nothing covers anything, and whatever a name is, it is text."""
+"""A session's graph as a picture: complete, without overlaps, and any name is shown as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looking on: when it ends, what is told meanwhile, and that nothing is waited for without an end."""
+"""Observing a session: its end, the messages meanwhile, and bounds on every wait."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a list and a top show of sessions, and that both end in bounded time."""
+"""The tables of `list` and `top`, and the bounded time in which both end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Topics by name, the lines of an echo, and what is found of a topic's pace."""
+"""Topics by name, the lines of `echo`, and the measured pace of a topic."""
 
 from __future__ import annotations
 

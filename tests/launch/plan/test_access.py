@@ -1,4 +1,4 @@
-"""Who may read and write what: from the structure alone, and the same as the blocks of V and the sockets say."""
+"""Read and write access follows from the structure alone and equals the blocks of V and the sockets."""
 
 from __future__ import annotations
 

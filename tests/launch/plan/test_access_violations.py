@@ -1,4 +1,4 @@
-"""Blocks of V that need what their processes may not read or write: not designed, and not launched."""
+"""Blocks of V that need data their processes may not read or write are neither designed nor launched."""
 
 from __future__ import annotations
 

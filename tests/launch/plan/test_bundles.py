@@ -1,4 +1,4 @@
-"""From a session's limits to each process's bounds: whose limits go where, and that no honest tool is ever refused."""
+"""From a session's limits to each process's bounds: their addressees, and no honest tool is ever refused."""
 
 from __future__ import annotations
 

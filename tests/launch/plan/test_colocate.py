@@ -1,4 +1,4 @@
-"""`colocate: true`: what follows from it for links, rights, keys, placement and processes, and nothing else."""
+"""`colocate: true`: its effects on links, rights, keys, placement and processes, and on nothing else."""
 
 from __future__ import annotations
 

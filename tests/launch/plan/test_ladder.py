@@ -1,4 +1,4 @@
-"""The ladder on its way from a session file to the bundles: which rungs there are, and who is given what of them."""
+"""The ladder from a session file to the bundles: which rungs there are, and which process gets what of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a run's processes reach each other: what goes together, where is listened, and who gets which public keys."""
+"""How a run's processes reach each other: allowed combinations, addresses, and recipients of public keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recording a session that runs already: what is done with each frame, when it is written, when it ends; no sockets."""
+"""Recording a session that already runs, without sockets: each frame's handling, the writes, and the end."""
 
 from __future__ import annotations
 

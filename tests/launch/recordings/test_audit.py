@@ -1,4 +1,4 @@
-"""An audit agrees with every honest recording, and finds what was changed afterwards, at its tick and party."""
+"""An audit agrees with every honest recording, and reports later changes with their tick and party."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``info`` says of a recording."""
+"""The contents of ``info`` for a recording."""
 
 from __future__ import annotations
 

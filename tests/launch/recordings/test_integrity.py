@@ -1,4 +1,4 @@
-"""A recording in which anything was changed: it is found, and where."""
+"""Any change of a recording is found and located."""
 
 from __future__ import annotations
 

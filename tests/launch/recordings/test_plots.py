@@ -1,4 +1,4 @@
-"""Pictures of recordings: what stands in which panel, that no extreme is lost, and what is refused."""
+"""Pictures of recordings: the contents of each panel, every extreme kept, and the refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded session run again: identical to the last bit, or told where it is not."""
+"""A recorded session run again is identical to the last bit, or the first difference is reported."""
 
 from __future__ import annotations
 

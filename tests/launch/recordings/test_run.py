@@ -1,4 +1,4 @@
-"""A recording that was cut anywhere is readable to the last chunk that is whole, and says that it was cut."""
+"""A recording that was cut anywhere is readable to its last whole chunk and reports the cut."""
 
 from __future__ import annotations
 

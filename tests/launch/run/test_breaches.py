@@ -1,4 +1,4 @@
-"""From what devices measure to what is done about it."""
+"""From the devices' measurements to softer couplings, notices or an end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an observer is told: the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
+"""An observer receives the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
 
 from __future__ import annotations
 

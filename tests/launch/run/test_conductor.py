@@ -1,4 +1,4 @@
-"""The supervisor's decisions, without a process: every event in, every instruction out."""
+"""The supervisor's decisions without a process: every event in, every instruction out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The run's own directory, which goes, and the one that is kept."""
+"""The run's own directory, which is removed, and the kept one."""
 
 from __future__ import annotations
 

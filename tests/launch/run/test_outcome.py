@@ -1,4 +1,4 @@
-"""The report of a run: what nodes say at their end goes in, one JSON object comes out, whatever they say."""
+"""The report of a run: the nodes' final messages go in, one JSON object comes out, whatever they contain."""
 
 from __future__ import annotations
 

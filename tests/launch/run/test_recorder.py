@@ -1,4 +1,4 @@
-"""The supervisor's end of a real recorder: kept supplied, never waited for, and its end told, however it ends."""
+"""The supervisor's end of a real recorder: it supplies frames, never waits, and reports how the recorder ended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A running session loses nodes and gets them back: whatever dies, and whenever, all are joined again in the end."""
+"""A running session loses nodes and gets them back: after any death at any time all join again in the end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a run: one that cannot be written keeps no other from being written."""
+"""The files of a run: a file that cannot be written does not prevent the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The supervisor's budget of frames: generous to members, bounded for floods, and rested in between."""
+"""The supervisor's budget of frames: generous to members, bounded in floods, with pauses between reads."""
 
 from __future__ import annotations
 

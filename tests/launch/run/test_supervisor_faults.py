@@ -1,4 +1,4 @@
-"""The supervisor's hands in a faulty session: processes started anew, couplings softened, silence shown, all told."""
+"""The supervisor's actions in a faulty session: restarts, softened couplings, silence shown, incidents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever nodes, observers and strangers say, the supervisor hears it, shows it and reports it without an error."""
+"""Any message of nodes, observers and strangers is read, shown and reported without an error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a session may ask of the design: orders, poles, objectives, weights, tau."""
+"""What a session may request from the design: orders, poles, objectives, weights, tau."""
 
 import math
 from pathlib import Path

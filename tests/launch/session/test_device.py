@@ -1,4 +1,4 @@
-"""What a session file says of the drivers of its devices: which keys each needs, and the motions that are read."""
+"""The drivers of a session's devices: the keys that each needs, and the motions that are read."""
 
 from __future__ import annotations
 

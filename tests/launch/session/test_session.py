@@ -1,4 +1,4 @@
-"""What a loaded session holds, and what is derived from it."""
+"""The contents of a loaded session, and what is derived from it."""
 
 import copy
 from pathlib import Path

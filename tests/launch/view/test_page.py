@@ -1,4 +1,4 @@
-"""What a page is told and what the server answers, without a browser and without a session's processes."""
+"""The messages to a page and the server's answers, without a browser and without a session's processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page may say, how often, and which page holds a device."""
+"""What a page may send, how often, and which page holds a device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may open the page: names of the host, origins, tokens, and files that hold one."""
+"""Access to the page: names of the host, origins, tokens, and the files that hold tokens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's server among clients that say nothing, too little or no text: others are served as before."""
+"""The page's server with clients that send nothing, too little or no text: others are served as before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One block of V towards the environment: what it says, what it makes of the answer, and how it changes its rung."""
+"""One block of V towards the environment: the signals it sends, its use of the answer, and its changes of rung."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Couplings in their device's process: the same numbers to the last bit, with two messages less a tick."""
+"""Couplings in their device's process give the same numbers to the last bit, with two messages less in each tick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every driver must do, and what those around a simulated device do besides."""
+"""Conformance of every driver, and what surrounds a simulated device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The driver of a recorded motion: it is that motion, and its ledger is that of a hand that does not yield."""
+"""The driver of a recorded motion replays it exactly, and its ledger is that of a hand that does not yield."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A device's limits: what is let pass, what is clipped, and how it lets go and takes hold again."""
+"""A device's limits: which forces pass or are clipped, and how the device lets go and takes hold again."""
 
 from __future__ import annotations
 

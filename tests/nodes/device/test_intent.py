@@ -1,4 +1,4 @@
-"""Intended forces and motions: what a formula may say, what it evaluates to, and traces."""
+"""Intended forces and motions: which formulas are allowed, their values, and traces."""
 
 import math
 from typing import Any

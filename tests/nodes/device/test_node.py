@@ -1,4 +1,4 @@
-"""A device whose force does not come: it lets go in time, goes on sampling and guarding, and hears again."""
+"""A device without its force lets go in time, goes on with samples and its guard, and hears again later."""
 
 from __future__ import annotations
 

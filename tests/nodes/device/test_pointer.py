@@ -1,4 +1,4 @@
-"""A device at the pointer of a person's browser: held, let go, forgotten, told nonsense; its promise all the while."""
+"""A device at the pointer of a browser, held, released, forgotten or sent nonsense, keeps its promise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The follower of a pointer: within its bounds whatever the pointer does, and there in the end without overshoot."""
+"""The follower of a pointer stays within its bounds for any motion, and arrives without overshoot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a device keeps of its ticks: rows that follow each other, breaches, and what is told when the session jumps."""
+"""A device's record of its ticks: rows in order, breaches, and the telemetry of a session that jumps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clutches in the environment's core: lossless at every tick, without a step, and the whole loop's forces."""
+"""Clutches in the environment's core: lossless at every tick, free of steps, and equal to the whole loop's forces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The energy accounts of the environment's parties, and what their budgets let through."""
+"""The energy accounts of the environment's parties, and what their budgets admit."""
 
 from __future__ import annotations
 

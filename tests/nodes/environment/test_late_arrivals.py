@@ -1,4 +1,4 @@
-"""Who is charged for making others wait, and when that is a reason to freeze."""
+"""Which party is charged for the time that the others waited, and when it is frozen for it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The couplings around an environment: frozen, expected, let in again, and changed to other rungs, by what is heard.
+"""The couplings around an environment: frozen, expected, active again, and changed to other rungs.
 
-With a real core; links, line and time are the test's.
+The core is real; the test provides links, line and time.
 """
 
 from __future__ import annotations

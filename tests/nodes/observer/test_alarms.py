@@ -1,4 +1,4 @@
-"""Alarms: what raises each, since when, that it is cleared, and that what comes and goes is one alarm."""
+"""Alarms: the cause of each, its first time, its end; an intermittent cause raises one alarm."""
 
 from __future__ import annotations
 

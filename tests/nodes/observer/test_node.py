@@ -1,4 +1,4 @@
-"""What an observer prints: a line of JSON for each observation, and nothing for anything else."""
+"""An observer prints one line of JSON for each observation, and nothing for other frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a running session from what it shows: rates and healths, frame by frame."""
+"""The scene built from a running session's broadcast: rates and health, frame by frame."""
 
 from __future__ import annotations
 

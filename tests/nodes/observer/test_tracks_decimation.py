@@ -1,4 +1,4 @@
-"""Decimation: no extreme of any bucket is lost, however the trace is cut into pieces, and time keeps its order."""
+"""Decimation keeps every extreme of each bucket, however the trace is cut, and time keeps its order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recorder writes: the file's layout, what it takes in and refuses, and a disk that fails."""
+"""The recorder's core: the file's layout, the frames that it accepts or refuses, and a disk that fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording as others read it: by the readers of the ``mcap`` package, and by the letter of the specification."""
+"""A recording read by others: by the ``mcap`` package, and by the letter of the specification."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The broadcast: one speaks, any number listen, and nobody waits for them."""
+"""The broadcast: one process sends, any number receive, and the sender waits for none of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is let in, who is not, how both are counted, and doors that are shut when too many crowd before them."""
+"""The door: which peers are admitted, how both kinds are counted, and when a crowd shuts it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The way of a person's hand to a device: the latest word counts, and nobody waits."""
+"""The channel from a person's pointer to a device: the latest message counts, and no side waits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What somebody on the wire has recorded of a keyed connection is of no use: neither at once, nor after a restart."""
+"""A recording of a keyed connection is useless to an attacker: at once, and after a restart."""
 
 from __future__ import annotations
 

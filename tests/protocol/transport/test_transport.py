@@ -1,4 +1,4 @@
-"""What every transport must do, whichever it is: the interfaces' promises, one by one."""
+"""Conformance of every transport with the promises of the interfaces, one by one."""
 
 import os
 import signal

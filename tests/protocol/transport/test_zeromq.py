@@ -1,4 +1,4 @@
-"""What is ZeroMQ's own: socket files, paths, descriptors, and peers that are not of this program."""
+"""Properties of ZeroMQ alone: socket files, paths, descriptors, and peers of other programs."""
 
 import os
 import struct

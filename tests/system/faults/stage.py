@@ -1,7 +1,7 @@
-"""A session of two users to which something happens, step by step, and what must hold of it whatever that was.
+"""A session of two users with scripted faults, and the invariants that must hold whatever happened.
 
-Real processes over real sockets. A step is taken when the supervisor tells of a progress that it waits for; nothing
-waits for time to pass, and a step that never comes fails the test.
+Real processes over real sockets. A step is taken when the supervisor reports the progress that the step waits for.
+Nothing waits for time to pass, and a step that never comes fails the test.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The chaos campaign, in short: a few faults by a seed, under the simulated clock, and all invariants hold."""
+"""The chaos campaign, in short: a few faults by a seed under the simulated clock; all invariants hold."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Processes that die in the middle of a session: the others go on, and the dead come back.
 
-Under the simulated clock, so that nobody is frozen for the machine's sake.
+The clock is simulated, so that a slow machine freezes no user.
 """
 
 from __future__ import annotations

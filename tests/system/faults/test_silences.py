@@ -1,4 +1,4 @@
-"""Parties that fall silent without dying: stopped, slow, cut off, or lost in a computation of their own."""
+"""Parties that fall silent without dying: stopped, slow, cut off, or in an endless computation."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A node that is not what it should be: run in an honest one's place, with its bundle and its real key.
+"""A dishonest node: it runs in an honest node's place, with its bundle and its real key.
 
     python -m rogues.acts ACT BUNDLE SUPERVISOR_PID [LEAVES DONE]
 
-Each act is the honest node and something more, so that what it does wrong is all that differs.
+Each act is the honest node and one addition, so that the misbehaviour is the only difference.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Everything that strangers and an observer can do to a session that runs, in one attack."""
+"""All attacks by strangers and an observer on a running session, in one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Links with a rogue's hand on them: the honest frames of a node, and what is sent beside or instead of them."""
+"""Links under a rogue's control: a node's honest frames, and the frames sent beside or instead of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The runs that several tests look at, each done once."""
+"""The runs that several tests examine, each done once."""
 
 from __future__ import annotations
 

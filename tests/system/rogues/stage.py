@@ -1,4 +1,4 @@
-"""Runs of a session with rogues in it or around it, and what became of them.
+"""Runs of a session with rogues in it or around it, and their results.
 
 The session is Example 1 with limits and an observer, over keyed TCP under the simulated clock: real processes, sockets
 and keys, and values that are the same to the last bit whenever nothing has moved them.

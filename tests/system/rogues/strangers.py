@@ -1,6 +1,6 @@
-"""Those who are no part of the session, or not the part they play: attacks on its sockets from outside.
+"""Attacks from outside on a session's sockets, by processes that are no part of it, or not the part they play.
 
-Every connection is made once and never again by itself, so that what is counted is what was tried.
+Every connection is made once and never repeated by itself, so that the counts equal the attempts.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Frames that do not belong on a link: what a peer with a real key could send beside, or instead of, its honest ones.
+"""Frames that do not belong on a link, as a peer with a real key could send beside or instead of honest ones.
 
-Each is sent before the honest signal of a tick, while the other side waits for that one.
+Each is sent before the honest signal of a tick, while the other side waits for that signal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What strangers try at the doors of a session that runs, and what must come of it, as tables."""
+"""Attempts of strangers at the doors of a running session and the expected results, as tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the environment tells of tools and masses: rows that follow each other, of what its core has settled."""
+"""The environment's telemetry of tools and masses: rows in order, each of a tick that its core has settled."""
 
 from __future__ import annotations
 
