@@ -193,7 +193,7 @@ class Search:
             if Unit(module, name) in self.modules[module].code:
                 self._reach(Unit(module, name))
                 return
-            if f"{module}.{name}" in self.modules:
+            if self._is_submodule(module, name):
                 self.module(f"{module}.{name}")
                 return
             if name not in self.modules[module].imports:
@@ -270,12 +270,15 @@ class Search:
         if name not in imports:
             return
         module, imported = imports[name]
-        whole = f"{module}.{imported}" if imported else module
-        if whole in self.modules:
-            if attribute:
-                self.name(whole, attribute)
-        else:
+        if imported and not self._is_submodule(module, imported):
             self.name(module, imported)
+        elif attribute:
+            self.name(f"{module}.{imported}" if imported else module, attribute)
+
+    def _is_submodule(self, module: str, name: str) -> bool:
+        """Whether ``module.name`` is a module; a package may import a function of its submodule's name instead."""
+        bound = self.modules[module].imports.get(name) if module in self.modules else None
+        return f"{module}.{name}" in self.modules and bound in (None, (module, name))
 
     def _dotted(self, node: ast.AST, imports: dict[str, tuple[str, str]]) -> None:
         """``a.b.c`` where ``import a.b``."""
