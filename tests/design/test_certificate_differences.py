@@ -134,7 +134,7 @@ def test_messages_quote_foreign_files_shortly_and_plainly(problems, proved: Cert
 def test_version_2_is_compared_as_far_as_it_records(
     problems, proved: Certificate, shaped: Certificate, linear: Certificate
 ) -> None:
-    """How its coupling was found is not known, and so not at issue; that is what is said of it."""
+    """Version 2 does not record how its coupling was found: the comparison skips this and reports so."""
     loop = problems.example_1()
     old = of_version_2(proved)
     assert differences(old, loop, SpringDamperGiven(problems.C26)) == []
@@ -169,7 +169,7 @@ def test_another_loop_is_named(problems, proved: Certificate) -> None:
 
 
 def test_every_number_of_an_environment_counts(problems, proved: Certificate) -> None:
-    """Environments of the same kind, equal but for one thing."""
+    """Environments of the same kind that differ in one number."""
     loop, network = problems.example_1(), problems.network
     E = network.environment(1e-3)
     nudged = StateSpace(E.A, E.B, E.C, np.nextafter(E.D, np.inf))

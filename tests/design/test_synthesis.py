@@ -85,7 +85,7 @@ def test_the_same_wish_gives_the_same_certificate(problems, wish: Wish) -> None:
 
 
 def test_the_cap_on_iterations_is_an_error_or_said(problems) -> None:
-    """What two iterations found may be certified all the same; then the certificate says how it was found."""
+    """The result of two iterations may still be certified; then the certificate records how it was found."""
     designed = design(problems.example_1(), SpringDamperWanted(Wish(iterations=2, algorithm="complementarity")))
     assert len(designed.history) == 3
     assert designed.history[-1] > 1e-4
@@ -105,7 +105,7 @@ def test_a_cap_before_anything_is_found(problems, monkeypatch: pytest.MonkeyPatc
 
 
 def test_ctrl_c_keeps_the_best_so_far(problems) -> None:
-    """Wherever it comes, from what the search tells onwards: the best iterate, certified, or the interrupt itself."""
+    """At any time after the first report of the search: the best iterate, certified, or the interrupt itself."""
     wanted = SpringDamperWanted(Wish(algorithm="complementarity"))
     for at in (1, 4, 8):
         told: list[str] = []

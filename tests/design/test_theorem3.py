@@ -147,7 +147,7 @@ def test_the_damping_limit_is_named(problems) -> None:
 
 
 def test_a_coupling_at_its_limit_is_refused_before_the_proof_is(problems) -> None:
-    """J = B = 1/2 in exact numbers; in those of the machine nobody knows on which side it is."""
+    """J = B = 1/2 in exact numbers; in machine numbers its side of the limit is unknown."""
     loop = problems.example_1(osp=8.0)
     with pytest.raises(Infeasible, match=r"1.6e\+04 N/m, is not below .* 1.6e\+04 N/m"):
         certified(loop, problems.uniform(1.5e4, 0.5))

@@ -25,7 +25,7 @@ def output_feedback(A: Matrix, B: Matrix, C: Matrix, radius: float = 1.0) -> Rel
 
 
 def stabilisable(seed: int) -> tuple[Matrix, Matrix, Matrix]:
-    """An unstable system of order 3 that some F makes stable, known only to the one who built it."""
+    """An unstable system of order 3 that some F makes stable; only this function knows F."""
     rng = np.random.default_rng(seed)
     closed, B, C = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
     closed *= 0.7 / np.max(np.abs(np.linalg.eigvals(closed)))

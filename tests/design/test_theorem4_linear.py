@@ -216,7 +216,7 @@ def test_a_blocks_inequality_is_lemma_1_of_its_transformed_coupling(seed: int, n
 @settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 3))
 def test_room_is_not_asked_of_a_constant_force(seed: int, n: int, m: int) -> None:
-    """``room`` takes something off for every state, force and output but for what no coupling can dissipate."""
+    """``room`` takes something off for every state, force and output except what no coupling can dissipate."""
     V, P, Delta = random_block(seed, n, m), random_storage(seed, n + m), random_storage(seed + 1, m)
     N = block_matrix(V, P, Delta, 0.5) - block_matrix(V, P, Delta, 0.5, room=1.0)
     u, p = np.eye(m), np.random.default_rng(seed).normal(size=(n + m, m))

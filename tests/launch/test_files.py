@@ -37,7 +37,7 @@ RUN = Recording("s", "id", 0.001, ("a",), np.zeros((3, 1)), np.zeros((3, 1)))
     ],
 )
 def test_no_name_that_others_can_guess_leads_a_file_elsewhere(partial: str, write: object, tmp_path: Path) -> None:
-    """In a shared folder somebody has laid a link of the name under which 0.5.0 wrote, to a file of ours."""
+    """In a shared folder another user has put a link to our file, under the name that 0.5.0 wrote."""
     ours = tmp_path / "ours"
     ours.write_bytes(b"precious")
     folder = tmp_path / "shared"

@@ -20,7 +20,7 @@ PREAMBLE = "import sys, os\nfrom manyhands.launch import output\noutput.install(
 
 @contextmanager
 def broken(how: str) -> Iterator[IO[bytes]]:
-    """A stream that takes nothing: the disk behind it is full, or whoever read it has left."""
+    """A stream that takes nothing: the disk behind it is full, or its reader has left."""
     if how == "full":
         with open("/dev/full", "wb") as stream:
             yield stream
@@ -48,7 +48,7 @@ def python(
 
 
 def test_a_session_goes_on_without_its_display_and_reports_it(tmp_path: Path) -> None:
-    """Here nobody reads it any more; a full disk behind it is in tests/system/test_surroundings.py."""
+    """Here its reader has left; tests/system/test_surroundings.py has a full disk behind it."""
     launch = ("-m", "manyhands", "launch", str(ALONE), "--clock", "simulated", "--duration", "0.3")
     with broken("closed") as err:
         code, _, _ = python(*launch, "--report", str(tmp_path / "run.json"), err=err)

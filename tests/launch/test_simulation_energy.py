@@ -31,7 +31,7 @@ T = 1e-3
 
 
 class Liar:
-    """A driver that says any motion, whatever force it is told to exert."""
+    """A driver that reports any motion, whatever force it exerts."""
 
     axes = 1
 

@@ -34,7 +34,7 @@ TICKS = 240
 
 
 def random_plain(rng: np.random.Generator) -> dict[str, Any]:
-    """Three users with one or two axes each, who meet at two masses and directly."""
+    """Three users with one or two axes each, coupled through two masses and directly."""
     dofs = rng.integers(1, 3, 3)
     devices = {
         f"d{i}": {"dof": int(n), "osp": float(rng.uniform(1.0, 3.0)), "driver": "simulated", "mass": 0.2}

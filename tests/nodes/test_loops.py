@@ -50,7 +50,7 @@ def nodes_of(prepared: Prepared) -> dict[str, Node]:
 
 @pytest.fixture
 def run_loops(new_life: Callable[[], Any], new_line: Callable[[], Any]) -> Loops:
-    """Runs all nodes of a session from handshake to last tick; gives them, and what each told its supervisor."""
+    """Runs all nodes of a session from handshake to last tick; returns them and each one's messages."""
 
     def run(prepared: Prepared) -> tuple[dict[str, Node], dict[str, Any]]:
         graph = topology(prepared.session)

@@ -96,7 +96,7 @@ def one(*values: float) -> Values:
 
 
 class Recorded:
-    """A driver that samples what it is told to, and keeps what is exerted."""
+    """A driver with given samples that keeps the exerted forces."""
 
     axes = 1
 
@@ -192,7 +192,7 @@ def test_a_device_beyond_its_limits_lets_go_and_hides_its_position(
     new_life: Any,
     new_line: Any,
 ) -> None:
-    """Its coupling is told as much as its limits allow, and then that the tool rests; the ticks go on."""
+    """Its coupling receives a position within the limits, and then a tool at rest; the ticks go on."""
     node, bundle, driver = device_of(bundles, [0.0, sample, 0.0])
     coupling, life, line = meet(node, bundle)["cx"], new_life(), new_line()
     send(coupling, *(Force(k, 0, one(1.0)) for k in range(3)))

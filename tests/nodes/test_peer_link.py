@@ -83,7 +83,7 @@ class Arriving:
 
 
 class Ears:
-    """A listener that notes what it is told."""
+    """A listener that notes every notice."""
 
     def __init__(self, turns: bool = False) -> None:
         self._turns = turns
@@ -192,7 +192,7 @@ def test_what_only_looks_like_a_word_is_a_stray(junk: bytes) -> None:
 
 
 class FrameLink:
-    """A link whose other end is a test's: what is coming, and what was said."""
+    """A link whose other end a test holds: frames to come, and frames sent."""
 
     def __init__(self, *coming: bytes, room: int = 10**6) -> None:
         self.coming, self.room = deque(coming), room
@@ -256,7 +256,7 @@ class Test_a_peer_that_comes_back:
         assert fresh.said == []
 
     def test_is_not_answered_for_the_one_before(self) -> None:
-        """What was said last on the old link is not repeated on the new one."""
+        """The last signal on the old link is not repeated on the new one."""
         peer_link = joined(FrameLink())
         peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink(encode(HIS), encode(Welcome()))
@@ -344,7 +344,7 @@ def test_whether_a_signal_of_another_tick_is_a_zero_force(values: list[float], z
 
 
 def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
-    """It floods nobody by it, tick by tick; junk of one tick adds up over several waits, until the tick is there."""
+    """Tick by tick this is no flood; junk of one tick adds up over several waits, until the tick is there."""
     peer_link, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
     heard_by(peer_link, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure  # in one wait it does
@@ -434,7 +434,7 @@ class Scripted:
 def awaited(
     scripts: dict[str, list[Received]], rounds: int, moved: Callable[[Received, int], int] = lambda _heard, tick: tick
 ) -> tuple[int | None, str]:
-    """What :func:`await_all` returns after b was listened to last, with so many rounds allowed; who was listened to."""
+    """The result of :func:`await_all` after b was read last, with so many rounds allowed; and the links read."""
     listened: list[str] = []
     links: Any = [Scripted(name, script, listened) for name, script in scripts.items()]
     left = iter([Duration(1)] * rounds)

@@ -139,7 +139,7 @@ def test_all_handshakes_together_have_one_deadline(transport: MemoryTransport) -
     answering(transport.connect(endpoints["left"], "c"), hello(LEFT), Welcome())
 
     class Silent:
-        """A link to one who is there and says nothing."""
+        """A link to a peer that is there and sends nothing."""
 
         def send(self, _frame: bytes) -> bool:
             return True

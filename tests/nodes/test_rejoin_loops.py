@@ -38,7 +38,7 @@ def colocated() -> Prepared:
 
 
 def hold_dz(name: str, line: Any) -> None:
-    """While dz waits for the test nobody can finish: the environment waits for it."""
+    """While dz waits for the test no node can finish, because the environment waits for dz."""
     if name == "dz":
         line.pause = HELD
 
@@ -58,7 +58,7 @@ def check(reports: dict[str, Report], ticks: int = TICKS) -> None:
 
 
 def check_rows(stage: ThreadedSession) -> None:
-    """What every node told is of ticks that follow each other, and its last row is of the tick before ``tick``."""
+    """Every node's rows are of consecutive ticks, and its last row is of the tick before ``tick``."""
     for line in stage.all_lines:
         before = 0
         for telemetry in line.told:
@@ -105,7 +105,7 @@ def test_a_node_is_lost_twice(prepared: Prepared, new_life: Callable[[], Any]) -
 def test_both_ends_of_a_link_are_lost_at_once(
     prepared: Prepared, new_life: Callable[[], Any], first: str, second: str
 ) -> None:
-    """Who binds the link comes back before the other, is told that it is absent, and offers it a place."""
+    """The binding end comes back first, learns that the other is absent, and offers it an endpoint."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose(first, second)
@@ -120,7 +120,7 @@ def test_both_ends_of_a_link_are_lost_at_once(
 
 
 def test_a_peer_lost_during_its_return_reconnects_at_the_next(prepared: Prepared, new_life: Callable[[], Any]) -> None:
-    """The environment is told of an absence while the place that it offered before still waits."""
+    """The environment learns of an absence while the endpoint that it offered before still waits."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose("cx")
@@ -147,7 +147,7 @@ def test_a_user_that_stays_away_does_not_hold_the_others_up(prepared: Prepared, 
 def test_an_environment_comes_back_though_a_user_stays_away(
     prepared: Prepared, new_life: Callable[[], Any], first: str
 ) -> None:
-    """The coupling without a device shakes hands with it all the same, and says whom it misses."""
+    """The coupling without a device still shakes hands with it, and names the missing device."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose(first)

@@ -70,7 +70,7 @@ def refusal(
     key: str | None = None,
     address: str = ADDRESS,
 ) -> str:
-    """What a guest says that does not start."""
+    """The message of a guest that does not start."""
     code = remote.join(name, machine / bundle, None if key is None else machine / key, address, None)
     out, err = capsys.readouterr()
     assert code == EXIT_BAD_INPUT

@@ -52,7 +52,7 @@ def common(clock: str = "realtime", control: str = "memory://control") -> Common
 
 
 class AnsweringLine:
-    """A link whose other end answers what it is told to; time passes for a reader by None, at once."""
+    """A link whose other end gives scripted answers; None lets time pass for a reader, at once."""
 
     def __init__(self) -> None:
         self.said: list[Message] = []
@@ -108,7 +108,7 @@ class Doors:
 
 
 class Life:
-    """Goes on until ``check`` was called so often, or as its watch says."""
+    """A life that goes on for so many calls of ``check``, or as long as its watch allows."""
 
     def __init__(self, looks: int = 10**9, orphaned: bool = False) -> None:
         self.stopping = self.orphaned = False

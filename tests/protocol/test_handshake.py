@@ -46,7 +46,7 @@ def over_the_wire(message: Message) -> Received:
 
 
 def converse(connector: LinkHandshake, binder: LinkHandshake) -> list[Message]:
-    """Carry messages to and fro until neither has any; everything that was said, in order."""
+    """Carry messages to and fro until neither side has any; returns all of them in order."""
     said: list[Message] = []
     waiting = [(binder, message) for message in connector.start()] + [(connector, m) for m in binder.start()]
     while waiting:

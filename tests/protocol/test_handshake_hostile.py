@@ -144,7 +144,7 @@ class AdversaryBetween(RuleBasedStateMachine):
 
     @rule(target=kept, side=st.integers(0, 1))
     def copy(self, side: int) -> bytes:
-        """Keep a copy of what is on its way; nobody notices."""
+        """Copy the frames under way, unnoticed by both sides."""
         return self.ways[side][0] if self.ways[side] else b""
 
     @rule(side=st.integers(0, 1), frame=kept)
@@ -193,7 +193,7 @@ class AdversaryBetween(RuleBasedStateMachine):
 
     @rule(side=st.integers(0, 1), message=st.sampled_from(ANSWERS))
     def answer_for_somebody(self, side: int, message: Message) -> None:
-        """An answer arrives that nobody gave."""
+        """Deliver an answer that neither side gave."""
         self.meddled = True
         self._hand_over(side, encode(message))
 
@@ -241,7 +241,7 @@ class AdversaryBetween(RuleBasedStateMachine):
                 assert others == rest
 
     def teardown(self) -> None:
-        """What is left is delivered; whoever was left alone succeeds."""
+        """Deliver the remaining frames; a pair that the adversary left alone succeeds."""
         if not hasattr(self, "sides"):
             return
         while any(self.ways):

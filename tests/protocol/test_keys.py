@@ -73,7 +73,7 @@ def forms(secret: str) -> tuple[str, ...]:
 
 
 def told(error: BaseException) -> str:
-    """All that an exception and those behind it carry: their text, their arguments, their attributes."""
+    """Everything that an exception and its causes carry: text, arguments, attributes."""
     texts = traceback.format_exception(error)
     seen: BaseException | None = error
     while seen is not None:

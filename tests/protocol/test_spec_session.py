@@ -95,7 +95,7 @@ def prepared() -> Prepared:
 
 
 class Recorder(MemoryTransport):
-    """Remembers who may connect to what is bound, by its name, which is the ZAP domain."""
+    """Remembers the admitted peers of each bound endpoint, by its name, which is the ZAP domain."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -149,7 +149,7 @@ def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
 
 
 class Told:
-    """A node's line to the supervisor, of which only the last word is of interest."""
+    """A node's line to the supervisor; only the last message matters."""
 
     def __init__(self) -> None:
         self.dropped, self.log, self.word = 0, Log(None, "s", "n", RealtimeClock()), Report(0, {}, {}, {})

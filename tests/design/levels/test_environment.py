@@ -262,7 +262,7 @@ def test_the_margin_is_that_of_the_matrix(problems) -> None:
 
 
 def test_forty_ports_two_ticks_late_with_a_storage_function() -> None:
-    """Order 200, in parts that no semidefinite program takes; told what is going on."""
+    """Order 200, in parts that no semidefinite program takes; progress is reported."""
     told: list[str] = []
     split = delayed_split(random_network(np.random.default_rng(1), 40, 60, 300.0).split(T), 2, T)
     Delta = 1.37 * np.eye(40)

@@ -107,7 +107,7 @@ def test_the_lossless_is_passive_and_no_more() -> None:
 
 
 def test_an_unstable_system_has_no_storage_although_its_frequencies_are_fine() -> None:
-    """He G > 0 over the circle, but the pole at 1.1 is outside: only the sign of P tells."""
+    """He G > 0 over the circle, but the pole at 1.1 is outside: only the sign of P shows it."""
     system = StateSpace([[1.1]], [[1.0]], [[-0.1]], [[5.0]])
     assert least_hermitian_eigenvalue(system)[0] > 0.0
     finding = analyse(system)

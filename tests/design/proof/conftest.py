@@ -266,7 +266,7 @@ class Certificates:
     # --- the opinion
 
     def refuted(self, data: Data) -> list[str]:
-        """What is clearly false in the claim, by numpy: beyond 1e-7 relative; empty says nothing."""
+        """The clearly false parts of the claim, by numpy: beyond 1e-7 relative; an empty result proves nothing."""
         T = data["period"]
         if not (T > 0.0 and 0.0 <= data["tau"] <= T):
             return ["period"]

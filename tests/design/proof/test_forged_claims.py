@@ -221,7 +221,7 @@ def test_stated_margins_are_checked(proved: Data) -> None:
 
 
 def test_no_solver_is_needed() -> None:
-    """What a certificate says can be read and proved where neither solver nor scipy is installed."""
+    """A certificate can be read and proved where neither solver nor scipy is installed."""
     code = (
         "import sys, manyhands.design.proof, manyhands.design.certificate, manyhands.design.certificate\n"
         "print(sorted({name.split('.')[0] for name in sys.modules} & "

@@ -139,7 +139,7 @@ def test_a_missing_key(certificates) -> None:
 
 
 def test_what_was_asked_is_any_plain_data_of_bounded_size(certificates) -> None:
-    """It is no claim: whatever it says, the rest is proved as it would be without it."""
+    """It is no claim: the rest is proved as it would be without it, whatever its content."""
     data = bases(certificates)[0]
     for asked in (
         {},

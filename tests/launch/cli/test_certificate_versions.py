@@ -152,7 +152,7 @@ def test_a_feasible_certificate_is_not_one_for_the_stiffest(feasible: Path, stif
 
 
 def test_a_0_5_0_certificate_gives_the_same_invitation_line(stiffest: Path, tmp_path: Path) -> None:
-    """Whether it was asked for as the session asks is not known: it says so, and goes on as 0.5.0 did."""
+    """The request behind it is unknown: the program reports this, and goes on as 0.5.0 did."""
     bundle = tmp_path / "dx.bundle"
     done = manyhands_command("invite", stiffest, "dx", "--certificate", old("example1"), "--insecure", "-o", bundle)
     assert done.exit_code == 0, done.stderr

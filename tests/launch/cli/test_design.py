@@ -171,7 +171,7 @@ def test_budget_prints_and_draws(tmp_path: Path) -> None:
 
 
 def interrupting(after: int, calls: list[str], how: Callable[[], None]) -> Callable[..., Any]:
-    """A design that is interrupted when the search tells something for the ``after``-th time."""
+    """A design that is interrupted at the ``after``-th report of the search."""
     honest = synthesis.design
 
     def design(loop: Any, wanted: Any, progress: Callable[[str], None]) -> Any:

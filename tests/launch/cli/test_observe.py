@@ -32,7 +32,7 @@ def manyhands_command(*arguments: object) -> Result:
 
 
 def completed(*words: str) -> list[str]:
-    """What bash is told when Tab is pressed behind these words, the last of which is not yet whole."""
+    """The completions that bash receives at Tab behind these words; the last word is not yet whole."""
     environment = {
         "_MANYHANDS_COMPLETE": "complete_bash",
         "COMP_WORDS": " ".join(["manyhands", *words]),
@@ -43,7 +43,7 @@ def completed(*words: str) -> list[str]:
 
 @contextmanager
 def running(*sessions: str) -> Iterator[None]:
-    """Sessions that say what they are, and nothing else, under this process."""
+    """Sessions under this process that describe themselves and send nothing."""
     if not sessions:
         yield
         return

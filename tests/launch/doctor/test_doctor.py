@@ -50,7 +50,7 @@ IPC, TCP = Way("ipc", "ipc", "ipc"), Way("tcp_curve", "tcp with CURVE", "tcp")
 
 
 def a_machine(**changes: object) -> Machine:
-    """A machine with nothing to be said about."""
+    """A machine without any finding."""
     best: dict[str, Any] = {
         "kernel": "Linux 6.12", "preemption": "PREEMPT_RT", "virtual": None, "container": False, "processors": 8,
         "usable": tuple(range(8)), "governors": ("performance",), "clock_source": "tsc", "priority_limit": 99,
@@ -322,7 +322,7 @@ def test_a_session_without_an_answered_tick_has_no_figures(monkeypatch: pytest.M
 
 
 def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
-    """In the midst of its task, and with nobody left to kill it."""
+    """In the midst of its task, with no process left to kill it."""
     code = f"""
 from pathlib import Path
 from manyhands.launch.run.processes import Processes

@@ -73,7 +73,7 @@ def granted(table: tuple[Capability, ...]) -> set[Grant]:
 
 
 class Binding:
-    """Stands in for a transport, and notes what is bound for whom."""
+    """Stands in for a transport, and notes each binding with its peer."""
 
     def __init__(self) -> None:
         self.bound: list[str] = []

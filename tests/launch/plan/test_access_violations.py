@@ -86,7 +86,7 @@ def test_a_certificate_whose_block_leaves_its_process_is_refused_at_launch(tmp_p
 
 @pytest.mark.usefixtures("own_interrupt")
 def test_a_stolen_certificate_with_two_blocks_exchanged_is_refused_at_launch(tmp_path: Path) -> None:
-    """Whoever edits the file can also compute its id anew; what the processes may do is not in the file."""
+    """A thief can also compute the file's id anew; the rights of the processes are not in the file."""
     certificate = prepare(load_session(SESSIONS / "example1.yaml", GIVEN)).certificate
     assert certificate is not None
     save(certificate, tmp_path / "honest.json")

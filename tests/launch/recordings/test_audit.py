@@ -500,7 +500,7 @@ def test_what_a_clutch_gives_up_at_last_is_within_the_tolerance(tmp_path: Path) 
 
 
 def test_a_device_that_has_let_go_did_as_it_should(prepared: Prepared, tmp_path: Path) -> None:
-    """What its couplings were told, and what it made of their forces, follows from its displacement."""
+    """Its messages to the couplings, and its use of their forces, follow from its displacement."""
     overrides = ["devices.dx.limits={speed: 0.01}", "devices.dy.limits={power: 0.001, energy: 0.002}"]
     session = load_session(SESSIONS / "example1.yaml", overrides)
     slow = dataclasses.replace(prepared, session=session)

@@ -116,7 +116,7 @@ def test_the_remains_of_a_power_failure_are_no_chunk(tail: bytes, written: Writt
 
 
 def test_a_chunk_that_was_changed_is_found_out(written: Written, tmp_path: Path) -> None:
-    """One digit of a number, packed again: nothing but the checksum of what is in the chunk tells."""
+    """One digit of a number, packed again: only the checksum of the chunk's content shows it."""
     path, (before, after) = tmp_path / "r.mcap", written.borders[2:4]
     start = written.data.index(b"\x28\xb5\x2f\xfd", before)  # the magic number of a zstd frame
     packed = written.data[start:after] if after < len(written.data) else b""
@@ -288,7 +288,7 @@ def written_by_another(
 
 
 def test_a_recording_of_a_sessions_later_hours_begins_where_it_began(tmp_path: Path) -> None:
-    """As many ticks before it as nobody has memory for: they are left out, and who computes from tick 0 on is told."""
+    """More ticks precede it than fit in memory: they are left out, and a computation from tick 0 on reports this."""
     begin = 40_000_000
     core = RecorderCore(RECORDED)
     data = core.cut()

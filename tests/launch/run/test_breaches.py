@@ -49,7 +49,7 @@ class Measured:
         self._ticks: dict[str, int] = {}
 
     def tell(self, device: str, breaches: int, worst: float = 200.0, late_periods: int = 0) -> list[Decision]:
-        """One message of ``device``: in so many of its ticks the delay (us) was too long, or the period was not T."""
+        """Send one telemetry of ``device``: in so many ticks the delay (us) was too long, or the period was not T."""
         counts = self._counts.setdefault(device, {names.TAU_BREACHES: 0.0, names.PERIOD_BREACHES: 0.0})
         counts[names.TAU_BREACHES] += breaches
         counts[names.PERIOD_BREACHES] += late_periods
@@ -76,7 +76,7 @@ class Measured:
         return self._carry_out(self.policy.judge(device, self._ticks[device], figures, [tau * 1e-6 for tau in each]))
 
     def late(self, until: int, **ticks: range) -> list[Decision]:
-        """The environment tells in which ticks each coupling was late."""
+        """Send the environment's telemetry: the ticks in which each coupling was late."""
         return self._carry_out(self.policy.take_waits(until, ticks))
 
     def restart(self, device: str) -> None:

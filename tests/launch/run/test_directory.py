@@ -131,7 +131,7 @@ SWEEP += "from manyhands.launch.run.directory import sweep_directories; sweep_di
 
 
 def no_process() -> int:
-    """A process id that nobody has, as every process of another namespace looks from here."""
+    """An unused process id; every process of another namespace looks like this from here."""
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     return process.pid
@@ -154,7 +154,7 @@ def supervisor(temporary: Path, pid: int) -> Iterator[tuple[subprocess.Popen[str
 
 
 def test_the_directory_of_a_supervisor_unseen_here_is_not_swept(temporary: Path) -> None:
-    """Containers that share /tmp and a user: its process id is nobody's here, and its session goes on."""
+    """Containers that share /tmp and a user: its process id is unused here, and its session goes on."""
     with supervisor(temporary, no_process()) as (process, directory):
         sweep_directories()
         assert directory.is_dir()

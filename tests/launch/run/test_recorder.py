@@ -62,7 +62,7 @@ class ReadyRecorder:
                 self.recorder.tell(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
 
     def attend(self) -> bool:
-        """Wait for whatever the recorder says; whether there may be more."""
+        """Wait for any message of the recorder; returns whether there may be more."""
         poll = select.poll()
         for fd in self.recorder.fds:
             poll.register(fd, select.POLLIN)
@@ -97,7 +97,7 @@ simulated = pytest.mark.parametrize("stage", ["simulated"], indirect=True)
 
 
 def assert_prefix(path: Path, least: int) -> int:
-    """The recording has the first ticks of what was told, at least so many; returns how many."""
+    """Check that the recording has the first ticks of the telemetry, at least so many; returns the number."""
     found = read_recording(path)
     whole = found.x[~np.isnan(found.x).any(axis=1)]
     np.testing.assert_array_equal(whole, np.arange(len(whole), dtype=np.float64)[:, None].repeat(3, axis=1))

@@ -149,7 +149,7 @@ class Test_whoever_dies:
 
 
 class Test_the_order:
-    """Who binds a link is there before who connects to it is started, or told where to connect."""
+    """The binding end of a link is there before the connecting end starts or receives the endpoint."""
 
     def test_of_one_death(self) -> None:
         c = session().conductor
@@ -201,7 +201,7 @@ class Test_the_order:
 
 
 class Test_offers:
-    """Only who was asked may make one: nobody can have another node started or led astray."""
+    """Only the node asked may make an offer: no other can start or misdirect a node."""
 
     @pytest.mark.parametrize(
         ("sender", "peer"),
@@ -357,7 +357,7 @@ class Test_returns_that_fail:
 
     @pytest.mark.parametrize("reads", [0, 1])
     def test_one_that_takes_too_long(self, reads: int) -> None:
-        """To say hello, or to shake hands."""
+        """Too long for its hello, or for its handshakes."""
         s = session()
         s.kill("dx")
         s.see_end()
@@ -515,7 +515,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert s.joined()
 
     def test_two_nodes_that_rejoin_side_by_side_meet_in_the_end(self) -> None:
-        """Each was told that the other is absent."""
+        """Each has received the other's absence."""
         c = session(3, "cx").conductor
         c.silent("cx", 0)
         c.exited("dx", -9, 0)
@@ -583,7 +583,7 @@ def test_a_policy_may_end_the_session() -> None:
 
 
 def test_a_link_is_offered_and_joined_again_by_one_way_alone() -> None:
-    """A place is told once, and only after it was made."""
+    """An endpoint is sent once, and only after it exists."""
     into = {target: {event for (_, event), one in LINK_TRANSITIONS.items() if one is target} for target in LinkState}
     assert into[LinkState.JOINED] == {LinkEvent.TOLD}
     assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.TOLD} == {LinkState.OFFERED}

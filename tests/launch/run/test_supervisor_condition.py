@@ -22,7 +22,7 @@ SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class Ear(Recorder):
-    """Keeps what it is told."""
+    """Keeps every message."""
 
     def __init__(self) -> None:
         self.told: list[bytes | None] = []

@@ -35,7 +35,7 @@ SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class FakeProcesses:
-    """Processes that are only said to be started."""
+    """Processes whose starts are noted, and nothing more."""
 
     def __init__(self) -> None:
         self.pids: dict[str, int] = {}
@@ -100,7 +100,7 @@ class Faulty:
         self.supervisor.carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
 
     def told(self) -> list[object]:
-        """What the environment was told since it was last asked."""
+        """The messages to the environment since the last call."""
         out: list[object] = []
         while (frame := self.environment.recv(Duration(0))) is not None:
             out.append(decode(frame, MAX_CONTROL_BYTES))
@@ -308,5 +308,5 @@ def test_what_a_killed_process_has_bound_is_free_for_the_next(tmp_path: Path) ->
 
 
 def _ends(processes: Processes) -> dict[str, int]:
-    """The ends of some processes; their descriptors tell of them."""
+    """The ends of some processes, which their descriptors announce."""
     return processes.reap(set(select.select(processes.fds, [], [], 60.0)[0]))

@@ -123,7 +123,7 @@ def client(watch: Watch) -> TestClient:
 
 
 def heard(page: WebSocketTestSession, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The first message for which that holds; others are the pictures before it."""
+    """The first message that ``wanted`` accepts; earlier ones are pictures."""
     while True:
         message: dict[str, Any] = json.loads(page.receive_text())
         if wanted(message):
@@ -343,7 +343,7 @@ def test_a_host_that_is_not_this_machine_is_said_so(host: str) -> None:
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
-    """What the command would serve."""
+    """The calls by which the command would serve its page."""
     served_: list[tuple[str, Token | None]] = []
 
     def serve(

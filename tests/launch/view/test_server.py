@@ -121,7 +121,7 @@ class Later(RealtimeClock):
 
 
 class Served:
-    """A page that is served, and who comes to it."""
+    """A page that is served, and its clients."""
 
     def __init__(self, port: int, refused: Counter[str], clock: Later) -> None:
         self.port, self.refused, self.clock = port, refused, clock

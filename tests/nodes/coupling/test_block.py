@@ -186,7 +186,7 @@ def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, wo
 
 
 def test_a_returned_environment_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
-    """Of which it was told D_V at the handshake: it knows of no other before it is told to shift."""
+    """The handshake gave it D_V of that rung; it knows no other before a shift."""
     assert shift(block, world, 0, 2) == 2
     block.say(np.zeros(1), 1, 0)
     fresh = meet_environment(block, 1)
@@ -211,7 +211,7 @@ def test_a_flood_ends_the_node(block: Block, world: MessageLink, new_life: Calla
 def test_rows_follow_each_other(
     bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
 ) -> None:
-    """The first are fewer, so that not all nodes tell in the same tick."""
+    """The first telemetry has fewer rows, so that not all nodes send theirs in the same tick."""
     line, first, rows = new_line(), bundle.common.telemetry_first, bundle.common.telemetry_ticks
     assert 0 < first < rows
     for tick in range(first + rows + 3):

@@ -58,7 +58,7 @@ def test_the_numbers_are_the_simulations(file: str, new_life: Callable[[], Any])
 
 
 def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life: Callable[[], Any]) -> None:
-    """And no link between them: a coupling tells of itself as if it were alone."""
+    """No link leads from one to the other, and a coupling sends its telemetry as if it were alone."""
     with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
         assert {plan.connector for plan in stage.graph.links} == {"cx", "cy", "cz"}
         stage.reports()

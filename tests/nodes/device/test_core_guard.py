@@ -151,7 +151,7 @@ def test_what_is_no_number_is_told_to_nobody() -> None:
     calm=st.integers(RETURN, 2 * RETURN),
 )
 def test_letting_go_and_taking_hold_makes_no_energy(steps: list[float], forces: list[float], calm: int) -> None:
-    """What is told to be done on the device is done, but in a tick in which it is beyond its speed."""
+    """The reported work is done on the device, except in a tick in which the device is beyond its speed."""
     g = Guard(Limits((8.0,), (1e3,), (1.0,)), T, ("arm",))
     x = told = done = said = force = applied = 0.0
     g.tell([0.0])

@@ -38,7 +38,7 @@ def trace() -> TraceDriver:
 
 
 class Said:
-    """An inlet where the same is said over and over."""
+    """An inlet that repeats one message."""
 
     malformed = 0
 

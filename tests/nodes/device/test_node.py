@@ -42,7 +42,7 @@ class Time:
 
 
 class Coupling:
-    """The other end of the device's link: it answers at once, until it is silent, and again when ``later`` says so."""
+    """The other end of the device's link: it answers at once, then falls silent, then answers by ``later``."""
 
     def __init__(self, time: Time, later: Callable[[int], Force | None]) -> None:
         self._time, self._later = time, later

@@ -40,7 +40,7 @@ def at(*position: float) -> Grasp:
 
 
 class Told:
-    """An inlet of a test's."""
+    """An inlet that a test feeds."""
 
     malformed = 0
 

@@ -30,7 +30,7 @@ GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
 
 
 class Device:
-    """An account, and a session that it is told of tick by tick."""
+    """A device's telemetry, and a session that feeds it tick by tick."""
 
     def __init__(self, line: Any) -> None:
         self.account, self.line, self.at = DeviceTelemetry(COMMON, TAU), line, 0

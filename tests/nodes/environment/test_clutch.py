@@ -200,7 +200,7 @@ def test_freezing_begins_with_the_next_react() -> None:
 def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
     seed: int, blocks: list[list[int]], plan: list[tuple[int, int, Deed]], pause: int, budget: float
 ) -> None:
-    """Whatever freezes, leaves and joins, and whoever is held to an energy budget."""
+    """For any freezing, leaving and joining, and with any party held to an energy budget."""
     world = ClutchedLoop(seed, blocks, budget=budget)
     core, oracle, rng = world.core, Oracle(world), world.rng
     at: dict[int, list[tuple[int, Deed]]] = {}
@@ -427,7 +427,7 @@ def test_an_offset_of_several_axes_shrinks_by_motion_in_all() -> None:
 
 
 def test_an_offset_is_kept_under_a_force_that_has_turned() -> None:
-    """The force of the tick itself decides, by trial; that of the tick before only says whether to try."""
+    """The force of the tick itself decides, by trial; the force of the tick before only shows whether to try."""
     k, o = 1000.0, 5e-7
     core = EnvironmentCore(StateSpace.static([[k]]), np.zeros((1, 1)), None, T, None, 1)
     core.clutches.freeze(0)

@@ -27,7 +27,7 @@ D_V = np.array([[1 / 700, 0, 1e-4], [0, 1 / 900, 0], [2e-4, 0, 1 / 1000]])  # m/
 
 
 class Model:
-    """A model that answers what a function of the tool positions and the tick says."""
+    """A model whose answer is a function of the tool positions and the tick."""
 
     def __init__(self, answer: Callable[[np.ndarray, int], Any]) -> None:
         self._answer = answer

@@ -161,7 +161,7 @@ def test_charges_never_exceed_the_wait_and_the_first_pays_nothing(ats: list[int]
 
 @given(ats=arrivals)
 def test_whenever_somebody_exceeds_the_allowance_somebody_is_charged(ats: list[int]) -> None:
-    """But for steps so small that a signal may have been there: one for each coupling at most."""
+    """Steps so small that a signal may have been there are excepted: at most one for each coupling."""
     late = LateArrivals(len(ats), T, HALF)
     late.judge(0, DUE, False, [(DUE + at, index) for index, at in enumerate(ats)])
     if ats[-1] - max(ats[0], 0) > HALF + len(ats) * AT_ONCE * T:

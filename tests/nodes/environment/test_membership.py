@@ -77,7 +77,7 @@ class TwoCouplings:
         return self.members.hear(member, self.p, self.tick, NOW)
 
     def say(self, name: str, tick: int | None = None, value: float = 0.01) -> None:
-        """A coupling says its p(k), m: of this tick by default."""
+        """Send a coupling's p(k), m, by default of this tick."""
         self.ends[name].say(Tool(self.tick if tick is None else tick, 0, np.array([value])))
 
     def finish(self) -> np.ndarray:
@@ -91,7 +91,7 @@ class TwoCouplings:
         return f
 
     def together(self, ticks: int = 1, *, but: str = "") -> None:
-        """Everybody else but one speaks, is heard and answered."""
+        """Run ticks in which all couplings except ``but`` send, are received and are answered."""
         for _ in range(ticks):
             for member in self.members.all:
                 if member.peer_link.peer.name != but:
@@ -100,7 +100,7 @@ class TwoCouplings:
             self.finish()
 
     def forces(self, name: str) -> dict[int, float]:
-        """What it was told, by tick."""
+        """The forces that it received, by tick."""
         return {told.tick: told.values[0] for told in self.ends[name].said if isinstance(told, Reaction)}
 
     def lose(self, name: str) -> None:
@@ -204,7 +204,7 @@ def test_the_signal_of_its_due_tick_may_come_early(world: TwoCouplings) -> None:
 
 
 def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
-    """It was told to go on there, and frozen again, or by the environment before."""
+    """It received that tick and was frozen again, or an earlier environment sent it there."""
     frozen_for(world, 20)
     due = world.tick + LEAD
     world.say("cy", due, 0.02)
@@ -264,7 +264,7 @@ def test_an_active_members_signal_of_a_later_tick_is_a_stray(world: TwoCouplings
 
 
 def test_a_coupling_without_its_device_is_answered_at_its_early_tick(world: TwoCouplings) -> None:
-    """It would wait for that and say nothing more, and whoever waits for its device's return would wait for it."""
+    """Without the answer it would wait in silence, and peers that wait for its device's return would wait for it."""
     frozen_for(world, 20)
     ahead = world.tick + LEAD
     world.say("cy", ahead)
@@ -337,7 +337,7 @@ def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: TwoCouplings
 
 @pytest.mark.parametrize("left", range(1, LEAD + 1))
 def test_near_the_end_one_is_invited_to_the_last_tick(world: TwoCouplings, left: int) -> None:
-    """Not beyond it: who is active may wait for a device of several blocks, and that one for this block's force."""
+    """Not beyond it: an active block may wait for a device of several blocks, and the device for this block's force."""
     behind = frozen_for(world, 20)
     world.members.last = world.tick + left
     world.say("cy", behind)
@@ -555,7 +555,7 @@ events = st.one_of(
     ]
 )
 def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
-    """Who is active is answered, who is not is frozen, and rungs change without force alone."""
+    """Active members are answered, others are frozen, and rungs change only at zero force."""
     world = TwoCouplings(new_life())
     rungs = dict.fromkeys(NAMES, 0)
     absences = 0
@@ -650,7 +650,7 @@ def test_a_member_excluded_for_lateness_stays_inactive_for_its_pause(world: TwoC
 
 
 class Silence:
-    """A line to a supervisor who says nothing."""
+    """A line to a silent supervisor."""
 
     def listen(self, _timeouts: Duration = NOW) -> None:
         return None

@@ -44,7 +44,7 @@ def test_every_event_follows_the_transition_table_or_changes_nothing() -> None:
 
 
 def test_only_active_or_awaited_members_are_missed_only_gone_ones_return() -> None:
-    """What the table leaves out is what nobody can hear of a coupling that stands so."""
+    """The table leaves out the events that cannot happen in a state."""
     out = {pair for pair in product(Membership, MembershipEvent) if pair not in TRANSITIONS}
     assert out == {
         (Membership.ACTIVE, MembershipEvent.RECONNECTED),

@@ -38,7 +38,7 @@ def environment(*overrides: str) -> EnvironmentBundle:
     ],
 )
 def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_line: Callable[[], Any]) -> None:
-    """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, with what is told of x_e and q alone."""
+    """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, from the telemetry of x_e and q alone."""
     bundle = environment(*overrides)
     m = len(bundle.common.ports)
     core, account, line = environment_core(bundle, np.eye(m) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()

@@ -129,7 +129,7 @@ def test_figures_and_conditions_stand_at_their_ticks() -> None:
 
 
 def fits(schema: dict[str, Any], value: Any) -> bool:
-    """Whether a value is as a schema says, of those words that ours use."""
+    """Whether a value conforms to a schema, for the keywords that our schemas use."""
     match schema["type"]:
         case "integer":
             return type(value) is int
@@ -287,7 +287,7 @@ def test_what_is_in_one_observation_is_in_one_chunk() -> None:
 
 
 def _ticks_of(chunk: Chunk) -> dict[int, list[int]]:
-    """The ticks in a chunk, by channel, of those that tell of one."""
+    """The ticks in a chunk, by channel, for channels with ticks."""
     stream, size = get_chunk_data_stream(chunk)
     data, at = stream.read(size), 0
     out: dict[int, list[int]] = {}

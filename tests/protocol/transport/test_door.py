@@ -135,7 +135,7 @@ def house() -> Iterator[House]:
 
 @pytest.fixture
 def outside() -> Iterator[ExitStack]:
-    """Whoever comes from outside leaves before the house is closed."""
+    """Connections from outside, closed before the house is."""
     with ExitStack() as stack:
         yield stack
 
@@ -143,7 +143,7 @@ def outside() -> Iterator[ExitStack]:
 def visitor(
     outside: ExitStack, port: int, who: str, kind: int = zmq.DEALER, *, server: str = "cx", shows: str | None = None
 ) -> zmq.Socket[bytes]:
-    """Somebody who speaks ZeroMQ, has the keys of ``who``, and ``shows`` a public key; without another try."""
+    """A ZeroMQ peer with the keys of ``who`` that ``shows`` a public key and does not retry."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     outside.callback(context.term)
     made: zmq.Socket[bytes] = context.socket(kind)
@@ -232,7 +232,7 @@ def test_members_of_a_hub_may_come_more_than_once(house: House, outside: ExitSta
 
 
 def exchange(house: House, dx: zmq.Socket[bytes], word: bytes) -> None:
-    """A frame each way over a connection that exists; nobody attends to the door meanwhile."""
+    """Send a frame each way over an existing connection, without attending to the door."""
     dx.send(word)
     assert house.link.poll(LONG_MS)
     assert house.link.recv() == word
@@ -289,7 +289,7 @@ def test_allowed_failures_keep_it_open_and_windows_count_apart(house: House, out
 
 
 def fail(house: House, so_far: int) -> None:
-    """One more handshake with a key that nobody knows, seen to its end."""
+    """Make one more handshake with an unknown key and wait for its end."""
     with ExitStack() as leaving:
         visitor(leaving, house.port, "stranger", zmq.PAIR)
         house.attend_until(lambda refused: {**refused, "shut": 1} == {"unknown_key": so_far + 1, "shut": 1})
@@ -365,7 +365,7 @@ def test_a_process_without_a_descriptor_left_still_shuts_its_door(house: House, 
 
 
 def test_a_door_whose_socket_is_closed_is_left_alone(house: House, outside: ExitStack) -> None:
-    """Its descriptor may be somebody else's by now, whom a filter would cut off."""
+    """Another socket may have its descriptor by now, and a filter would cut that off."""
     door = house.keeper._doors[0]
     house.keeper.attend()
     crowd(outside, house.port, DOOR_BURST + 2)
@@ -466,7 +466,7 @@ class Test_what_a_node_is_told_of_its_line:
     def test_a_host_too_busy_to_admit_anybody_is_awaited(
         self, outside: ExitStack, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """It answers nobody until connections have timed out; that says nothing about its key."""
+        """It answers no peer until connections have timed out; that proves nothing about a key."""
         monkeypatch.setattr(monitor, "BROKEN_OFF_IN_A_ROW", 20)
         monkeypatch.setattr(doorkeeper_module, "HANDSHAKE_MS", 50)
         supervisor, node = ZmqTransport.tcp(ring("supervisor", "dx")), ZmqTransport.tcp(ring("dx", "supervisor"))

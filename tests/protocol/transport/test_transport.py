@@ -288,7 +288,7 @@ def test_a_forgotten_name_is_free_and_its_first_owner_may_stay(ends: "Ends") -> 
 
 
 def test_a_settled_process_admits_when_it_attends(ends: "Ends") -> None:
-    """Before, receiving is enough; afterwards a loop attends in its slack, and who is inside need not wait for it."""
+    """Before, receiving is enough. Afterwards a loop attends in its slack, and admitted peers need not wait for it."""
     first, first_endpoint = ends.binder.bind("cx", "dx")
     late, late_endpoint = ends.binder.bind("cy", "dx")
     connected = ends.connector.connect(first_endpoint, "supervisor")
@@ -330,7 +330,7 @@ def outlet(ends: "Ends") -> tuple[Link, str]:
 
 
 def hear(ends: "Ends", outlet: Link, endpoint: str, frame: bytes) -> Link:
-    """Come, and be told ``frame``, which is offered until somebody takes it."""
+    """Join, and receive ``frame``, which is sent until it arrives."""
     link = ends.connector.connect_outlet(endpoint, "supervisor")
     while (heard := link.recv(Duration(MS))) is None:
         ends.binder.attend()
