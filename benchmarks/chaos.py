@@ -43,7 +43,7 @@ MARK = "chaos"
 
 @dataclass(frozen=True)
 class Run:
-    """A run and what was found.
+    """A run and its findings.
 
     Attributes:
         session: its name.

@@ -56,7 +56,7 @@ class Chaos:
     _interrupted: bool = False
 
     def show(self, progress: Progress) -> None:
-        """For the supervisor: how it goes."""
+        """Take the supervisor's progress."""
         for node, told in progress.telemetry.items():
             if names.LEDGER_MIN in told.figures:
                 self.ledgers[node] = min(self.ledgers.get(node, 0.0), told.figures[names.LEDGER_MIN])

@@ -37,7 +37,7 @@ class Faults:
 
     Attributes:
         world: the session.
-        count: how many faults; with a session that has an end, as many as come before that, and nobody is killed.
+        count: how many faults; in a session with an end, as many as come before it, and no process is killed.
         done: the kinds so far.
         stalled: why the run was given up; empty for none.
         slowest: the longest from a fault to calm, ns.
@@ -61,7 +61,7 @@ class Faults:
         self._next_heard: int | None = None
 
     def watch(self) -> bool:
-        """Look at the world; whether it is over, or given up."""
+        """Check the world; returns whether it is over or given up."""
         world = self.world
         if world.conductor.phase is SessionPhase.OVER:
             return not world.processes
@@ -155,7 +155,7 @@ class Faults:
                     world.kill(node)
 
     def _slow(self, process: Process, times: int) -> None:
-        """Stop it, let it run a little, and so on."""
+        """Stop the process and let it run a little, repeatedly."""
         world = self.world
         if times == 0 or world.processes.get(process.name) is not process:
             return

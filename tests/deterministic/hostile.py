@@ -79,7 +79,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run and what was found.
+    """A run and its findings.
 
     Attributes:
         ticks: the environment's at the end.

@@ -137,11 +137,11 @@ def test_memory_that_grows_is_seen() -> None:
 
 
 class Over(Exception):
-    """A wire has nothing left to say."""
+    """A scripted wire has no frame left."""
 
 
 class ScriptedWire:
-    """What each peer sends, in order; None for nothing within the time."""
+    """The frames of each peer, in order; None for no frame within the time."""
 
     version = "scripted"
 

@@ -31,12 +31,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @dataclass(frozen=True)
 class Captured:
-    """A session, and what was seen of it.
+    """A session and its captured traffic.
 
     Attributes:
         directions: all that was sent, by connection and direction.
         signals: every x and f_v that the session's own recording has.
-        certificate: the id of what it ran under.
+        certificate: the id of its certificate.
     """
 
     directions: list[bytes]
@@ -68,7 +68,7 @@ def captured(folder: Path, *options: str | Path) -> Captured:
 
 
 def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
-    """Those of the values that would not turn up by accident, as they are sent."""
+    """The values that hardly occur by accident, as they are sent."""
     return {struct.pack(form, value): f"{value!r} ({form})" for value in signals.tolist() if is_distinctive(value)}
 
 

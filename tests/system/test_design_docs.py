@@ -153,7 +153,7 @@ def test_examples_too_slow_for_a_test_name_their_program() -> None:
 
 
 def test_the_check_sees_what_is_wrong() -> None:
-    """The rules that the page is held to, each broken once."""
+    """The rules of the page, each broken once."""
     output = "│ margin of (10)  │ 1.4955 N·s/m │\nexample-1: certified   \n"
     assert missing(["margin of (10) 1.4... N·s/m", "example-1: certified"], output) == []
     assert missing(["margin of (10) 1.5... N·s/m", "certified"], output) == ["margin of (10) 1.5... N·s/m", "certified"]

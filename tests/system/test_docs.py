@@ -47,7 +47,7 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_readmes_terminals_show_what_they_say(tmp_path: Path) -> None:
-    """The lines of the three terminals, in their order; what goes on is ended with Ctrl-C, as a person would."""
+    """The lines of the three terminals, in their order; Ctrl-C ends a running command, as a person would."""
     text = (ROOT / "README.md").read_text()
     lines = re.findall(r"^(\d) \$ manyhands (.*?)(?:  +#.*)?$", text, flags=re.MULTILINE)
     assert [terminal for terminal, _ in lines] == ["1", "2", *"3333"]

@@ -38,7 +38,7 @@ def prepared() -> Prepared:
 
 @pytest.fixture(scope="module")
 def brittle(prepared: Prepared) -> Prepared:
-    """The session in which nobody who dies comes back."""
+    """The session without restarts."""
     session = load_session(SESSIONS / "example1.yaml", ["faults.restarts=0"])
     return dataclasses.replace(prepared, session=session)
 
@@ -51,7 +51,7 @@ def run(prepared: Prepared, show: Callable[[Progress], None], transport: str = "
 
 
 def once(when: Callable[[Progress], bool], then: Callable[[Progress], object]) -> Callable[[Progress], None]:
-    """Do something the first time that a progress is like this."""
+    """Act at the first progress that meets a condition."""
     done: list[bool] = []
 
     def show(progress: Progress) -> None:

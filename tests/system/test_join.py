@@ -56,7 +56,7 @@ PATIENCE = 60.0  # s; far more than anything here takes
 
 @dataclass(frozen=True)
 class Home:
-    """The machine that a session is launched from.
+    """The machine that launches a session.
 
     Attributes:
         folder: session file, certificate, keys.
@@ -106,7 +106,7 @@ def listen() -> Listen:
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Path:
-    """Another machine."""
+    """A second machine."""
     folder = tmp_path / "machine"
     folder.mkdir()
     return folder
@@ -139,7 +139,7 @@ def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def once(when: Callable[[Progress], bool], then: Callable[[], object]) -> Callable[[Progress], None]:
-    """Do something the first time that a progress is like this."""
+    """Act at the first progress that meets a condition."""
     done: list[bool] = []
 
     def show(progress: Progress) -> None:
@@ -168,7 +168,7 @@ def assert_as_simulated(outcome: Outcome, home: Home) -> None:
 
 
 def test_from_keys_to_a_run_with_a_guest(tmp_path: Path, machine: Path, listen: Listen) -> None:
-    """As two people would do it, by the command line alone; the private key is no longer at home."""
+    """As two people do it, by the command line alone; the private key has left the launching machine."""
     run("design", "example1.yaml", "-o", tmp_path / "c.json")
     run("keys", "example1.yaml", "-o", tmp_path / "keys")
     invitation = ("--keys", tmp_path / "keys", "--certificate", tmp_path / "c.json", "--clock", "simulated")
@@ -313,7 +313,7 @@ def test_a_guest_that_is_interrupted_leaves_and_the_others_go_on(home: Home, mac
 
 
 def test_a_guest_interrupted_before_the_first_tick_is_awaited_again(home: Home, machine: Path, listen: Listen) -> None:
-    """It has joined and waits for another guest, who never comes."""
+    """It has joined and waits for a second guest that never comes."""
     home.invited("dx", machine)
     ended: list[tuple[int, str]] = []
 
@@ -381,7 +381,7 @@ def test_a_guest_with_another_certificate_is_told_so(home: Home, machine: Path, 
 
 
 def served(process: subprocess.Popen[str], listen: Listen, keys: Keys | None) -> tuple[int, str]:
-    """The end of a guest that knocks at a supervisor with these keys (None: with none), which answers and no more."""
+    """The end of a guest at a supervisor with these keys (None: without) that answers and does nothing more."""
     ring = None if keys is None else keys.ring(SUPERVISOR, ["dx"])
     transport = ZmqTransport.tcp(ring)
     descriptor = os.pidfd_open(process.pid)
@@ -415,7 +415,7 @@ def test_a_guest_whose_key_was_renewed_is_told_so(home: Home, machine: Path, lis
 
 
 def test_a_guest_does_not_join_somebody_elses_supervisor(home: Home, machine: Path, listen: Listen) -> None:
-    """One that knows the guest's key, and has a key of its own."""
+    """A supervisor that knows the guest's key, and has a key of its own."""
     home.invited("dx", machine)
     impostor = ephemeral(roster(home.prepared.session), home.prepared.session.name)
     (machine / "dx.key").unlink()
@@ -436,7 +436,7 @@ def test_plain_and_encrypted_do_not_meet(keyed: bool, home: Home, machine: Path,
 
 
 def test_where_nobody_listens_a_guest_gives_up_in_the_end(home: Home, machine: Path, listen: Listen) -> None:
-    """After a minute; here, after what takes as long with a hundredth of its patience."""
+    """After a minute; here the timeout is a hundredth of that."""
     home.invited("dx", machine)
     impatient = (
         "import sys\n"

@@ -66,7 +66,7 @@ def test_beyond_its_limits_a_device_lets_go_and_others_continue(limits: str) -> 
 
 
 def test_a_guest_moving_others_too_fast_is_held_to_its_budget() -> None:
-    """A guest says that it moves by 5 cm at 6 Hz; before there were budgets that ended the session, naming dy."""
+    """A guest reports a motion of 5 cm at 6 Hz; before there were budgets this ended the session, naming dy."""
     t = np.arange(0.0, 1.201, 1e-3)
     path = np.minimum(1.0, t / 0.1) * 0.045 * np.sin(2.0 * np.pi * 6.0 * t)
     trace = f"{{times: {t.round(3).tolist()}, values: {path.tolist()}}}"

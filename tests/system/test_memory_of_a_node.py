@@ -40,14 +40,14 @@ PEERS = {DEVICE: {COUPLING}, COUPLING: {DEVICE, ENVIRONMENT}, ENVIRONMENT: set(d
 
 @dataclass(frozen=True)
 class Owner:
-    """What the owner of a session has: everything.
+    """Everything that the owner of a session has.
 
     Attributes:
         folder: the session file, its certificate and its keys.
         session: the session file's content.
-        bundles: what each node is handed, by name.
-        secrets: the private keys, by whose.
-        publics: the public keys, by whose.
+        bundles: each node's bundle, by name.
+        secrets: the private keys, by owner.
+        publics: the public keys, by owner.
     """
 
     folder: Path
@@ -57,7 +57,7 @@ class Owner:
     publics: Mapping[str, str]
 
     def forbidden(self, node: str) -> dict[bytes, str]:
-        """All that ``node`` must have nothing of, in every shape."""
+        """All data that ``node`` must not hold, in every form."""
         numbers = party_secrets.forbidden_numbers(node, self.session, self.bundles)
         secrets = {f"private key of {who}": key for who, key in self.secrets.items() if who != node}
         strangers = self.publics.keys() - {node, SUPERVISOR, *PEERS[node]}
@@ -69,7 +69,7 @@ class Owner:
         }
 
     def raw(self, *nodes: str) -> dict[bytes, str]:
-        """The numbers that the session file has of these nodes, as a processor holds them."""
+        """The numbers of these nodes in the session file, as a processor holds them."""
         parts = [self.session["environment"] if n == ENVIRONMENT else self.session["devices"][n] for n in nodes]
         return party_secrets.as_doubles(distinctive_session.number_lists(parts))
 
@@ -123,13 +123,13 @@ def launched(owner: Owner, *options: str | Path) -> AbstractContextManager[subpr
 
 
 def remote(owner: Owner, port: int) -> tuple[str | Path, ...]:
-    """The options of a session whose device is somewhere else."""
+    """The options of a session with a remote device."""
     keys = owner.folder / "keys-here"
     return ("--transport", "tcp", "--keys", keys, "--listen", f"127.0.0.1:{port}", "--remote", DEVICE)
 
 
 def joining(port: int) -> tuple[str, ...]:
-    """What is typed on the other machine, in the folder with the bundle and the key."""
+    """The command on the other machine, in the folder with the bundle and the key."""
     files = ("--session", f"{DEVICE}.bundle", "--key", f"{DEVICE}.key")
     return ("node", DEVICE, *files, "--connect", f"tcp://127.0.0.1:{port}")
 

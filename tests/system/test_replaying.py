@@ -26,7 +26,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told(code: int, *arguments: str | Path) -> str:
-    """What a command says that ends with ``code``."""
+    """The output of a command that ends with ``code``."""
     command = [*MANYHANDS, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == code, done.stdout + done.stderr

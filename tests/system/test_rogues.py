@@ -97,7 +97,7 @@ def test_each_connection_is_counted_by_kind(name: str, reason: str) -> None:
 
 
 def test_no_other_connection_is_counted() -> None:
-    """A door that is shut for a while, and what members say out of turn, are all that comes on top."""
+    """Only a temporarily shut door and members' messages out of turn come on top."""
     said = {"shut", "out_of_turn", "second_route", "not_a_frame"}
     found = {
         (name, reason)
@@ -185,7 +185,7 @@ def test_what_a_member_says_out_of_turn_is_counted() -> None:
 
 
 def test_an_excessive_force_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The hand feels the limit for as long as its coupling is mad, and the world is what it is with that force."""
+    """The hand feels the limit while its coupling is dishonest, and the world moves as with that force."""
     simulation = Simulation(prepared())
     guard = simulation.guards["dy"]
     clip, ticks = guard.clip, iter(range(TICKS))

@@ -43,7 +43,7 @@ PROMPT = re.compile(r"^(\w+)\$ ", flags=re.MULTILINE)
 
 @dataclass(frozen=True)
 class Command:
-    """What is typed at a terminal, and what is to come of it."""
+    """A command at a terminal, and its expected output."""
 
     terminal: str
     line: str
@@ -88,7 +88,7 @@ class Terminal:
             self.finish()
 
     def finish(self) -> None:
-        """Wait for the last command's end, and hold what it said against the page."""
+        """Wait for the last command's end, and compare its output with the page."""
         command, self._waits = self._waits, None
         if command is None:
             return
@@ -111,7 +111,7 @@ class Terminal:
 
 @contextmanager
 def terminal(folder: Path) -> Iterator[Terminal]:
-    """A terminal in ``folder``; whatever still runs in it afterwards is ended."""
+    """A terminal in ``folder``; processes that still run in it at the end are ended."""
     program = folder / "bin" / "manyhands"
     program.parent.mkdir(exist_ok=True)
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m manyhands "$@"\n')
@@ -143,7 +143,7 @@ def write_session(folder: Path) -> Path:
 
 @pytest.mark.long
 def test_the_walk_through(tmp_path: Path) -> None:
-    """As the page has it, but for the port, which may be in use here."""
+    """As the page has it, except for the port, which may be in use here."""
     write_session(tmp_path)
     page = PAGE.replace(str(PORT), str(free_ports(PORTS)[0]))
     typed = list(commands(page))

@@ -61,7 +61,7 @@ def test_under_nohup_a_session_outlives_its_terminal_until_ctrl_backslash(tmp_pa
 
 
 def drop_rights() -> None:
-    """Be an ordinary user, whoever this is: no capability, no real-time priority, no memory that can be locked."""
+    """Become an ordinary user: no capability, no real-time priority, no memory that can be locked."""
     prctl = ctypes.CDLL(None).prctl
     for capability in range(_CAPABILITIES):
         prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)  # of an ordinary user there is none to drop

@@ -67,19 +67,19 @@ def prepared() -> Prepared:
 
 
 class Ended(Exception):
-    """The session was over before the attack was."""
+    """The session ended before the attack."""
 
 
 @dataclass
 class RogueSession:
-    """What an attack knows of a session, and how it goes on with it.
+    """An attack's knowledge of a session, and its means to let the session go on.
 
     Attributes:
         keys: all keys: an attack can play any part with the real one.
         hub: endpoint of the supervisor's hub.
-        links: endpoint of each link, by who binds it and who connects to it.
-        observer: where the observer is served.
-        ticks: how many the session has done by leave.
+        links: endpoint of each link, by its binding and its connecting end.
+        observer: endpoint of the observer's broadcast.
+        ticks: the number of ticks done with the attack's leave.
     """
 
     keys: Keys
@@ -106,7 +106,7 @@ class RogueSession:
             self.ticks += LEAVE
 
     def wait_for(self, what: Callable[[Progress], bool]) -> Progress:
-        """Wait until the supervisor tells of a progress like this."""
+        """Wait until the supervisor reports a progress that meets a condition."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._over or (self._progress is not None and what(self._progress)), DEADLINE
@@ -116,7 +116,7 @@ class RogueSession:
             return self._progress
 
     def show(self, progress: Progress) -> None:
-        """For the supervisor: how it goes. A session that stands still is interrupted, or its test would do so, too."""
+        """Take the supervisor's progress; interrupt a session that stands still, since its test would hang, too."""
         done = sum(telemetry.tick for telemetry in progress.telemetry.values())
         if done != self._seen[0]:
             self._seen = done, time.monotonic()
@@ -127,7 +127,7 @@ class RogueSession:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """For the supervisor: it is over."""
+        """Mark the session as over."""
         with self._changed:
             self._over = True
             self._changed.notify_all()
@@ -142,8 +142,8 @@ class Played:
 
     Attributes:
         outcome: the run's.
-        told: what the attack returned; None without one.
-        during: ticks that were done when the attack was over.
+        told: the result of the attack; None without one.
+        during: ticks done by the end of the attack.
     """
 
     outcome: Outcome
@@ -167,9 +167,9 @@ def play(
 
     Args:
         ticks: how many.
-        acts: nodes that are not what they should be, and what they are instead (:mod:`.acts`).
-        forge: what becomes of the bundles after they were cut.
-        attack: what happens meanwhile, in a thread of its own. While it lasts, the session goes on by leave alone.
+        acts: the dishonest nodes, and the act of each (:mod:`.acts`).
+        forge: changes the bundles after they were cut.
+        attack: runs in a thread of its own. While it lasts, the session goes on only with its leave.
     """
     session = prepared().session
     stage = RogueSession(ephemeral(roster(session), session.name))
@@ -231,7 +231,7 @@ def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, 
 
 
 def _overhear(patch: pytest.MonkeyPatch, stage: RogueSession, forge: Forge) -> None:
-    """Tell the stage where everybody is, as somebody who reads along would know it."""
+    """Give the stage all endpoints, as an eavesdropper would know them."""
 
     def cut_and_forge(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         stage.hub = run.control
