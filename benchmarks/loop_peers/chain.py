@@ -8,7 +8,7 @@ interpreter the middleware was installed for.
 
 PLAN is a JSON file: ``roles`` (by node), ``links`` ([binder, connector] each), ``period`` (ns), ``ticks``, ``limit``
 (ns, when to stop though ticks are left), ``folder`` and ``port`` for the middleware. CONTROL is a Unix socket: the node
-says who it is, says that its links are open, hears the epoch, and a device tells how its ticks went.
+sends its name, reports its links as open, and receives the epoch; a device reports its ticks at the end.
 """
 
 from __future__ import annotations

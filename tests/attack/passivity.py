@@ -240,7 +240,7 @@ Part = Callable[[Reader, Any], Array]
 
 
 def parts(data: Data, ratios: tuple[float, ...]) -> dict[str, Part]:
-    """The matrices over frequency that a certificate says are never negative, by the name of the promise."""
+    """The matrices over frequency that a certificate claims never to be negative, by the name of the promise."""
     declared = data["environment"]["type"] == "declared"
     out: dict[str, Part] = {}
     for name in data["structure"]:

@@ -87,7 +87,7 @@ class Outcome:
         received: J that the others have received at most, net.
         seconds: that it took in virtual time.
         wrong: what did not hold.
-        account: of a run in which something did not.
+        account: of a run with violations.
     """
 
     ticks: int
@@ -214,7 +214,7 @@ def refused(world: SimulatedSession) -> bool:
 
 
 def slow_start(world: SimulatedSession, random: Random) -> None:
-    """Somebody is slow at first, as who still reads its program from a disk is."""
+    """A party is slow at first, like a process that still reads its program from a disk."""
     process = world.processes[random.choice(list(world.processes))]
     turn = process.turn
     assert turn is not None

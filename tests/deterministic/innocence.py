@@ -38,11 +38,11 @@ AGAIN: Final = 6
 
 
 TELEMETRY: Final = 100
-"""Ticks after which the environment has told of what it did."""
+"""Ticks after which the environment's telemetry has its actions."""
 
 
 class Wrong(StrEnum):
-    """What may not happen to the others."""
+    """Effects on the others that must not occur."""
 
     LATE = "late beyond what is covered"
     FROZEN = "frozen"
@@ -58,7 +58,7 @@ class Wrong(StrEnum):
 
 
 class Innocence:
-    """What is seen of one session; a :class:`~tests.deterministic.process.Witness`.
+    """The observations of one session; a :class:`~tests.deterministic.process.Witness`.
 
     Attributes:
         late: by honest device, ticks whose force acted later than the certificate covers.
@@ -117,7 +117,7 @@ class Innocence:
                 self.last_late = max(self.last_late, telemetry.tick - len(taus) + row)
 
     def settle(self, tick: int, f: Sequence[float], tools: Sequence[float], node: EnvironmentNode) -> None:
-        """Count what the others' ports take."""
+        """Add up the energy that the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
             members = node.members
@@ -145,7 +145,7 @@ class Innocence:
             )
 
     def verdict(self, world: SimulatedSession, returns: int) -> list[tuple[Wrong, str]]:
-        """What did not hold, once the session is over; ``returns``: how often the guest came back."""
+        """The violations, once the session is over; ``returns`` counts the guest's returns."""
         found: list[tuple[Wrong, str]] = []
         members = world.members
         acted = False
@@ -196,11 +196,11 @@ class Innocence:
         return found
 
     def _told_by(self, world: SimulatedSession) -> bool:
-        """Whether it was so long ago that the environment has told of it."""
+        """Whether it was so long ago that the environment has reported it."""
         return self._acted >= 0 and world.tick - self._acted > TELEMETRY
 
     def _blames(self, sentence: str) -> bool:
-        """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""
+        """Whether a sentence has an honest party as its subject and does not mention the guest."""
         if self.guest is not None and self.guest in sentence:
             return False
         subject = re.match(r"(?:at [\d.-]+ s: )?(\w+)", sentence)
@@ -209,7 +209,7 @@ class Innocence:
 
 @contextmanager
 def watched_gates(scheduler: Scheduler, simulated: bool, wrong: list[tuple[Wrong, str]]) -> Iterator[None]:
-    """Meanwhile every gate is held to the path that its peer may go in the time that has truly passed."""
+    """A context in which every gate is checked against its peer's possible path in the time that truly passed."""
 
     class WatchedGate(Gate):
         """A gate, and what it should admit at most over any stretch of its signals."""

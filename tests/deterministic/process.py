@@ -29,7 +29,7 @@ Note = Callable[[str], None]
 
 
 class VirtualLife:
-    """A :class:`manyhands.nodes.lifetime.Life` that no signal reaches but the world's."""
+    """A :class:`manyhands.nodes.lifetime.Life` that only the world's signals reach."""
 
     def __init__(self) -> None:
         self.stopping = self.orphaned = False
@@ -112,7 +112,7 @@ class LimitedDriver:
 
 
 class Witness(Protocol):
-    """Who looks at all that happens in a session."""
+    """An observer of all events in a session."""
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """The supervisor has heard telemetry of a node that runs."""
@@ -165,10 +165,10 @@ class Process:
             bundle: the node's.
             pid: no other process of the session has had it.
             wires: what it is linked by.
-            note: is told of what happens.
-            violate: is told of what does not hold.
+            note: called with each event.
+            violate: called with each violation.
             moved: makes another driver of a device's own, by its name.
-            guest: who leads it; None for an honest one.
+            guest: the guest that leads it; None for an honest process.
             witness: looks at every tick of the environment.
         """
         self._witness = witness
@@ -211,7 +211,7 @@ class Process:
         return [] if self.node is None else self.node.peer_links
 
     def _led(self, link: WireLink) -> Link:
-        """A link to a peer, in the hands of who leads the process."""
+        """A link to a peer, under the guest's control if a guest leads the process."""
         if self._guest is None:
             return link
         return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)

@@ -29,7 +29,7 @@ def test_honest_sessions_do_not_notice(seed: int) -> None:
 
 @pytest.mark.parametrize("clock", ["simulated", "realtime"])
 def test_lying_stamps_gain_nothing(clock: str) -> None:
-    """Six periods claimed in every tick by who moves six times as fast as its limit."""
+    """A guest that moves six times as fast as its limit claims six periods in every tick."""
     lies = Strategy(stamps=Stamps.LONG, periods=6, motion=Motion.BANG, frequency=2.0)
     outcome = run(Case(1, clock, 1, "plain", False, lies), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
@@ -49,7 +49,7 @@ def test_a_start_far_from_its_tool_stays_within_the_energy_budget() -> None:
 
 
 def test_of_two_late_couplings_of_a_guest_neither_hides_the_other() -> None:
-    """Who was read at once behind a late one was read first in the next tick: nobody was known to have waited."""
+    """A link read right behind a late one was read first in the next tick: no wait was charged to it."""
     outcome = run(case(100525), 400)
     assert Wrong.SOFTENED not in {kind for kind, _ in outcome.wrong}, outcome.wrong
 

@@ -38,7 +38,7 @@ def uncovered(session: Session, device: str, begin: int) -> float:
 
 
 def named(session: Session) -> set[str]:
-    """Couplings that people are told about for having made others wait."""
+    """The couplings that an incident names for the waits of others."""
     return {key.removesuffix(" late") for key in session.assumptions.notices if key.endswith(" late")}
 
 
@@ -113,7 +113,7 @@ def test_devices_late_briefly_or_like_all_others_are_not_frozen(delays: dict[str
 
 
 def rungs(session: Session, coupling: str) -> Iterable[int]:
-    """Those that it was asked to run, in order."""
+    """The rungs that the coupling was asked to run, in order."""
     return (shift.rung for shift in session.shifts if shift.coupling == coupling)
 
 

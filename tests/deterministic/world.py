@@ -58,9 +58,9 @@ class SimulatedSession:
 
     Attributes:
         scheduler: its time.
-        conductor: the product's.
+        conductor: the product's conductor.
         assumptions: the product's judgement of what devices measure.
-        processes: those that live, by node.
+        processes: the living processes, by node.
         violations: what did not hold, in words.
         notes: what happened lately, in words.
         heard: how many messages that move a node's state the conductor has heard.
@@ -165,7 +165,7 @@ class SimulatedSession:
 
     @property
     def whole(self) -> bool:
-        """Whether everybody takes part."""
+        """Whether all nodes take part."""
         members, states = self.members, self.conductor.states
         if self.conductor.phase is not SessionPhase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
             return False
@@ -194,7 +194,7 @@ class SimulatedSession:
         process.turn = self.scheduler.begin(name, process.run, delay, lambda error: self._ended(process, error))
 
     def _ended(self, process: Process, error: BaseException | None) -> None:
-        """In the process's own thread: its last deed."""
+        """Report the end of a process; runs in its own thread."""
         code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
         if error is not None and not isinstance(error, Killed | Stopped):
             told = "".join(traceback.format_exception(error))

@@ -179,7 +179,7 @@ def _each(event: str, nodes: tuple[str, ...], *rest: object) -> list[object]:
 
 
 def _bytes(play: Callable[[Dictation], None], *told: object) -> bytes:
-    """The data that makes a harness decide as told, whatever it then finds."""
+    """The data that leads a harness to given decisions, whatever it then finds."""
     dictation = Dictation(*told)
     # what the harness finds fault with is for the replay to say, not for the writing of seeds
     with contextlib.suppress(AssertionError, ValueError):
