@@ -233,6 +233,6 @@ def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate
         assert last == OTHER_AIM
 
 
-def test_all_that_differs_is_told(problems, proved: Certificate) -> None:
+def test_every_difference_is_reported(problems, proved: Certificate) -> None:
     found = differences(of_version_2(proved), problems.example_1(T=2e-3, osp=1.4), LinearWanted((1, 1, 1)))
     assert len(found) == 3

@@ -148,7 +148,7 @@ def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:
     assert second.gamma < 40.0  # of feasible couplings, 49 and more
 
 
-def test_delays_without_a_coupling_are_told() -> None:
+def test_delays_without_a_coupling_are_reported() -> None:
     loop = late(PAIRED)
     first = design(loop, SpringDamperWanted()).certificate
     found = design_ladder(first, SpringDamperWanted(), QUARTERS)

@@ -115,7 +115,7 @@ def test_every_kind_is_named(designed: dict[str, Certificate]) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_those_who_remain_are_certified_whoever_is_frozen(designed: dict[str, Certificate], kind: str) -> None:
+def test_remaining_users_are_certified_with_any_others_frozen(designed: dict[str, Certificate], kind: str) -> None:
     whole = designed[kind]
     names = whole.loop.partition.names
     for count in range(1, len(names)):

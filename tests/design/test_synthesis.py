@@ -84,7 +84,7 @@ def test_the_same_wish_gives_the_same_certificate(problems, wish: Wish) -> None:
     assert first.id == second.id
 
 
-def test_the_cap_on_iterations_is_an_error_or_said(problems) -> None:
+def test_the_cap_on_iterations_is_an_error_or_recorded(problems) -> None:
     """The result of two iterations may still be certified; then the certificate records how it was found."""
     designed = design(problems.example_1(), SpringDamperWanted(Wish(iterations=2, algorithm="complementarity")))
     assert len(designed.history) == 3

@@ -58,7 +58,7 @@ def test_the_papers_couplings(problems, name: str, reference: float, least: floa
 
 
 @pytest.mark.parametrize(("name", "reference", "least", "greatest"), PAPER[:2])
-def test_the_joint_program_says_the_same_of_the_papers_couplings(
+def test_the_joint_program_agrees_on_the_papers_couplings(
     problems, name: str, reference: float, least: float, greatest: float
 ) -> None:
     """(28) is beyond the cap of the program's levels."""

@@ -308,7 +308,7 @@ def test_a_hostile_recording_writes_nothing_elsewhere_and_commands_no_terminal(
         assert "evil" in result.output
 
 
-def test_what_a_terminal_obeys_is_not_said() -> None:
+def test_terminal_controls_are_not_printed() -> None:
     shown = io.StringIO()
     say(Console(file=shown, color_system=None, width=200), "a\x1b[2Jb\x07c\x9b31md\ne")
     assert shown.getvalue() == "a\ufffd[2Jb\ufffdc\ufffd31md\ne\n"

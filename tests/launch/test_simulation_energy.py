@@ -129,7 +129,7 @@ class TestSentences:
     def incidents(self) -> EnergyIncidents:
         return EnergyIncidents(topology(load_session(EXAMPLE)), T)
 
-    def test_who_let_go_is_told_with_who_moved_it(self) -> None:
+    def test_a_device_that_let_go_is_reported_with_its_mover(self) -> None:
         incidents = self.incidents()
         assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
         assert incidents.hear("environment", self.told(99, moved_cx__cy=1.0)) == []
@@ -139,7 +139,7 @@ class TestSentences:
         assert sentence.startswith("dy was beyond its limits")
         assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
-    def test_who_moved_itself_is_told_so(self) -> None:
+    def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
         incidents.hear("dy", self.told(100, let_go=1.0))
         (sentence,) = incidents.hear("environment", self.told(100, moved_cy__cx=3.0))

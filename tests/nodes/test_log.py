@@ -44,7 +44,7 @@ def files_no_longer_than(length: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_line_says_when_where_what_and_how_grave(tmp_path: Path) -> None:
+def test_a_line_has_time_place_event_and_severity(tmp_path: Path) -> None:
     one = log(tmp_path / "dx.jsonl")
     one.note(LogEvent.FROZEN, peer="cx", tick=7, ratio=math.nan, why=None, forced=True)
     assert (tmp_path / "dx.jsonl").read_text() == ""  # a tick writes nothing

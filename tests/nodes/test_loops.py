@@ -113,7 +113,7 @@ def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...
 
 
 @pytest.mark.parametrize("overrides", [(), SATURATING], ids=["within limits", "saturating"])
-def test_a_couplings_traces_are_what_it_says_and_hands_on(overrides: tuple[str, ...], run_loops: Loops) -> None:
+def test_a_couplings_traces_are_its_signals_and_passed_forces(overrides: tuple[str, ...], run_loops: Loops) -> None:
     """f_v is its device's, and p = x + C_V xi, with xi following the force that is applied."""
     prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides))
     _, lines = run_loops(prepared)

@@ -279,7 +279,7 @@ def test_a_coupling_clips_a_force_before_passing_and_absorbing_it(
     assert node.report().counts["saturated"] == 2
 
 
-def test_a_coupling_tells_its_figures_and_what_it_is_seen_by(
+def test_a_coupling_sends_its_figures_and_traces(
     bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
 ) -> None:
     bundle = bundles["cx"]
@@ -331,7 +331,7 @@ def test_the_environment_admits_no_tool_beyond_what_honest_limits_allow(
     assert node.report().counts["dropped_out_of_range"] == 3
 
 
-def test_a_coupling_that_says_another_feedthrough_is_refused(
+def test_a_coupling_with_another_feedthrough_is_refused(
     prepared: Prepared, bundles: dict[str, Bundle], meet: Meet
 ) -> None:
     node, bundle = environment_of(bundles)

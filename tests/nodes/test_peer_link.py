@@ -166,7 +166,7 @@ def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
     assert ears.failure == "" or "malformed 513" in ears.failure
 
 
-def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
+def test_a_proper_signal_of_another_tick_reaches_the_listener() -> None:
     frames = [encode(Sample(TICK - 1, 0, np.array([0.5]))), encode(Sample(TICK + 4, 0, np.array([0.0]))), HONEST]
     wait, _, ears, values, _ = waiting(iter([(0, frame) for frame in frames]))
     assert wait() is Received.SIGNAL
@@ -244,7 +244,7 @@ class Test_a_peer_that_comes_back:
         assert heard_by(peer_link, ears, values, 9) is Received.SIGNAL
         assert (values[0], peer_link.tick) == (0.25, 9)
 
-    def test_is_told_nothing_before_hands_are_shaken(self) -> None:
+    def test_receives_nothing_before_its_handshake(self) -> None:
         peer_link = joined(FrameLink())
         peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink()
@@ -317,7 +317,7 @@ def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
     peer_link.say(Absent("dx"))
 
 
-def test_the_last_signal_is_said_again_as_it_was() -> None:
+def test_the_last_signal_is_sent_again_unchanged() -> None:
     link = FrameLink()
     peer_link = joined(link)
     peer_link.send_again()  # nothing was said yet

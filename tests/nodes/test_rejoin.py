@@ -79,7 +79,7 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[Pee
         before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
 
 
-def test_who_connects_waits_to_be_told(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
     assert part(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
     assert not peer_links[1].reachable
     assert not line.offers

@@ -164,7 +164,7 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
     transport.close()
 
 
-def test_a_refusal_is_told_as_it_came(line: AnsweringLine) -> None:
+def test_a_refusal_is_passed_on_as_it_came(line: AnsweringLine) -> None:
     line.say(Refusal(RefusalCode.NAME, "supervisor refused dx: because"))
     with pytest.raises(Refused, match=r"^supervisor refused dx: because$"):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -297,7 +297,7 @@ class Test_a_guest_in_its_loop:
         assert one.sight(Instant(0)) is expected
         assert one.connection() is expected
 
-    def test_it_says_every_second_that_it_is_there(self, line: AnsweringLine) -> None:
+    def test_it_sends_a_sign_of_life_every_second(self, line: AnsweringLine) -> None:
         one = control(line)
         for tenth in range(31):
             one.sight(Instant(SECOND + tenth * SECOND // 10))
@@ -311,7 +311,7 @@ class Test_the_last_word:
         assert line.said == [REPORT]
         assert (len(line.coming), line.waits) == (0, 0)
 
-    def test_it_waits_for_room_and_is_said_once(self, line: AnsweringLine) -> None:
+    def test_it_waits_for_room_and_is_sent_once(self, line: AnsweringLine) -> None:
         line.room = 0
         life = Life()
 
@@ -333,7 +333,7 @@ class Test_the_last_word:
         control(line).fault("dx: broken", Life())  # type: ignore[arg-type]
         assert line.waits == 2
 
-    def test_a_fault_says_anything_in_a_presentable_way(self, line: AnsweringLine) -> None:
+    def test_a_fault_presents_any_text_safely(self, line: AnsweringLine) -> None:
         control(line).fault("\x1b[2J" + "x" * 10_000, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
         (fault,) = line.said
         assert isinstance(fault, Fault)
@@ -375,7 +375,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert kept[-1] == Shift("cx", 999 % 8)  # the latest
         assert one.listen() is None
 
-    def test_who_is_absent_at_its_return_is_told_before_connect(self, line: AnsweringLine) -> None:
+    def test_absent_peers_are_reported_before_connect(self, line: AnsweringLine) -> None:
         line.say(Welcome(), Absent("cx"), Absent("cy"), Connect({}))
         one = control(line)
         assert one.peers_endpoints(Life()) == {}  # type: ignore[arg-type]
@@ -419,7 +419,7 @@ class Test_a_place_for_a_peer_that_was_lost:
         assert doors.bound == [("dx-cx.1.any", "cx", "10.0.0.1:*"), ("dx-cx.2.any", "cx", "10.0.0.1:*")]
 
     @pytest.mark.parametrize("address", ["", "10.0.0.1:7401"])
-    def test_where_there_is_none_that_is_told(self, line: AnsweringLine, address: str) -> None:
+    def test_an_address_that_cannot_be_bound_is_reported(self, line: AnsweringLine, address: str) -> None:
         with pytest.raises(TransportError):
             self.bound_with(line, address, "10.0.0.1:*", address=address)
 

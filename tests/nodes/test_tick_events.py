@@ -7,7 +7,7 @@ import math
 from manyhands.nodes.tick_events import MOST_EVENTS, Kind, TickEvent, TickEvents, events_in
 
 
-def test_a_process_says_at_which_tick_it_began_and_jumped() -> None:
+def test_a_process_reports_the_ticks_of_its_start_and_jumps() -> None:
     events = TickEvents()
     assert [*events_in(events.take(20, 30))] == [TickEvent(Kind.BEGAN, 20, 1)]
     assert events.take(30, 40) == {}  # rows that follow each other
@@ -23,7 +23,7 @@ def test_periods_without_force_are_counted_by_the_tick_awaited() -> None:
     assert events.take(20, 30) == {}  # they are told once
 
 
-def test_rungs_and_frozen_couplings_are_told() -> None:
+def test_rungs_and_frozen_couplings_are_reported() -> None:
     events = TickEvents()
     events.take(0, 10)
     events.change_rung(11, 2)

@@ -192,7 +192,7 @@ def test_every_byte_of_the_usual_head_replaced(at: int) -> None:
         assert (admitted is not None) == (isinstance(message, Sample) and message.tick == TICK)
 
 
-def test_the_longest_encoding_is_as_long_as_is_said() -> None:
+def test_the_longest_encoding_has_the_stated_length() -> None:
     head = b"\xdd\x00\x00\x00\x04" + b"".join(integers(n)[-1] for n in (16, TICK, 5)) + b"\xc6\x00\x00\x00\x10"
     assert len(head) == LONGEST
     assert admit(Gate(Sample, 2), head + doubles(1.0, 2.0), TICK) is not None

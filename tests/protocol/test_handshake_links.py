@@ -102,7 +102,7 @@ def test_a_mismatch_is_a_clear_error_on_both_sides(
         assert expected in str(side.exception())
 
 
-def test_rubbish_instead_of_a_hello_is_refused_and_the_sender_told(ends: "Ends") -> None:
+def test_rubbish_instead_of_a_hello_is_refused_with_an_answer(ends: "Ends") -> None:
     bound, endpoint = ends.binder.bind("cx", "dx")
     stranger = ends.connector.connect(endpoint, "supervisor")
     assert stranger.send(b"GET / HTTP/1.1")

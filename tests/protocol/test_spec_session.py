@@ -110,7 +110,7 @@ class Recorder(MemoryTransport):
         return super().bind_outlet(name, peer, address)
 
 
-def test_who_listens_and_who_connects(prepared: Prepared) -> None:
+def test_the_listening_and_the_connecting_side(prepared: Prepared) -> None:
     session = prepared.session
     roles = roster(session)
     placeholders = {

@@ -195,7 +195,7 @@ def test_what_a_recording_costs_without_a_loop(tmp_path: Path) -> None:
     assert f"{found['messages_per_s']:.0f} messages/s" in said
 
 
-def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
+def test_an_onlookers_window_takes_each_tick_once() -> None:
     from watched_figures import Window  # type: ignore[import-not-found]
 
     window = Window(["a", "b"], first=100, ticks=50)
@@ -215,7 +215,7 @@ def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
     assert run.late == pytest.approx((10 + 10) / 100)
 
 
-def test_a_device_that_tells_nothing_is_named() -> None:
+def test_a_silent_device_is_named() -> None:
     from watched_figures import Window
 
     window = Window(["a", "b"], 0, 10)

@@ -113,7 +113,7 @@ def test_sent_bytes_are_found_however_cut_and_in_any_order() -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
-def test_a_capture_with_a_hole_says_nothing(lost: int) -> None:
+def test_a_capture_with_a_hole_proves_nothing(lost: int) -> None:
     segments = [
         Segment(0, 5000, SYN, 0, b""),
         Segment(0, 5000, ACK, 1, b"abcd"),

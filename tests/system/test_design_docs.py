@@ -96,7 +96,7 @@ def own_interrupt() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("own_interrupt")
-def test_every_block_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_block_prints_its_quoted_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the page's order, in one folder: commands leave files that the code reads, and the other way round."""
     monkeypatch.chdir(tmp_path)
     # as to a file, even where the tests themselves write to a terminal

@@ -131,7 +131,7 @@ def test_a_node_of_another_certificate_is_refused_by_the_supervisor(
     assert any(f"found the certificate {'0' * 64}" in fault and prepared.id in fault for fault in outcome.faults)
 
 
-def test_a_node_that_cannot_read_its_bundle_says_so(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_that_cannot_read_its_bundle_reports_it(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
     def swapped(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         bundles = cut(prepared, run)
         return {**bundles, "cy": bundles["dx"]}

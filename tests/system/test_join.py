@@ -364,7 +364,7 @@ def test_a_guest_ends_when_the_supervisor_is_killed(home: Home, machine: Path, l
     sweep_directories()  # as the next run does: the killed one could not remove its folder
 
 
-def test_a_guest_with_another_certificate_is_told_so(home: Home, machine: Path, listen: Listen) -> None:
+def test_a_guest_with_another_certificate_gets_the_reason(home: Home, machine: Path, listen: Listen) -> None:
     home.invited("dx", machine)
     bundle = machine / "dx.bundle"
     bundle.write_text(bundle.read_text().replace(home.prepared.id, "0" * 64))
@@ -405,7 +405,9 @@ def told(listen: Listen, trouble: str) -> tuple[int, str]:
 NOT_PROVED = "the other side does not hold the key expected of it, or one side is encrypted and the other is not"
 
 
-def test_a_guest_whose_key_was_renewed_is_told_so(home: Home, machine: Path, listen: Listen, tmp_path: Path) -> None:
+def test_a_guest_with_an_outdated_key_gets_the_reason(
+    home: Home, machine: Path, listen: Listen, tmp_path: Path
+) -> None:
     shutil.copytree(home.folder / "keys", tmp_path / "keys")
     make_keys(home.prepared.session, tmp_path / "keys", renew=["dx"])
     home.invited("dx", machine)

@@ -110,7 +110,7 @@ def test_graph(tmp_path: Path) -> None:
     assert ET.parse(tmp_path / "g.svg").getroot().tag == "{http://www.w3.org/2000/svg}svg"
 
 
-def test_echo_says_ticks_that_follow_each_other(session: subprocess.Popen[str]) -> None:
+def test_echo_prints_consecutive_ticks(session: subprocess.Popen[str]) -> None:
     lines = [json.loads(line) for line in looked("echo", "d/sample", "-n", 30, "--session", session.pid).splitlines()]
     ticks = [line["tick"] for line in lines]
     assert len(ticks) == 30

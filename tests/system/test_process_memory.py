@@ -103,7 +103,7 @@ for reader in readers:
 """
 
 
-def test_what_is_opened_is_told_and_by_its_own_name(tmp_path: Path) -> None:
+def test_opened_files_are_reported_by_their_own_name(tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("own", "linked to", "not opened")]
     for file in files:
         file.touch()

@@ -127,7 +127,7 @@ def test_what_an_observer_writes_is_out_of_turn() -> None:
     assert told().refused["out_of_turn"] == len(around.LIES) + len(around.WRITES)
 
 
-def test_an_observer_is_told_what_it_may_read_and_nothing_else() -> None:
+def test_an_observer_receives_what_it_may_read_and_nothing_else() -> None:
     assert {observation.node for observation in told().observations} == set(quiet().nodes)
     assert all(observation.figures and not observation.traces for observation in told().observations)
 
@@ -177,7 +177,7 @@ def test_no_other_frame_is_counted() -> None:
     assert found == expected_within().keys()
 
 
-def test_what_a_member_says_out_of_turn_is_counted() -> None:
+def test_messages_out_of_turn_are_counted() -> None:
     assert refused_by(infested(), SUPERVISOR) == {
         "out_of_turn": len(acts.OUT_OF_TURN),
         "telemetry_that_does_not_fit": len(acts.MISFITS),

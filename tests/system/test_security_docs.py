@@ -168,7 +168,7 @@ def test_the_ports_it_names(tmp_path: Path) -> None:
     assert f"up to {PORT + PORTS - 1}" in PAGE
 
 
-def test_a_guests_bundle_holds_what_it_says(tmp_path: Path) -> None:
+def test_a_guests_bundle_holds_what_the_page_lists(tmp_path: Path) -> None:
     prepared = prepare(load_session(write_session(tmp_path)), uncertified=True)
     bundle = bundle_of(prepared, RunPlan("realtime", None, ""), "right")
     assert isinstance(bundle, DeviceBundle)
@@ -191,7 +191,7 @@ def test_every_count_is_explained_and_every_count_explained_there_is() -> None:
     assert [row[:2] for row in rows("| count | where | happened | look at |")] == expected
 
 
-def test_what_a_guest_says() -> None:
+def test_the_page_lists_every_message_of_a_guest() -> None:
     assert {row[0] for row in rows("| it says | look at |")} == set(Trouble)
 
 

@@ -67,7 +67,7 @@ def test_every_shipped_session_runs(file: str) -> None:
 
 
 @pytest.mark.alone
-def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
+def test_in_real_time_the_report_has_lateness_tau_and_period() -> None:
     """Slowly enough that even on a busy machine no wait lasts three periods, which would freeze a user."""
     slowly = ["period=0.05", "design.ladder=[]", "faults.breach=warn"]
     prepared = prepare(load_session(SESSIONS / "example1.yaml", slowly))

@@ -232,7 +232,7 @@ def test_an_environment_without_states() -> None:
     assert storage(split, T, found.Phi_E).shape == (0, 0)
 
 
-def test_a_mode_that_does_not_decay_is_told() -> None:
+def test_a_mode_that_does_not_decay_is_reported() -> None:
     split = Split(np.eye(1), StateSpace([[1.0]], [[0.0]], [[0.0]], [[1.0]]))
     with pytest.raises(SolverFailure, match="does not decay"):
         best_level(split, T, np.eye(1), np.eye(1))

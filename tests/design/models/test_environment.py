@@ -69,7 +69,7 @@ def test_transfer_functions_are_the_network_that_they_describe() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_each_method_is_what_it_says(method: str) -> None:
+def test_each_method_keeps_its_definition(method: str) -> None:
     A = np.array([[0.0, 1.0], [-900.0, -8.0]])
     system = StateSpace(A, np.array([[0.0], [1.0]]), np.array([[200.0, 3.0]]), np.array([[50.0]]))
     discrete = StateSpaceEnvironment(("a",), system, method).environment(T)

@@ -120,7 +120,7 @@ def test_the_budget_leaves_what_the_level_takes() -> None:
     assert environment_share(loop(-0.5).environment, OSP * np.eye(3), 1e-3) == 0.0
 
 
-def test_a_certificate_says_that_it_is_conditional_and_round_trips(tmp_path: Path) -> None:
+def test_a_certificate_states_its_condition_and_round_trips(tmp_path: Path) -> None:
     certificate = design(loop(0.2), SpringDamperWanted()).certificate
     save(certificate, tmp_path / "c.json")
     again, data = load(tmp_path / "c.json")
@@ -133,7 +133,7 @@ def test_a_certificate_says_that_it_is_conditional_and_round_trips(tmp_path: Pat
         assert differences(again, other, SpringDamperWanted()) == ["the environment differs"]
 
 
-def test_the_proof_proves_everything_else_and_says_so() -> None:
+def test_the_proof_proves_everything_else_and_reports_it() -> None:
     findings = prove(plain(0.2))
     assert all(finding.holds for finding in findings)
     (kept,) = (finding for finding in findings if finding.enforced)

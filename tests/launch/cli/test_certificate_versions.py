@@ -97,7 +97,7 @@ def test_a_0_5_0_certificate_is_proved_as_its_own_version(name: str) -> None:
     assert lines[-1].endswith(f"; certificate {data['id']}")
 
 
-def test_without_a_session_nothing_is_said_of_comparing_it() -> None:
+def test_without_a_session_no_comparison_is_reported() -> None:
     done = manyhands_command("verify", old("example1"))
     assert done.exit_code == 0
     assert f"{old('example1')}: {NOT_RECORDED}" in done.stdout.splitlines()

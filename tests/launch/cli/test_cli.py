@@ -244,7 +244,7 @@ def test_a_short_demo_draws_and_reports(tmp_path: Path) -> None:
     assert manyhands_command("verify", out / "certificate.json").exit_code == 0
 
 
-def test_a_demo_that_does_not_come_to_rest_says_so(tmp_path: Path) -> None:
+def test_a_demo_that_does_not_come_to_rest_reports_it(tmp_path: Path) -> None:
     result = manyhands_command("demo", "-o", tmp_path / "demo", "--duration", "0.5", "--clock", "simulated")
     assert result.exit_code == 1
     assert "not every device came to rest" in result.stdout

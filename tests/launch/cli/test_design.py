@@ -232,7 +232,7 @@ def test_a_second_ctrl_c_ends_at_once(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(calls) == 6
 
 
-def test_an_interrupt_that_a_search_answers_with_its_best_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_answered_with_the_best_result_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the method: the flag of what was found is what decides, not the signal alone."""
     honest = synthesis._springs
 

@@ -91,7 +91,7 @@ def test_what_is_refused(arguments: tuple[str, ...], found: str) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_a_session_that_says_nothing_is_listed_as_it_describes_itself() -> None:
+def test_a_silent_session_is_listed_by_its_description() -> None:
     with running("mute"):
         done = manyhands_command("list", "--json")
     (said,) = json.loads(done.stdout)

@@ -124,7 +124,7 @@ def test_governors_and_the_share_of_realtime_threads_are_read(tmp_path: Path) ->
     assert realtime_share(root) is None
 
 
-def test_a_machine_that_tells_nothing_is_examined_all_the_same(tmp_path: Path) -> None:
+def test_a_machine_without_information_is_examined_too(tmp_path: Path) -> None:
     found = examine(tmp_path)
     assert (found.virtual, found.governors, found.clock_source, found.realtime_share) == (None, None, None, None)
     assert set(found.usable) == os.sched_getaffinity(0)
@@ -228,7 +228,7 @@ def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Wort
     assert one.change == "give it more processors: 3 usable, 3 users and an environment want 4"
 
 
-def test_what_a_tail_costs_is_told_in_newtons(worth: Worth) -> None:
+def test_the_cost_of_a_tail_is_reported_in_newtons(worth: Worth) -> None:
     (one,) = advice(a_machine(virtual="KVM"), measurement(510.0, 600.0), worth, chains=3)
     even, now = (1.37 / (0.5e-3 + 1.5 * tau) for tau in (510e-6, 600e-6))
     assert f"{now:.0f} -> {even:.0f} N/m" in one.buys
@@ -276,7 +276,7 @@ def test_a_process_that_fails_is_reported_with_its_words(tmp_path: Path, monkeyp
         waking(tmp_path, interrupt)
 
 
-def test_a_process_that_says_nothing_has_a_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_process_has_a_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probe, "ANSWER_TIME", Duration(0))
     monkeypatch.setattr(probe, "SLOWEST", 0)
     with Interrupt() as interrupt, pytest.raises(ProbeFailed, match="waking: no answer within 0 s"):

@@ -195,7 +195,7 @@ def test_the_form_that_is_meant(name: str | None, file: str | None, as_json: boo
     assert format_of(name, None if file is None else Path(file), as_json) == form
 
 
-def test_a_suffix_that_says_nothing_is_refused() -> None:
+def test_an_unknown_suffix_is_refused() -> None:
     with pytest.raises(TargetError, match=r"g\.png: found the suffix '\.png'; expected \.svg"):
         format_of(None, Path("g.png"), as_json=False)
 

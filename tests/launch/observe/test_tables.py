@@ -69,7 +69,7 @@ def test_who_does_not_run_is_not_waited_for() -> None:
     assert session_object(one.scene)["nodes"]["cx"]["health"] == "away"
 
 
-def test_a_session_that_says_nothing_is_not_waited_for_without_end() -> None:
+def test_a_silent_session_is_awaited_for_a_bounded_time() -> None:
     (one,), took = glanced(Frames({}))
     assert took == pytest.approx(GLANCE / 1e9, abs=0.02)
     said = session_object(one.scene)

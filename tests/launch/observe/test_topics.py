@@ -135,7 +135,7 @@ class TestPace:
         assert "tau_us" not in found
         assert "batches arrive here" in sentence(found)
 
-    def test_a_device_says_itself_how_even_its_ticks_are(self) -> None:
+    def test_a_device_reports_the_evenness_of_its_ticks(self) -> None:
         figures = {"period_us_p50": 1000.0, "period_us_p99": 1200.0}
         found = paced("d/force", {0: telemetry("d", 100, **figures), 100: telemetry("d", 200, **figures)})
         assert found["period_us"] == {"p50": 1000.0, "p99": 1200.0}
@@ -143,7 +143,7 @@ class TestPace:
         assert "1000/1200 us (the device's, since its start)" in sentence(found)
         assert "period_us" not in paced("d/force", {0: telemetry("d", 100, period_us_p50=math.nan, period_us_p99=1.0)})
 
-    def test_ticks_that_nobody_told_of_are_counted(self) -> None:
+    def test_ticks_without_telemetry_are_counted(self) -> None:
         found = paced("d/sample", {0: telemetry("d", 100), 100: telemetry("d", 250), 200: telemetry("d", 400)})
         assert found["missing"] == 100
         assert found["rate"] == pytest.approx(1500.0)

@@ -293,7 +293,7 @@ def test_nobody_may_more_than_its_role_and_its_ports(
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_an_observer_is_told_what_it_asked_for_and_nothing_else(
+def test_an_observer_receives_its_requested_topics_and_nothing_else(
     drawn_sessions: st.SearchStrategy[Session], data: st.DataObject
 ) -> None:
     session = data.draw(drawn_sessions)
@@ -305,7 +305,7 @@ def test_an_observer_is_told_what_it_asked_for_and_nothing_else(
         assert told == asked
 
 
-def test_peers_are_those_who_share_a_channel() -> None:
+def test_peers_share_a_channel() -> None:
     session = session_of()
     assert Plan(session).peers == {
         "d": {"a", "b", "supervisor"},

@@ -56,7 +56,7 @@ def test_what_is_carried_goes_where_its_device_goes() -> None:
     assert placement(topology(session_of("example1-operator.yaml")), [0, 1]) == {}  # one device carries all
 
 
-def test_the_graph_says_who_is_in_whose_process() -> None:
+def test_the_graph_shows_the_process_of_each_node() -> None:
     plain = graph_object(Plan(session_of()))
     assert plain["nodes"]["cx"] == {"role": "coupling", "ports": ["dx"], "process": "dx"}
     assert plain["nodes"]["dx"] == {"role": "device", "ports": ["dx"]}

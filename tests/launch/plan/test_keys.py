@@ -146,7 +146,7 @@ def test_a_node_more_gets_a_key_and_nobody_else(folder: Path) -> None:
     assert {name: new[name] for name in old} == old
 
 
-def test_a_node_less_is_told_and_left(folder: Path) -> None:
+def test_a_removed_node_is_reported_and_left(folder: Path) -> None:
     make_keys(TWO, folder)
     before = contents(folder)
     (folder / "private" / "notes.txt").write_text("not a key")
@@ -246,9 +246,7 @@ def test_an_interrupted_addition_keeps_the_public_keys_and_can_be_repeated(
     assert load_folder(TWO, folder).pair("dy") == load_private(key(folder, "dy"), "s", "dy")
 
 
-def test_a_renewal_that_is_interrupted_is_told_and_can_be_repeated(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_renewal_is_reported_and_can_be_repeated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_keys(ONE, folder)
     with monkeypatch.context() as patch:
         failing_replace(patch, "public.json")
@@ -469,7 +467,7 @@ def command(session: Session, folder: Path, *renew: str, as_json: bool = False) 
     return (code, *(console.file.getvalue() for console in (out, err)))  # type: ignore[attr-defined]
 
 
-def test_the_command_tells_who_got_what(folder: Path) -> None:
+def test_the_command_prints_each_nodes_keys(folder: Path) -> None:
     folder = folder / "of [red] hands"  # what a terminal's markup would swallow
     code, out, err = command(TWO, folder)
     assert code == 0
@@ -505,7 +503,7 @@ def test_the_command_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -
     }  # fmt: skip
 
 
-def test_a_name_that_a_terminal_would_obey_is_not_told(folder: Path) -> None:
+def test_a_name_that_a_terminal_would_obey_is_not_printed(folder: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private" / "\x1b[2J.key").write_text("")
     assert make_keys(ONE, folder).stale == ()

@@ -105,7 +105,7 @@ def test_a_certificate_from_a_file_is_given_the_same_ladder_anew(tmp_path: Path)
     assert [rung.id for rung in read.ladder.rungs] == [rung.id for rung in designed.ladder.rungs]
 
 
-def test_what_has_no_rung_is_told() -> None:
+def test_delays_without_a_rung_are_reported() -> None:
     """Nothing is lost of the session: it runs without a ladder."""
     late = load_session(
         SESSIONS / "example1.yaml",

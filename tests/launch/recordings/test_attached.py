@@ -107,7 +107,7 @@ def test_nothing_is_written_while_nothing_comes() -> None:
     assert core.piece(Instant(2 * FLUSH_EVERY)) == b""
 
 
-def test_frames_that_were_lost_are_told_as_missing_ticks() -> None:
+def test_lost_frames_are_reported_as_missing_ticks() -> None:
     core = core_of()
     for tick in (105, 110, 125):
         core.take(observation("dx", tick, 5), STARTED)

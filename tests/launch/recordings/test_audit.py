@@ -174,7 +174,7 @@ def test_what_was_changed_is_found_at_its_tick_and_party(what: str, recording: P
     assert min(ticks.values()) == min(expected.values())
 
 
-def test_what_was_recorded_and_what_should_be_are_told(recording: Path, tmp_path: Path) -> None:
+def test_the_recorded_and_the_expected_value_are_reported(recording: Path, tmp_path: Path) -> None:
     honest = read_run(recording).traces["dx", "ledger"].values[AT, 0]
     done = audited(forged(tmp_path / "forged.mcap", read_run(recording), one("dx", LEDGER, 1e-3)))
     first = found(done, "dx", "ledger").first

@@ -30,7 +30,7 @@ def own_interrupt() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
+def test_it_describes_a_whole_recording(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(recording(ticks=20, each=5))
     info = read_info(path)
@@ -45,7 +45,7 @@ def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
     assert len(channels) == 4 + 3 + 3 + 3 + 1
 
 
-def test_what_is_missing_is_told_by_device(tmp_path: Path) -> None:
+def test_missing_ticks_are_reported_by_device(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED)
     data = core.cut()
     for tick in (10, 20, 40):
@@ -73,7 +73,7 @@ def test_gaps_are_the_ticks_that_are_not_there(there: set[int], each: int) -> No
     assert missing_by_party({"a": ticks, "nobody": Coverage()}, 0, 70) == {"a": len(wider), "nobody": 70}
 
 
-def test_a_cut_one_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_cut_recording_is_described_up_to_its_cut(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(cut_recording(ticks=20, each=5))
     info = read_info(path)

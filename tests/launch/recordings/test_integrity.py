@@ -100,7 +100,7 @@ def test_what_follows_damage_is_not_called_damaged(tmp_path: Path) -> None:
             assert all(begin <= damage.begin and damage.end <= end for damage in found), found
 
 
-def test_two_changed_chunks_are_both_told(tmp_path: Path) -> None:
+def test_two_changed_chunks_are_both_reported(tmp_path: Path) -> None:
     whole, path = recording(ticks=40, each=5, chunks=4), tmp_path / "run.mcap"
     chunks = [(begin, end) for begin, end in records(whole)[1:-1] if whole[begin] == 6]
     data = bytearray(whole)

@@ -146,7 +146,9 @@ def test_a_pattern_without_match_is_refused_with_the_available_names(file: Path,
     assert (tmp_path / "out.csv").read_text() == "an older table"
 
 
-def test_without_pyarrow_it_is_said_how_to_get_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_error_names_how_to_get_it(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     really = builtins.__import__
 
     def without(name: str, *more: Any) -> Any:
@@ -166,7 +168,7 @@ def test_the_command_writes_beside_the_recording(file: Path) -> None:
     assert [*from_csv(file.with_suffix(".csv"))] == ["tick", "time_s", *NAMES[:4], NAMES[8]]
 
 
-def test_the_command_tells_that_a_recording_was_cut(tmp_path: Path) -> None:
+def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(cut_recording(ticks=20, each=5))
     result = CliRunner().invoke(app, ["export", str(path), "-o", str(tmp_path / "out.npz")])

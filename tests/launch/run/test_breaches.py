@@ -89,7 +89,7 @@ def shifts(decisions: list[Decision]) -> dict[str, int]:
     return {d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)}
 
 
-def test_the_first_breach_is_told_at_once_and_once() -> None:
+def test_the_first_breach_is_reported_at_once_and_once() -> None:
     m = Measured(Policy.SOFTEN, Rungs())
     (notice,) = m.tell("dx", 1)
     assert notice == Notice(
@@ -198,7 +198,7 @@ class Test_waiting_for_another_user:
             m.late(end, cz=range(end - TICKS, end))
             assert not any(isinstance(d, EndSession) for d in m.tell_taus("dx", (TICKS, 2300.0)))
 
-    def test_is_not_told_as_its_own(self) -> None:
+    def test_is_not_reported_as_its_own(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.late(TICKS, cz=range(TICKS - 50, TICKS))
         m.tell_taus("dx", (50, 50.0), (50, 2300.0))

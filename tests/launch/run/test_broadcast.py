@@ -44,7 +44,7 @@ def test_only_what_may_be_read_is_visible(
     assert visible("n", telemetry, channels) == Observation("n", telemetry.tick, figures, traces)
 
 
-def test_nothing_is_said_where_nothing_may_be_read() -> None:
+def test_nothing_is_sent_where_nothing_may_be_read() -> None:
     assert visible("dx", OF_DEVICE, ()) is None
     assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
 

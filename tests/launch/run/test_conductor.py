@@ -122,7 +122,7 @@ def test_an_early_end_without_report_is_a_fault_despite_exit_0() -> None:
         ({"endpoints": {"dy": "ipc://b"}}, "found endpoints for dy; expected them for dx"),
     ],
 )
-def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, object], words: str) -> None:
+def test_a_foreign_node_is_refused_with_the_reason(changes: dict[str, object], words: str) -> None:
     c = conductor()
     out = c.hear("cx", hello("cx", **changes), 0)
     first = out[0]
@@ -286,7 +286,7 @@ def refused(instructions: list[object]) -> RefusalCode | None:
 
 
 class Test_nodes_that_are_started_elsewhere:
-    def test_one_is_awaited_until_it_has_said_hello(self) -> None:
+    def test_a_guest_is_awaited_until_its_hello(self) -> None:
         c = conductor("dx", "dz")
         assert c.awaited == ("dx", "dz")
         c.hear("dx", hello("dx"), 0)
@@ -356,7 +356,7 @@ class Test_nodes_that_are_started_elsewhere:
             Send("cy", Stop("the session ends")),
         ]
 
-    def test_those_who_never_came_are_not_waited_for_at_the_end(self) -> None:
+    def test_guests_that_never_came_are_not_awaited_at_the_end(self) -> None:
         c = conductor("dx")
         for name in GRAPH.nodes:
             if name != "dx":
@@ -368,7 +368,7 @@ class Test_nodes_that_are_started_elsewhere:
                 c.exited(name, 0, 0)
         assert c.phase is SessionPhase.OVER
 
-    def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
+    def test_nodes_that_do_not_end_in_time_are_given_up(self) -> None:
         c = running("dx")
         c.interrupt()
         for name in GRAPH.nodes:
@@ -420,7 +420,7 @@ class Test_observers:
         assert (dict(c.states), c.phase) == before
         assert (c.faults, c.ignored) == ([], 0)
 
-    def test_places_that_are_known_only_later_are_told_as_well(self) -> None:
+    def test_endpoints_known_only_later_are_sent_as_well(self) -> None:
         """The supervisor binds them after it has made its conductor."""
         c = Conductor(GRAPH, "c", "example-1", 5)
         c.observers = {"watch": "ipc:///late"}
@@ -447,7 +447,7 @@ class Test_observers:
         assert out[1:] == [ReleaseName("watch")]
         assert (c.phase, c.faults, c.ignored) == (SessionPhase.RUNNING, [], 1)
 
-    def test_whatever_else_it_says_is_counted_and_not_heard(self) -> None:
+    def test_any_other_message_is_counted_and_ignored(self) -> None:
         c = running()
         c.hear("watch", observer("watch"), 0)
         before = dict(c.states)

@@ -106,7 +106,7 @@ def assert_prefix(path: Path, least: int) -> int:
     return len(whole)
 
 
-def test_all_that_is_told_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_every_frame_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(3)
     stage.finish()
     assert stage.incidents == []
@@ -177,7 +177,7 @@ def test_a_full_disk_ends_the_recording_at_a_reported_tick(stage: ReadyRecorder,
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_ending_the_recorder_leaves_a_whole_file(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(1)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
@@ -282,7 +282,7 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
     stage.close()
 
 
-def test_without_a_recording_nothing_is_asked_or_told(tmp_path: Path) -> None:
+def test_without_a_recording_no_message_is_exchanged(tmp_path: Path) -> None:
     nobody = Recorder()
     nobody.start(tmp_path)
     nobody.tell(observation_frame("dx", Telemetry(1, {}, {})))

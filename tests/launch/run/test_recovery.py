@@ -131,7 +131,7 @@ class Test_whoever_dies:
         assert s.conductor.phase is SessionPhase.RUNNING
         assert all(len(process.starts) == 1 for process in s.processes.values())
 
-    def test_those_who_return_go_on_where_the_session_is(self) -> None:
+    def test_returning_nodes_go_on_at_the_sessions_tick(self) -> None:
         s = session()
         s.conductor.hear("environment", Telemetry(400, {}, {}), 0)
         s.conductor.hear("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
@@ -493,7 +493,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
         assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
 
-    def test_one_that_was_not_dead_is_told_to_join_again(self) -> None:
+    def test_a_living_lost_guest_is_asked_to_join_again(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
         told = c.hear("dx", Telemetry(9, {}, {}), 0)
@@ -550,7 +550,7 @@ class Test_nodes_that_are_started_elsewhere:
 
 
 class Test_rungs:
-    def test_the_environment_is_told(self) -> None:
+    def test_the_environment_receives_the_shift(self) -> None:
         c = session().conductor
         assert c.shift("cx", 2) == [Send("environment", Shift("cx", 2))]
         assert c.rungs == {"cx": 2}
@@ -558,7 +558,7 @@ class Test_rungs:
     @pytest.mark.parametrize(
         ("victim", "told"), [("environment", {"cx", "cu"}), ("cx", {"cx"}), ("dz", {"cu"}), ("dy", set())]
     )
-    def test_and_told_again_when_somebody_comes_back_who_does_not_know(self, victim: str, told: set[str]) -> None:
+    def test_a_shift_is_sent_again_to_a_returning_node(self, victim: str, told: set[str]) -> None:
         s = session()
         s.obey(s.conductor.shift("cx", 2))
         s.obey(s.conductor.shift("cu", 1))

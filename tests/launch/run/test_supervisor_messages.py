@@ -114,9 +114,7 @@ class Heard:
     st.booleans(),
     st.lists(st.tuples(st.sampled_from(["dx", "cx", "environment", "watch", "stranger"]), said), max_size=12),
 )
-def test_nothing_that_is_said_is_an_error(
-    prepared: Prepared, run: bool, conversation: list[tuple[str, Message | bytes]]
-) -> None:
+def test_no_message_is_an_error(prepared: Prepared, run: bool, conversation: list[tuple[str, Message | bytes]]) -> None:
     heard = Heard(prepared, run)
     shown = StringIO()
     console = Console(file=shown, width=200, force_terminal=True)

@@ -256,7 +256,7 @@ def prepared(tmp_path: Path) -> Prepared:
     return prepare(session, uncertified=True)
 
 
-def test_a_bundle_says_what_moves_its_device(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_bundle_names_its_devices_driver(prepared: Prepared, tmp_path: Path) -> None:
     bundles = cut(prepared, RunPlan("realtime", tmp_path, ""))
     for name, kind in (("dx", RecordedMotion), ("dy", BrowserHand)):
         bundle = bundles[name]

@@ -56,7 +56,7 @@ def picture(feed: Feed, cursor: Cursor) -> dict[str, Any]:
     return told
 
 
-def test_a_page_is_told_the_session_first() -> None:
+def test_a_page_receives_the_session_first() -> None:
     told = json.loads(fed().session())
     assert (told["type"], told["session"], told["grips"], told["bucket"]) == ("session", "pair", ["right"], 10)
     assert told["tracks"]["right/sample"]["columns"] == ["right.x", "right.y"]
@@ -89,7 +89,7 @@ def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:
     assert x[-1] == 99.999
 
 
-def test_alarms_are_told_when_they_change_with_the_time_of_day() -> None:
+def test_alarms_are_sent_when_they_change_with_the_time_of_day() -> None:
     feed, cursor = fed(conditioned(faults=("vl was killed",))), Cursor()
     [alarm] = picture(feed, cursor)["alarms"]
     assert (alarm["text"], alarm["level"], alarm["since"], alarm["cleared"]) == (
@@ -203,7 +203,7 @@ def test_a_token_that_nobody_asked_for_is_no_mistake(client: TestClient) -> None
         assert "expected a device that can be held" in answer["why"]
 
 
-def test_a_page_that_says_too_much_is_closed(client: TestClient) -> None:
+def test_a_page_that_sends_too_much_is_closed(client: TestClient) -> None:
     with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
         for _ in range(3 * DEMANDS_AT_ONCE):
             page.send_text("?")
@@ -238,7 +238,7 @@ def test_a_token_opens_the_page(watch: Watch) -> None:
 
 
 @pytest.mark.parametrize("first", ['{"token": "0123456789abcdeg"}', '{"grasp": "right", "position": [0, 0]}', "{}"])
-def test_without_it_nothing_is_told(watch: Watch, monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+def test_without_it_nothing_is_sent(watch: Watch, monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     monkeypatch.setattr(served, "WRONG_TOKEN_COSTS", 0.0)
     client = client_of(watch, Token("0123456789abcdef"))
     with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
@@ -328,7 +328,7 @@ def test_the_address_that_is_printed() -> None:
     assert "0.0.0.0" not in address_of(Doorstep("0.0.0.0", 80), None)
 
 
-def test_a_port_that_is_taken_is_said_so() -> None:
+def test_a_taken_port_is_reported() -> None:
     with listen("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ViewError, match=rf"--port {port}: cannot listen there: .*expected an address"):
@@ -336,7 +336,7 @@ def test_a_port_that_is_taken_is_said_so() -> None:
 
 
 @pytest.mark.parametrize("host", ["192.0.2.7", "a" * 300])
-def test_a_host_that_is_not_this_machine_is_said_so(host: str) -> None:
+def test_a_host_of_another_machine_is_reported(host: str) -> None:
     with pytest.raises(ViewError, match="cannot listen there"):
         listen(host, 0)
 

@@ -199,7 +199,7 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
     return run
 
 
-def test_a_crowd_that_says_nothing_keeps_nobody_out(serving: Callable[..., None]) -> None:
+def test_a_silent_crowd_keeps_no_page_out(serving: Callable[..., None]) -> None:
     async def do(served: Served) -> None:
         for _ in range(CROWD):
             await served.connect()

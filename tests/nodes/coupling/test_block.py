@@ -112,7 +112,7 @@ def test_any_other_force_of_another_tick_is_none(block: Block, world: MessageLin
     assert block.applied == [0.25]
 
 
-def test_what_was_said_is_said_again_with_its_stamp(block: Block, world: MessageLink) -> None:
+def test_a_signal_is_sent_again_with_its_stamp(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     block.say_again(3)
     block.say_again(5)  # the session has gone on
@@ -178,7 +178,7 @@ def meet_environment(block: Block, tick: int) -> MessageLink:
     return fresh
 
 
-def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, world: MessageLink) -> None:
+def test_a_returned_environment_receives_the_blocks_tick(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     fresh = meet_environment(block, 3)
     assert fresh.said[-1] == Tool(3, 77, [0.5])
@@ -227,7 +227,7 @@ def test_rows_follow_each_other(
     assert line.telemetry[-1].figures["rung"] == 0.0
 
 
-def test_a_block_that_has_promised_nothing_tells_of_no_ledger(
+def test_a_block_without_a_promise_reports_no_ledger(
     bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
 ) -> None:
     block, line = Block(dataclasses.replace(bundle, level=None), block.environment), new_line()

@@ -72,7 +72,7 @@ def test_within_its_limits_nothing_is_breached() -> None:
         ([0.0, math.inf], "found a displacement of inf m at arm.1"),
     ],
 )
-def test_a_displacement_beyond_is_told(x: list[float], sentence: str) -> None:
+def test_a_displacement_beyond_is_reported(x: list[float], sentence: str) -> None:
     g = guard()
     assert g.breach([0.0] * 2) is None
     found = g.breach(x)
@@ -80,7 +80,7 @@ def test_a_displacement_beyond_is_told(x: list[float], sentence: str) -> None:
     assert found.startswith(sentence)
 
 
-def test_a_speed_beyond_is_told() -> None:
+def test_a_speed_beyond_is_reported() -> None:
     g = guard()
     assert g.breach([0.1, 0.1]) is None
     assert g.breach([0.1, 0.1009]) is None
@@ -137,7 +137,7 @@ def test_who_is_held_beyond_its_displacement_stays_out() -> None:
     assert g.let_go == 1
 
 
-def test_what_is_no_number_is_told_to_nobody() -> None:
+def test_a_non_number_is_sent_to_no_peer() -> None:
     g = guard()
     g.tell([0.1, 0.0])
     for x in ([math.nan, 0.0], [0.1, math.inf], [0.1, 0.0]):

@@ -115,7 +115,7 @@ def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> Non
     assert second == [1.0] * ROWS
 
 
-def test_telemetry_tells_the_percentiles_of_the_true_period_since_the_start(device: Device) -> None:
+def test_telemetry_has_percentiles_of_the_true_period_since_the_start(device: Device) -> None:
     for tick in range(2 * ROWS):
         device.tick(tick, after=3 * MS if tick == 15 else MS)
     first, second = (telemetry.figures for telemetry in device.line.telemetry)

@@ -114,7 +114,7 @@ deeds = st.lists(st.tuples(st.integers(0, 25), st.integers(0, 9), st.sampled_fro
 # --- the phases
 
 
-def test_every_phase_knows_what_it_can_be_told() -> None:
+def test_every_phase_has_its_allowed_events() -> None:
     told = (ClutchEvent.FREEZE, ClutchEvent.ENGAGE, ClutchEvent.DISENGAGE)
     own = {(ClutchPhase.LEAVING, ClutchEvent.FALLEN), (ClutchPhase.JOINING, ClutchEvent.REFERRED)}
     assert set(NEXT) == {(phase, event) for phase in ClutchPhase for event in told} | own

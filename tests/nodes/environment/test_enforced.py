@@ -354,7 +354,7 @@ def importable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
-def test_a_factory_is_told_ports_period_and_parameters(importable: str) -> None:
+def test_a_factory_receives_ports_period_and_parameters(importable: str) -> None:
     parameters: Mapping[str, Any] = {"stiffness": 3.0}
     model = make_model(ModelName(f"{importable}:Spring", parameters), PORTS, T)
     assert model.told == (PORTS, T, parameters)  # type: ignore[attr-defined]

@@ -365,7 +365,7 @@ def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> 
 
 
 class Test_a_coupling_that_was_lost:
-    def test_is_welcomed_told_the_tick_and_let_in(self, world: TwoCouplings) -> None:
+    def test_is_welcomed_receives_the_tick_and_rejoins(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
         assert world.cy.membership.state is Membership.GONE
@@ -405,7 +405,7 @@ class Test_a_coupling_that_was_lost:
 
 
 class Test_a_change_of_rung:
-    def test_is_said_at_no_force_and_before_it(self, world: TwoCouplings) -> None:
+    def test_is_sent_at_zero_force_and_before_it(self, world: TwoCouplings) -> None:
         world.together(200)
         world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.ends["cy"].said.clear()
@@ -459,7 +459,7 @@ class Test_a_change_of_rung:
         world.together(RAMP + 1)
         assert [world.core.clutches.ratio(block) for block in (0, 1)] == [1.0, 1.0]
 
-    def test_where_no_mixture_is_certified_waits_for_nobody_who_is_frozen(self, new_life: Callable[[], Any]) -> None:
+    def test_without_certified_mixture_waits_for_no_frozen_member(self, new_life: Callable[[], Any]) -> None:
         world = TwoCouplings(new_life(), independent=False)
         frozen_for(world, 20)
         for name in NAMES:
@@ -495,7 +495,7 @@ class Test_an_environment_that_comes_back:
         assert back.members.active == []
         assert all(back.core.clutches.frozen(block) for block in (0, 1))
 
-    def test_takes_the_greatest_tick_and_tells_the_others(self, back: TwoCouplings) -> None:
+    def test_takes_the_greatest_tick_and_sends_it_to_others(self, back: TwoCouplings) -> None:
         back.say("cx", 430)
         assert back.hear(back.cx) is Received.DECLINED
         assert back.members.ahead == 430
@@ -509,7 +509,7 @@ class Test_an_environment_that_comes_back:
         assert back.hear(back.cx) is Received.SIGNAL
         assert back.cx.membership.state is Membership.ACTIVE
 
-    def test_is_not_led_astray_by_nonsense(self, back: TwoCouplings) -> None:
+    def test_ignores_nonsense(self, back: TwoCouplings) -> None:
         back.say("cx", 2**62)
         assert back.hear(back.cx) is Received.NOTHING
         assert back.members.ahead == 0
@@ -520,7 +520,7 @@ class Test_an_environment_that_comes_back:
         assert back.hear(back.cx) is Received.DECLINED
         assert (back.members.ahead, back.cx.due) == (0, 430)
 
-    def test_tells_who_was_ahead_of_it_but_behind_another(self, back: TwoCouplings) -> None:
+    def test_answers_members_ahead_of_it_but_behind_others(self, back: TwoCouplings) -> None:
         back.say("cx", 429)
         assert back.hear(back.cx) is Received.DECLINED
         back.tick = 430  # as cy has told

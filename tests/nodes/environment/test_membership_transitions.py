@@ -111,7 +111,7 @@ def test_repeated_waits_in_vain_double_the_pause() -> None:
 
 
 @pytest.mark.parametrize("event", [MembershipEvent.BEHIND, MembershipEvent.AHEAD, MembershipEvent.SIGNAL])
-def test_whatever_it_says_in_its_pause_it_is_not_expected(event: MembershipEvent) -> None:
+def test_messages_in_its_pause_do_not_make_it_expected(event: MembershipEvent) -> None:
     membership = MembershipRecord()
     membership.on(MembershipEvent.LATE, FORGIVEN)
     assert not any(membership.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))

@@ -72,7 +72,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
     )  # second differences of doubles over T^2
 
 
-def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[], Any]) -> None:
+def test_rows_are_consecutive_and_nothing_is_sent_twice(new_line: Callable[[], Any]) -> None:
     bundle = environment()
     core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
     for tick in range(7):

@@ -61,7 +61,7 @@ class Test_rows:
         assert ones == [row[0] for row in found]
 
     @given(st.integers(0, 2**40), st.integers(1, 5), st.sampled_from([0.001, 1 / 3000, 2e-4, 0.0125]))
-    def test_the_time_of_a_tick_is_told_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
+    def test_the_time_of_a_tick_is_exact_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
         told = replace(RECORDED, period=period)
         ticks = Ticks.of(first, count, 10**18, told.tick_ns)
         for k, (begin, time) in enumerate(zip(ticks.beginnings, ticks.times.tolist(), strict=True), first):
@@ -151,7 +151,7 @@ class Test_core:
         path.write_bytes(data)
         return data
 
-    def test_what_it_is_told_is_in_the_file(self, tmp_path: Path) -> None:
+    def test_the_file_holds_every_accepted_frame(self, tmp_path: Path) -> None:
         core = RecorderCore(RECORDED)
         for tick in (10, 20):
             core.take(encode(observation("a", tick, 10, 1, late=1.0)), 5)
@@ -295,7 +295,7 @@ def test_a_plan_round_trips_and_is_its_owners_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"file": 1}', '{"file": "f", "directory": "d", "recorded": {}}'])
-def test_what_is_no_plan_is_told(text: str, tmp_path: Path) -> None:
+def test_an_invalid_plan_is_reported(text: str, tmp_path: Path) -> None:
     (tmp_path / "p").write_text(text)
     with pytest.raises(PlanError, match="not a recorder's plan"):
         Plan.load(tmp_path / "p")

@@ -198,7 +198,7 @@ def test_what_comes_to_nothing_is_unfinished(house: House, outside: ExitStack) -
     assert house.attend_until(lambda refused: refused.get("unfinished") == 3) == {"unfinished": 3}
 
 
-def test_what_was_told_is_counted_without_a_look_of_its_own(house: House, outside: ExitStack) -> None:
+def test_reported_events_are_counted_without_a_separate_look(house: House, outside: ExitStack) -> None:
     house.keeper.attend()
     raw_client(outside, house.port)
     assert house.keeper._doors[0].monitor.poll(LONG_MS)

@@ -255,7 +255,7 @@ def test_a_hub_may_wait_for_everything_but_frames(joined: tuple[Hub, Link, Link]
         os.close(writer)
 
 
-def test_a_hub_says_how_much_it_has_read(joined: tuple[Hub, Link, Link]) -> None:
+def test_a_hub_counts_the_frames_it_has_read(joined: tuple[Hub, Link, Link]) -> None:
     hub, dx, _ = joined
     before = hub.handled
     assert hub.recv() is None
@@ -339,7 +339,7 @@ def hear(ends: "Ends", outlet: Link, endpoint: str, frame: bytes) -> Link:
     return link
 
 
-def test_an_outlet_is_heard_by_one_who_comes_and_goes(ends: "Ends", outlet: tuple[Link, str]) -> None:
+def test_an_outlet_reaches_a_peer_that_comes_and_goes(ends: "Ends", outlet: tuple[Link, str]) -> None:
     bound, endpoint = outlet
     assert bound.send(b"anybody?") is False
     for visit in range(3):

@@ -157,7 +157,7 @@ def test_the_longest_socket_path_binds_and_longer_ones_fail_clearly(tmp_path: Pa
         transport.close()
 
 
-def test_a_missing_directory_is_told(tmp_path: Path) -> None:
+def test_a_missing_directory_is_reported(tmp_path: Path) -> None:
     transport = ZmqTransport.ipc(tmp_path / "missing")
     try:
         with pytest.raises(TransportError, match=r"cannot bind ipc://.*missing/cx: No such file"):
@@ -177,7 +177,7 @@ def test_a_file_in_the_way_is_not_taken_away(tmp_path: Path) -> None:
     assert (tmp_path / "cx").read_text() == "somebody's"
 
 
-def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
+def test_an_endpoint_that_zeromq_cannot_read_is_reported() -> None:
     transport = ZmqTransport.tcp()
     try:
         with pytest.raises(TransportError, match="cannot connect to 'tcp://nowhere'"):
