@@ -127,7 +127,7 @@ class Chaos:
     def _signal(self, progress: Progress, node: str, which: signal.Signals) -> None:
         pid = progress.pids.get(node)
         if pid is not None:
-            os.kill(pid, which)  # not reaped yet: the supervisor that told of it runs in this very thread
+            os.kill(pid, which)  # not reaped yet: the supervisor that reported it runs in this very thread
 
     def _users_of(self, victims: list[str]) -> set[str]:
         """The devices that a fault of ``victims`` makes let go."""

@@ -40,7 +40,7 @@ OBSERVER = "watch"
 EVERY = 1.0  # s, between two words of a rogue on how much it has sent
 
 
-# --- the rogues: each sends for ever, and says how many frames or connections it has tried
+# --- the rogues: each sends for ever, and reports how many frames or connections it has tried
 
 
 def keyed(kind: int, endpoint: str, server: str, pair: KeyPair) -> zmq.Socket[bytes]:

@@ -62,7 +62,7 @@ WAIT = from_seconds(0.1)  # for a reaction, before it is seen whether the coupli
 AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
 _PREPARED_TICKS = 500  # a period of that, at 1 kHz
 _TICK = struct.Struct(">Q")
-_AGAIN = from_seconds(0.003)  # as a coupling at 1 kHz, which then says its p(k) once more
+_AGAIN = from_seconds(0.003)  # as a coupling at 1 kHz, which then sends its p(k) once more
 _TICK_AT = 3  # bytes into a signal's usual head
 _LEAD = from_seconds(0.2)  # from saying when it starts to the first tick
 

@@ -44,7 +44,7 @@ from manyhands.protocol.transport.broadcast import Visit
 
 SETTLING = 5.0  # s, from when all are there to the first tick that is measured
 PATIENCE = 30.0  # s, beyond its own time, for a measurement to be over
-LONGEST = 600.0  # s: what a session is told to run for; it is ended before
+LONGEST = 600.0  # s: the requested duration of a session; it is ended before
 
 
 @contextmanager

@@ -188,7 +188,7 @@ def _started(
         process.send_signal(ending)
         with suppress(subprocess.TimeoutExpired):  # killed then, with what it has started
             process.wait(_ENDING)
-        with suppress(ProcessLookupError):  # nobody is left
+        with suppress(ProcessLookupError):  # no process is left
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         if process.stderr is not None:

@@ -121,7 +121,7 @@ def environment(wire: Wire, couplings: list[str]) -> None:
                 if name in frames or (frame := wire.receive(name, WAIT)) is None:
                     continue
                 found, _ = FRAME.unpack(frame)
-                if found > tick:  # somebody has given up a tick that was lost; the others will, too
+                if found > tick:  # one node has given up a lost tick; the others will, too
                     tick, frames = found, {}
                 if found == tick:
                     frames[name] = frame

@@ -209,7 +209,7 @@ def test_another_coupling_is_named(problems, proved: Certificate, linear: Certif
         (linear, SpringDamperWanted(), "spring-damper", "is not of the spring-damper class that the session wants"),
     ):
         assert differences(of_version_2(certificate), loop, wanted) == [f"the coupling {words}"]
-        # what was asked is no claim: the coupling itself is compared, whatever the file says of its origin
+        # what was asked is no claim: the coupling itself is compared, whatever origin the file states
         assert differences(asking(certificate, wanted), loop, wanted) == [f"the coupling {words}"]
         found = differences(certificate, loop, wanted)
         assert (found[0], found[-1]) == (NOT_ASKED + word, f"the coupling {words}")

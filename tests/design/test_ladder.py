@@ -132,7 +132,7 @@ def test_a_linear_coupling_is_softened_by_springs_and_dampers(problems) -> None:
     assert [rung.asked for rung in ladder.rungs] == [
         asked,
         asked,
-    ]  # the session's wish; method says how it was softened
+    ]  # the session's wish; method records how it was softened
 
 
 def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:

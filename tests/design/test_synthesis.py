@@ -75,7 +75,7 @@ def test_the_papers_algorithm_converges_as_it_did_for_the_paper(problems, name: 
     assert designed.watched == "||W Z - I||"
     # the feasible set is large: 660 and 705 N/m, the paper's, are other points of it
     assert np.all(np.abs(np.diag(certificate.spring_damper.stiffness) - 700.0) < 100.0)
-    assert told  # one who waits is told
+    assert told  # progress is reported
 
 
 @pytest.mark.parametrize("wish", [Wish(), Wish("stiffest"), Wish(algorithm="complementarity")])

@@ -51,7 +51,7 @@ def test_the_papers_couplings(problems, name: str, reference: float, least: floa
     Delta_V = loop.partition.embed(levels.Delta_V)
     np.testing.assert_allclose(Delta_V, loop.partition.embed(loop.partition.restrict(limit)), rtol=1e-7, atol=1e-12)
     assert np.linalg.eigvalsh(limit - Delta_V)[0] > 0.0
-    assert loop.partition.admits(levels.Phi_E)  # each block can be told its own part
+    assert loop.partition.admits(levels.Phi_E)  # each block can receive its own part
     assert np.shape(levels.P_E) == (2, 2)  # one mass: a deflection and a velocity, no integrators
     assert all(P is None for P in levels.P_V)
     assert problems.dissipation(loop, levels.Phi_E) > 0.0
@@ -85,7 +85,7 @@ def test_the_joint_program_and_the_exact_way_agree_on_random_loops(problems, dat
     bound = np.linalg.eigvalsh(np.block([[loop.Delta_D + H, H], [H, Delta_V + H]]))[0]
     least = float(np.linalg.eigvalsh(loop.Delta_D)[0])
     assert found.best == pytest.approx(bound, rel=1e-9, abs=1e-9 * least)
-    # ... and the program says that it is not less. Where t is small against the levels, it says too much
+    # ... and the program reports that it is not less. Where t is small against the levels, it reports too much
     try:
         joint = joint_levels(loop, problems.blocks(loop, coupling), split, device).t
     except SolverFailure:

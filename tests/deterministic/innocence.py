@@ -104,7 +104,7 @@ class Innocence:
         self._T, self._began = prepared.session.period, -1
         self._least = 0.0  # of what the guest has given less P t
         self._too_much = ""
-        self._acted = -1  # the first tick with somebody frozen
+        self._acted = -1  # the first tick with a frozen member
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """Count an honest device's late ticks."""
@@ -184,7 +184,7 @@ class Innocence:
         for sentence in told:
             if (
                 self.guest is not None and not self._told and self._blames(sentence)
-            ):  # otherwise it may be said what is the case
+            ):  # otherwise the sentence may state the fact
                 found.append((Wrong.NAMED, sentence))
         if (
             acted

@@ -20,7 +20,7 @@ from manyhands.protocol.clock import Instant
 
 NEVER: Final = Instant(2**62)
 COST: Final = 8_000  # ns, at most, between two points at which a node may be made to wait
-TOGETHER: Final = 5_000  # ns; who can go on within this time goes in any order
+TOGETHER: Final = 5_000  # ns; threads that can go on within this time go in any order
 AT_ONCE: Final = 12  # points passed at most before another gets a turn
 PASSES: Final = 0.8  # the chance to go on at a point where there is nothing to wait for
 WATCHED: Final = 16  # steps between two looks at the world
@@ -131,7 +131,7 @@ class Scheduler:
             if error is None:
                 try:
                     run()
-                except BaseException as caught:  # noqa: BLE001 -- told, whatever it is
+                except BaseException as caught:  # noqa: BLE001 -- reported, whatever it is
                     error = caught
             turn.ended = True
             self._turns.remove(turn)

@@ -205,7 +205,7 @@ class SimulatedSession:
         self.scheduler.after(delay, lambda: self._see_end(process.name, code))
 
     def _see_end(self, name: str, code: int) -> None:
-        if name in self.conductor.remote:  # nobody sees it end
+        if name in self.conductor.remote:  # its end is not seen
             if self.conductor.phase is SessionPhase.RUNNING:
                 self._obey(self.conductor.silent(name, self.scheduler.now))
             if self.conductor.phase is SessionPhase.RUNNING:

@@ -156,7 +156,7 @@ class Watch:
     """A conductor, and beside it what may be known of a session from its messages alone."""
 
     def __init__(self, remote: frozenset[str], restarts: int) -> None:
-        budget = RestartBudget(restarts, Duration(2**63))  # nobody runs so long
+        budget = RestartBudget(restarts, Duration(2**63))  # no session runs so long
         self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote, OBSERVERS, budget)
         self.restarts = restarts
         self.begun = False

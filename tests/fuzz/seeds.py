@@ -80,7 +80,7 @@ def _handshake() -> Iterator[tuple[str, bytes]]:
             },
         }.items():  # fmt: skip
             yield f"{side}-{name}".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "pure", *said)
-        # each frame after 5 ns; 0: what is said in return finds room
+        # each frame after 5 ns; 0: the answers find room
         over = (0, 5, *hello, 0) if fuzz_handshake.SIDES[side].opens else (5, *hello, 0, 5, *welcome)
         yield f"{side}-link".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link", *over)
         yield f"{side}-silence".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link")

@@ -101,7 +101,7 @@ def test_a_files_size_is_bounded_before_and_while_reading(tmp_path: Path) -> Non
         with pytest.raises(OSError, match="Is longer than 4 bytes"):
             refused()
     with pytest.raises(OSError, match="Is longer than 10 bytes"):
-        read_regular(Path("/proc/self/status"), 10)  # regular, says that it has no bytes, and has some
+        read_regular(Path("/proc/self/status"), 10)  # regular, with a stated size of 0 bytes, and has some
 
 
 # --- what a refused file holds stays where it is

@@ -93,7 +93,7 @@ def test_the_others_receive_no_more_of_a_guest_than_its_budget(
     # what the others' mechanisms have really received, by their own samples and forces
     work = np.sum(recording.f_v[:-1, 1:] * np.diff(recording.x[:, 1:], axis=0))
     assert work <= 1.0 + 0.5 * 2.5
-    assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # nobody else is charged,
+    assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # no other is charged,
     assert np.min(np.array(ratios)[:, 1:]) == 1.0  # nor scaled
     assert isinstance(simulation.environment, EnforcedCore if enforce == "true" else EnvironmentCore)
     assert energy.stops[0] >= 1
@@ -131,7 +131,7 @@ class TestSentences:
 
     def test_a_device_that_let_go_is_reported_with_its_mover(self) -> None:
         incidents = self.incidents()
-        assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
+        assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not reported that tick
         assert incidents.hear("environment", self.told(99, moved_cx__cy=1.0)) == []
         (sentence,) = incidents.hear(
             "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)

@@ -181,7 +181,7 @@ def test_the_others_keep_their_promises_and_feel_no_step(base: Prepared, request
             steps = np.abs(np.diff(recording.f_v[:, others], axis=0))
             assert np.all(steps <= (gain @ fastest)[others] + size)
             moved += float(np.max(steps)) > 1e-3
-        # who comes back is coupled again, and its force rose with the ramp
+        # the returned user is coupled again, and its force rose with the ramp
         assert returned.environment.clutches.ratio(list(returned.couplings).index(name)) >= SLOWEST - 1e-12
     assert moved > CASES  # something happened at the others in most of the runs
 

@@ -320,7 +320,7 @@ def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
 def test_the_last_signal_is_sent_again_unchanged() -> None:
     link = FrameLink()
     peer_link = joined(link)
-    peer_link.send_again()  # nothing was said yet
+    peer_link.send_again()  # no signal was sent yet
     peer_link.send(Sample, TICK, 7, np.array([0.5]))
     peer_link.say(Rung(1))
     peer_link.send_zero(Force, TICK + 3)

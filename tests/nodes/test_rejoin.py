@@ -89,7 +89,7 @@ def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], li
     assert not peer_links[1].here
     frame = bound.recv(NOT_AT_ALL)
     assert frame is not None
-    assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
+    assert decode(frame, MAX_CONTROL_BYTES) == OWN  # the connecting side sends its hello first
 
 
 def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:

@@ -204,7 +204,7 @@ def test_a_process_of_several_nodes_is_lost_and_comes_back(
     with held(colocated, new_life) as stage:
         stage.paused("dz")
         stage.lose(who)
-        if who == ENVIRONMENT:  # nobody goes on without it, and cz shakes hands with it in the process of dz
+        if who == ENVIRONMENT:  # no node goes on without it, and cz shakes hands with it in the process of dz
             stage.release("dz")
         stage.bring_back(who, HELD)
         stage.await_state("cx", *SEATED_SOON)

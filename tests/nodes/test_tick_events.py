@@ -20,7 +20,7 @@ def test_periods_without_force_are_counted_by_the_tick_awaited() -> None:
     for tick in (12, 12, 15):
         events.release(tick)
     assert [*events_in(events.take(10, 20))] == [TickEvent(Kind.RELEASED, 12, 2), TickEvent(Kind.RELEASED, 15, 1)]
-    assert events.take(20, 30) == {}  # they are told once
+    assert events.take(20, 30) == {}  # they are reported once
 
 
 def test_rungs_and_frozen_couplings_are_reported() -> None:

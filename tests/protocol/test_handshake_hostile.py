@@ -49,7 +49,7 @@ COUPLING = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "cx", Role.COUPLIN
 ENVIRONMENT = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "environment", Role.ENVIRONMENT, PORTS)
 TO_DEVICE = dataclasses.replace(COUPLING, feedthrough=None)
 DEVICE = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "dxy", Role.DEVICE, PORTS)
-PAIRS = [(COUPLING, ENVIRONMENT), (DEVICE, TO_DEVICE)]  # who connects, who binds
+PAIRS = [(COUPLING, ENVIRONMENT), (DEVICE, TO_DEVICE)]  # the connecting and the binding side
 
 LIVE = {state for state, _ in TRANSITIONS}
 REFUSED = {State.REFUSED, State.REFUSED_BY_PEER}
@@ -209,7 +209,7 @@ class AdversaryBetween(RuleBasedStateMachine):
             peer = side.handshake.peer
             if peer is not None:
                 assert essence(peer) == essence(side.hopes)
-                assert encode(peer) in side.heard  # what was believed was said, and to this side
+                assert encode(peer) in side.heard  # the accepted hello was sent, and to this side
             if side.handshake.state is State.ESTABLISHED:
                 assert peer is not None
 

@@ -85,7 +85,7 @@ def test_an_established_link_carries_signals_at_once(ends: "Ends") -> None:
         ),
         (
             COUPLING,
-            dataclasses.replace(ENVIRONMENT, role=Role.DEVICE),  # told by the connecting side
+            dataclasses.replace(ENVIRONMENT, role=Role.DEVICE),  # reported by the connecting side
             "cx refused environment: found the role device; expected environment",
         ),
     ],

@@ -301,7 +301,7 @@ def test_a_file_of_another_user_is_refused(monkeypatch: pytest.MonkeyPatch, path
         (1000, 1000, True, 0o100600, False),
         (1000, 0, True, 0o100600, False),  # put there by the administrator
         (1000, 1001, True, 0o100600, True),
-        (0, 1000, True, 0o100600, True),  # whoever owns it could have put another key in it
+        (0, 1000, True, 0o100600, True),  # its owner could have put a different key in it
         (1000, 1000, True, 0o100640, True),
         (1000, 1000, True, 0o100601, True),
         (1000, 1000, True, 0o120600, True),

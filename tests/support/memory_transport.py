@@ -143,7 +143,7 @@ class MemoryHub:
 
     def __init__(self, boxes: _Boxes) -> None:
         self._boxes = boxes
-        self.dropped: dict[str, int] = {}  # nobody here sends anything but frames
+        self.dropped: dict[str, int] = {}  # every peer here sends only frames
         self.handled = 0
 
     def recv(self) -> tuple[str, bytes] | None:

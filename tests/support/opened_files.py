@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .capture import missing
 
-# the calls of which the log tells, and what they return: a descriptor, with the path behind it
+# the calls in the log, and what they return: a descriptor, with the path behind it
 _OPENING = "trace=/^(open|creat)"
 _OPENED = re.compile(r" = \d+<(/.*)>(?:\(deleted\))?$")
 

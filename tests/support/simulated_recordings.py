@@ -88,7 +88,7 @@ def written(
                 figures = {LEDGER: float(told[LEDGER][-1, 0])} if LEDGER in told else {}
                 if frozen and role is Role.ENVIRONMENT:
                     figures |= _frozen(rows, recorded, int(ticks[0]), until)
-                if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and says so
+                if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and reports it
                     figures |= TickEvents().take(int(ticks[0]), until)
                 figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
                 core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)

@@ -16,7 +16,7 @@ from ..support.patterns import Patterns, is_distinctive
 
 SECONDS = "0.4"
 PORTS = 24  # one for the hub, one for each link, and some to spare
-GREETING_MECHANISM = slice(12, 32)  # of what each side of a ZMTP 3 connection says first
+GREETING_MECHANISM = slice(12, 32)  # of the first bytes of each side of a ZMTP 3 connection
 
 
 @pytest.fixture(scope="module")

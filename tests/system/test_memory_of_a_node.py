@@ -157,7 +157,7 @@ def test_a_remote_device_never_holds_other_parties_data(owner: Owner, machine: P
                 read_until(session, "running: tick")
                 holding.hold()
                 assert_it_holds_its_own_alone(owner, DEVICE, node.pid)
-                holding.resume()  # before the supervisor, who hears nothing of it, gives it up
+                holding.resume()  # before the supervisor gives the silent node up
                 # the supervisor has what the device has not, and so it would be found; and not the device's key
                 assert memory_contains(session.pid, Patterns({**others, **key})) == set(others.values())
                 session.send_signal(signal.SIGINT)

@@ -22,7 +22,7 @@ pytestmark = [
 
 LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
 BALL = '[data-mass="ball"]'
-MOVED = 0.001  # m: nobody else moves anything in this session
+MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
 OVERFLOW = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
 

@@ -152,7 +152,7 @@ def expected_within() -> Mapping[tuple[str, str], int]:
                 counts[name, stray.reason] += len(links.MISBEHAVES)
         counts[name, "malformed"] += links.JUNK * len(links.MISBEHAVES) + MAX_STRAY_FRAMES
         counts[name, "old_tick"] += len(links.MISBEHAVES)  # each honest signal a second time
-    # who says a signal of an earlier tick again is answered again, for the answer may have been lost: the rogues
+    # a repeated signal of an earlier tick is answered again, because the answer may have been lost: the rogues
     # themselves hear it twice, but that the environment does not answer those of long ago
     counts["dx", "old_tick"] = counts["cx", "old_tick"]
     counts["cy", "old_tick"] = counts["environment", "old_tick"] - len(links.MISBEHAVES)

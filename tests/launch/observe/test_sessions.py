@@ -41,7 +41,7 @@ def test_silence_is_reported_and_watching_ends_with_the_supervisor() -> None:
     assert [(one.at // MS, one.message is None) for one in seen] == [
         (200, True), (350, True), (360, False), (560, True), (760, True),
     ]  # fmt: skip
-    assert looks == [200, 560, 760, 960]  # what has come is read before it is found that nobody is there
+    assert looks == [200, 560, 760, 960]  # frames that have come are read before the end is noticed
 
 
 def test_at_its_deadline_it_ends_even_where_frames_come_without_end() -> None:

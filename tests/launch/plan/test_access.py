@@ -103,7 +103,7 @@ def carried(bundles: Mapping[str, Bundle]) -> set[Grant]:
                         found |= {(receiver.name, port, "read", channel.name) for port in mine.ports}
     connecting = [(name, peer.name) for name, common in commons.items() for peer in common.peers if not peer.binds]
     binding = [(peer.name, name) for name, common in commons.items() for peer in common.peers if peer.binds]
-    assert sorted(connecting) == sorted(binding)  # nobody connects to what is not bound for it
+    assert sorted(connecting) == sorted(binding)  # every connection has its own bound endpoint
     return found
 
 
@@ -271,7 +271,7 @@ def test_nobody_may_more_than_its_role_and_its_ports(
     table = Plan(session).access
     keys = [(row.node, row.channel, row.peer) for row in table]
     assert len(set(keys)) == len(keys)
-    # each may is somebody's may at the other end, for the same ports
+    # each right has its counterpart at the other end, for the same ports
     mirror = {"read": "write", "write": "read"}
     rows = {(row.node, row.action, row.channel, row.peer): (row.ports, row.content) for row in table}
     for (node, action, channel, peer), about in rows.items():

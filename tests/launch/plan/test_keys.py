@@ -285,7 +285,7 @@ def test_two_runs_at_once_are_refused(folder: Path) -> None:
 
 def test_a_file_system_without_folder_locks_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locks(_descriptor: int, _how: int) -> None:
-        raise OSError(9, "Bad file descriptor")  # what NFS says to an exclusive lock of what is open for reading
+        raise OSError(9, "Bad file descriptor")  # the error of NFS for an exclusive lock on a file open for reading
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     assert make_keys(ONE, folder).new == NAMES
@@ -458,7 +458,7 @@ def test_a_node_gets_its_kept_key_file_or_this_runs(folder: Path, tmp_path: Path
     assert load_private(run / "dx.key", "s", "dx") == keys.pair("dx")
 
 
-# --- told
+# --- reported
 
 
 def command(session: Session, folder: Path, *renew: str, as_json: bool = False) -> tuple[int, str, str]:

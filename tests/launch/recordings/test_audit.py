@@ -371,7 +371,7 @@ def test_a_rung_beyond_the_ladder_is_no_rung(prepared: Prepared) -> None:
 def test_a_coupling_killed_before_it_could_report_is_not_called_forged(prepared: Prepared, tmp_path: Path) -> None:
     rows = simulated(prepared, 600, [Silence("cx", 250, 400)])
     for trace in ("p", "f_v", LEDGER):
-        rows["cx", trace][200:250] = np.nan  # its last ticks, which it never told of
+        rows["cx", trace][200:250] = np.nan  # its last ticks, without telemetry
     figures = {"frozen:cx@250": 1.0, "returned:cx@400": 1.0}
 
     def told(node: str, tick: int) -> Mapping[str, float]:

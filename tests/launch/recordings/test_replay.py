@@ -222,7 +222,7 @@ def test_what_cannot_be_prepared_is_refused(prepared: Prepared, tmp_path: Path, 
     assert (code, out) == (2, "")
     assert words in err
     assert str(path) in err
-    assert "recorded-" not in err  # not the folder that nobody can see any more
+    assert "recorded-" not in err  # not the folder, which is gone by then
 
 
 def test_a_session_of_another_shape_is_refused(prepared: Prepared, tmp_path: Path) -> None:

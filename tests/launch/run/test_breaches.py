@@ -102,7 +102,7 @@ def test_the_first_breach_is_reported_at_once_and_once() -> None:
 class Test_what_counts_as_a_breach:
     def test_more_than_a_hundredth_of_the_ticks_twice_in_a_row(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
-        m.tell("dx", 50)  # whatever was before the first message is nobody's window
+        m.tell("dx", 50)  # ticks before the first message belong to no window
         assert shifts(m.tell("dx", 2)) == {}
         assert shifts(m.tell("dx", 2)) == {"cx": 1}
 
@@ -312,8 +312,8 @@ class Test_climbing:
         assert m.rungs == {"cx": 2, "cy": 2}
         for _ in range(3 * messages(CALM)):
             m.tell_taus("dy", (TICKS, 30.0))
-        assert m.rungs == {"cx": 2, "cy": 0}  # dx, which cx has as well, has not said anything
-        assert self.calm(m, "dx") == 1 + messages(CALM)  # whatever was before the first message is nobody's window
+        assert m.rungs == {"cx": 2, "cy": 0}  # dx, which cx has as well, has sent nothing
+        assert self.calm(m, "dx") == 1 + messages(CALM)  # ticks before the first message belong to no window
         assert m.rungs == {"cx": 1, "cy": 0}
 
     def test_all_together_where_only_that_is_certified(self) -> None:
@@ -322,7 +322,11 @@ class Test_climbing:
         for _ in range(messages(CALM)):
             for device in CHAINS:
                 assert shifts(m.tell_taus(device, (TICKS, 30.0))) == {}
-        together = {"cx": 1, "cy": 1, "cz": 1}  # dz, which has told before, has been calm for long enough already
+        together = {
+            "cx": 1,
+            "cy": 1,
+            "cz": 1,
+        }  # dz sent telemetry before and has been calm for long enough
         assert [shifts(m.tell_taus(device, (TICKS, 30.0))) for device in CHAINS] == [{}, together, {}]
 
     def test_who_was_made_to_wait_is_calm(self) -> None:

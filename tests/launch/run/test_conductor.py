@@ -230,7 +230,7 @@ def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
     assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
     assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
-    assert (c.left, c.reports) == ({"dx": report}, {})  # nobody waits for the others to be done, too
+    assert (c.left, c.reports) == ({"dx": report}, {})  # the session does not wait for the others, too
     c.hear("cx", Offer("dx", "ipc://cx-dx.1"), 0)
     assert c.hear("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
     c.hear("dx", Ready(), 0)

@@ -148,7 +148,7 @@ def test_a_killed_recorder_leaves_its_file_and_is_reported_once(stage: ReadyReco
     os.kill(stage.recorder.pid, signal.SIGKILL)
     while stage.attend():
         pass
-    stage.tell(1)  # nobody minds
+    stage.tell(1)  # this has no effect
     stage.finish()
     (incident,) = stage.incidents
     assert "the recorder was killed by SIGKILL" in incident

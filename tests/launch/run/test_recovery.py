@@ -189,7 +189,7 @@ class Test_the_order:
         s.see_end()
         s.read("environment")
         s.deliver()  # the offer: cx is started
-        s.deliver()  # its hello: it is told of the environment and of dx
+        s.deliver()  # its hello: it receives the endpoints of the environment and of dx
         assert s.conductor.states["cx"] is NodeState.CONNECTED
         s.kill("dx")
         s.see_end()
@@ -258,7 +258,7 @@ class Test_the_budget:
         assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
         assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
-        for victim in ("cx", "environment"):  # who are linked to it come back without it
+        for victim in ("cx", "environment"):  # its peers come back without it
             s.kill(victim)
             s.settle()
             assert s.conductor.states[victim] is NodeState.RUNNING
@@ -327,7 +327,7 @@ class Test_returns_that_fail:
         s.deliver()
         assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("heard"))]
         assert s.conductor.states["cx"] is NodeState.LEAVING
-        s.said.clear()  # it said nothing but that
+        s.said.clear()  # this was its only message
         s.kill("cx")
         s.settle()
         assert s.joined()
@@ -481,7 +481,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.silent("dx", 0) == [ReleaseName("dx"), Send("cx", Absent("dx"))]
         assert c.states["dx"] is NodeState.LOST
         assert c.silent("dx", 0) == []
-        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
+        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # the supervisor does not start it
         told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "tcp://anew"}))]
         assert c.hear("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]

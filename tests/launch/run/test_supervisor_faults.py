@@ -111,7 +111,7 @@ class Faulty:
         for message in (1, 2, 3):
             figures = {names.TAU_BREACHES: 90.0 * message, names.TAU_WORST: 300.0}
             self.say(device, Telemetry(100 * message, figures, {}))
-            self.say("environment", Telemetry(100 * message, {}, {}))  # nobody was waited for
+            self.say("environment", Telemetry(100 * message, {}, {}))  # no wait occurred
 
     def progress(self) -> Progress:
         return self.supervisor.progress(self.processes)  # type: ignore[arg-type]

@@ -76,7 +76,7 @@ def test_a_picture_has_what_is_new() -> None:
     assert "figures" not in again["nodes"]["left"]
     feed.take(moving(200), NOW)
     begin, [x] = picture(feed, cursor)["tracks"]["left/sample"]
-    assert (begin, len(x), x[-1]) == (9, 22, 0.199)  # the last that was told, and ten new ones
+    assert (begin, len(x), x[-1]) == (9, 22, 0.199)  # the last one sent, and ten new ones
 
 
 def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:

@@ -231,7 +231,7 @@ def test_pages_that_never_say_their_token_keep_nobody_out(serving: Callable[...,
         kind, told = await frame_of(page)
         assert kind == 1
         assert b'"session"' in told
-        served.clock.ahead += ANSWERED_WITHIN + 10**9  # and a page stays, whatever it says
+        served.clock.ahead += ANSWERED_WITHIN + 10**9  # and a page stays, whatever it sends
         for _ in range(30):
             assert (await frame_of(page))[0] == 1
 
@@ -248,7 +248,7 @@ def test_a_page_on_every_address_needs_token_and_numeric_host(
         for said in wrong:
             page = await served.page()
             page[1].write(framed(said))
-            kind, why = await frame_of(page)  # the first thing that is told
+            kind, why = await frame_of(page)  # the first frame
             assert (kind, why[:2]) == (8, application_module.NOT_ADMITTED.to_bytes(2, "big"))
         assert served.refused == {"wrong_token": len(wrong)}
         page = await served.page()

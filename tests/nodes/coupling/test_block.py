@@ -195,7 +195,7 @@ def test_a_returned_environment_finds_the_block_at_the_first_rung(block: Block, 
     assert block.climb(1) == 0
     block.settle(1)
     block.say(np.zeros(1), 2, 0)
-    fresh.say(Rung(2), force(2, 0.0))  # it was told, and shifts
+    fresh.say(Rung(2), force(2, 0.0))  # it receives the shift, and shifts
     block.hear(2, NOW)
     assert block.climb(2) == 2
 

@@ -124,7 +124,10 @@ def test_beyond_its_speed_a_device_lets_go_and_returns_by_ramp() -> None:
     assert felt[0] < 1e-3
     assert max(np.diff(felt)) <= np.pi / 2.0 / RETURN
     assert felt[-1] == 1.0
-    assert g.tell([0.012, 0.0]) == [pytest.approx(0.003), 0.0]  # where it is told to be stays behind, not how it moves
+    assert g.tell([0.012, 0.0]) == [
+        pytest.approx(0.003),
+        0.0,
+    ]  # the reported position stays behind, not the motion
     assert g.let_go == 1
 
 

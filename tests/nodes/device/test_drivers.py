@@ -68,7 +68,7 @@ def dragged() -> BrowserDriver:
 
 
 Make = Callable[[], Driver]
-BARE: list[Make] = [simulated, browser]  # that nobody holds
+BARE: list[Make] = [simulated, browser]  # without a hand
 DRIVERS: list[Make] = [*BARE, trace, dragged]
 
 

@@ -24,7 +24,7 @@ from manyhands.protocol.messages import Force, Sample, Start
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 PERIOD = 1_000_000  # ns
-SILENT = 5  # the tick from which on the coupling says nothing
+SILENT = 5  # the tick from which on the coupling is silent
 REACH = 0.25  # m
 
 

@@ -130,7 +130,7 @@ def test_a_silent_hand_opens_after_two_seconds_of_ticks() -> None:
     assert device.driver.figures()[names.GRASPS_LAPSED] == 1.0
     device.go(1, at(0.02))
     device.go(1500)
-    device.go(1500, at(0.02))  # said again in time
+    device.go(1500, at(0.02))  # repeated in time
     assert device.grasped
 
 

@@ -86,7 +86,7 @@ class Oracle:
         f_e = -np.linalg.solve(np.eye(m) + self.E.D @ D, self.E.C @ self.eta + self.E.D @ r)
         f_c = S * f_e
         x_e, x_c = r + D @ f_e, p + self.D_V @ f_c
-        moved = np.where(S > 0.0, x_c - self.x_c, 0.0)  # who is frozen or joins is not followed
+        moved = np.where(S > 0.0, x_c - self.x_c, 0.0)  # a frozen or joining block is not followed
         out_of, into = f_c * moved, f_e * (x_e - self.x_e)
         self.given_up = float(np.sum(into) - np.sum(out_of))
         self.rounding = 64.0 * EPS * float(np.sum(np.abs(f_e) * (np.abs(x_e) + np.abs(x_c) + np.abs(self.x_c))))

@@ -41,12 +41,12 @@ def judged(*arrivals: tuple[float, int], crossed: bool = False) -> dict[int, flo
         ([(0.1, 0), (0.12, 1), (2.3, 2)], {2: 2.18}),  # the last is charged what it adds
         ([(0.1, 0), (0.6, 1)], {}),  # within the allowance
         ([(0.1, 0), (0.61, 1)], {1: 0.51}),
-        ([(2.2, 0), (2.21, 1), (2.22, 2)], {}),  # all late alike: nobody waited for anybody
-        ([(2.2, 0)], {}),  # nobody else is there
+        ([(2.2, 0), (2.21, 1), (2.22, 2)], {}),  # all late alike: no member waited for any other
+        ([(2.2, 0)], {}),  # no other member is there
         ([(0.1, 0), (2.2, 1), (2.21, 2)], {1: 2.1}),  # read at once after a late one: it was there
         ([(0.1, 0), (1.0, 1), (2.2, 2)], {1: 0.9, 2: 1.2}),  # two together: each what it adds
         ([(0.1, 0), (0.5, 1), (0.9, 2)], {2: 0.4}),  # small steps do not hide the sum
-        ([(-0.9, 0), (0.15, 1)], {}),  # who speaks before the tick is due makes nobody late
+        ([(-0.9, 0), (0.15, 1)], {}),  # a signal before the tick is due makes no other late
         ([(-0.9, 0), (0.6, 1)], {1: 0.6}),  # and waits from when it is due on
     ],
 )

@@ -166,7 +166,7 @@ def test_a_member_behind_receives_its_due_tick_and_is_awaited_there(world: TwoCo
     assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
     assert world.forces("cy")[due - 1] == 0.0
     while world.tick < due:
-        assert not world.cy.missing(world.tick)  # nobody waits in the meantime
+        assert not world.cy.missing(world.tick)  # no member waits in the meantime
         world.together(but="cy")
     assert world.cy.missing(due)
 
@@ -318,7 +318,7 @@ def test_a_signal_that_was_answered_is_answered_again_as_before(world: TwoCoupli
     assert world.hear(world.cy) is Received.NOTHING
     assert said[-1] == last
     assert len(said) == 4
-    world.say("cy", world.tick - 2)  # nobody asks so late
+    world.say("cy", world.tick - 2)  # no peer asks so late
     world.hear(world.cy)
     assert len(said) == 4
     assert world.members.all_active
@@ -523,7 +523,7 @@ class Test_an_environment_that_comes_back:
     def test_answers_members_ahead_of_it_but_behind_others(self, back: TwoCouplings) -> None:
         back.say("cx", 429)
         assert back.hear(back.cx) is Received.DECLINED
-        back.tick = 430  # as cy has told
+        back.tick = 430  # as reported by cy
         assert back.hear(back.cx) is Received.NOTHING
         assert back.forces("cx") == {429: 0.0}
         assert back.cx.missing(430)
@@ -726,7 +726,7 @@ def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, 
 
 def test_at_the_end_frozen_members_are_answered_for_a_bounded_time(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
-    world.lose("cx")  # nobody to talk to
+    world.lose("cx")  # its link is gone
     end = world.members.last = world.tick
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]

@@ -79,7 +79,7 @@ def test_whatever_happens_a_pause_ends_and_absences_are_counted_once(
         if before is Membership.ACTIVE and changed:
             absences += 1
         assert membership.absences == absences
-    if membership.state is Membership.FROZEN:  # nobody is kept out for longer
+    if membership.state is Membership.FROZEN:  # no member is kept out for longer
         assert membership.on(MembershipEvent.BEHIND, tick + LONGEST_PAUSE)
         assert membership.state is Membership.REJOINING
 

@@ -105,7 +105,7 @@ def test_how_a_node_is(state: str, silent: bool, late: int, health: Health) -> N
     seen.condition(silent=("d",) if silent else (), d=state)
     assert seen.scene.nodes["d"].health is health
     rated = seen.scene.nodes["d"].rate is not None
-    assert rated == (state == "running" and not silent)  # who is away, or says nothing, has no rate
+    assert rated == (state == "running" and not silent)  # a lost or silent node has no rate
 
 
 def test_before_anything_is_heard_all_wait() -> None:

@@ -200,7 +200,7 @@ class Test_core:
             core.take(encode(observation("a", tick, rows, 1)), 5)
         assert core.refused == 2
         assert (core.coverage["a"].missing, core.coverage["b"].missing) == (10, 0)
-        assert core.missing_in_all == {"a": 10, "b": 30}  # b never told anything, and that is missing, too
+        assert core.missing_in_all == {"a": 10, "b": 30}  # b never sent telemetry; its ticks are missing, too
 
     def test_a_chunk_is_full_by_its_bytes_and_empty_when_cut(self) -> None:
         core = RecorderCore(RECORDED)

@@ -88,7 +88,7 @@ def test_who_leaves_is_not_missed(tmp_path: Path, broadcast: Broadcast, visitor:
         pass
     broadcast.show(b"still here")
     heard = visitor.recv(LONG)
-    while heard in (b"hello", b"that is all"):  # what was said to the other one
+    while heard in (b"hello", b"that is all"):  # frames for the other receiver
         heard = visitor.recv(LONG)
     assert heard == b"still here"
 

@@ -170,7 +170,7 @@ def crowd(outside: ExitStack, port: int, size: int) -> list[socket.socket]:
         ("stranger", "cx", Refused.UNKNOWN_KEY),
         ("dy", "cx", Refused.WRONG_KEY),
         (None, "cx", Refused.NO_KEY),
-        ("dx", "stranger", Refused.NOT_PROVED),  # takes us for somebody else
+        ("dx", "stranger", Refused.NOT_PROVED),  # expects a different server
     ],
 )
 def test_each_kind_of_stranger_is_counted_once(
@@ -369,7 +369,7 @@ def test_a_door_whose_socket_is_closed_is_left_alone(house: House, outside: Exit
     door = house.keeper._doors[0]
     house.keeper.attend()
     crowd(outside, house.port, DOOR_BURST + 2)
-    while door._came <= DOOR_BURST:  # all is told, and nothing done about it yet
+    while door._came <= DOOR_BURST:  # the door reads every event, and acts on none yet
         assert door.monitor.poll(LONG_MS)
         door._listen_to_monitor()
     house.link.close()

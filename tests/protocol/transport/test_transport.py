@@ -274,7 +274,7 @@ def test_a_forgotten_name_is_free_and_its_first_owner_may_stay(ends: "Ends") -> 
     assert receive(hub) == ("dy", b"first")
     hub.forget("dy")
     hub.forget("nobody")
-    if ends.scheme not in {"memory", "tcp with keys"}:  # ZeroMQ leaves a routing id to whoever has it
+    if ends.scheme not in {"memory", "tcp with keys"}:  # ZeroMQ leaves a routing id to its first owner
         ends.others.pop().close()
         while hub.send("dy", b"still there?"):
             hub.wait(Duration(MS))

@@ -95,7 +95,7 @@ class Cable:
         near, _ = self._listener.accept()
         try:
             far = socket.create_connection(self._target)
-        except OSError:  # nobody is there; who connected is told so
+        except OSError:  # no listener is there; the connecting side sees it
             near.close()
             return
         self.carried += 1

@@ -87,7 +87,7 @@ def test_in_real_time_a_stopped_device_is_frozen_and_returns() -> None:
     nodes = nodes_of(outcome)
     assert nodes["environment"]["incidents"]["frozen"] >= 200
     assert nodes["dx"]["incidents"]["jumps"] >= 1
-    assert outcome.incidents == ()  # nobody died
+    assert outcome.incidents == ()  # no process died
 
 
 @pytest.mark.alone

@@ -174,7 +174,7 @@ class HalfwayDevice(DeviceNode):
             )
             links[peer.name].send(encode(hello))
             links[peer.name].recv(None)
-            links[peer.name].recv(None)  # until it is told to end
+            links[peer.name].recv(None)  # until it receives the end
 
 
 class HurriedCoupling(CouplingNode):

@@ -139,7 +139,7 @@ def _knock(stage: RogueSession, stranger: Stranger) -> Mapping[Try, Fate]:
         met = fates(stage, knocks, held=door.of != SUPERVISOR)
         for one, knock, fate in zip(tries, knocks, met, strict=True):
             if fate is Fate.ADMITTED and knock.socket.type == zmq.PAIR:
-                knock.send(*WRITES)  # which nobody reads, and the session must not notice
+                knock.send(*WRITES)  # unread frames, which the session must not notice
             found[one] = fate
             knock.close()
     return found

@@ -53,7 +53,7 @@ OVERRIDES: Final = (
     *(f"devices.{name}.limits={{force: {FORCE_LIMIT}, displacement: 0.2, speed: 2}}" for name in ("dx", "dy", "dz")),
 )
 TICKS: Final = 800  # the hands push from 100 to 350
-ATTENTIVE: Final = 10  # ticks between two telemetry messages, when a process also looks at who is at its door
+ATTENTIVE: Final = 10  # ticks between two telemetry messages, when a process also attends to its door
 DEADLINE: Final = DEADLINE_MS / 1000  # s
 STANDSTILL: Final = 2 * DEADLINE  # an attack may wait for once a deadline while the session waits for it
 

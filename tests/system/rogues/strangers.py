@@ -37,7 +37,7 @@ def greeting(mechanism: bytes) -> bytes:
 
 GREETING: Final = greeting(b"CURVE")
 HELLO_BYTES: Final = 202  # of CURVE's first command, with its frame's two bytes
-OVERSIZED: Final = b"\x06" + struct.pack(">Q", 2**62) + b"\x05HELLO"  # a command's frame of 4 EiB, as it says
+OVERSIZED: Final = b"\x06" + struct.pack(">Q", 2**62) + b"\x05HELLO"  # a command's frame that claims 4 EiB
 
 
 class Fate(Enum):
