@@ -149,7 +149,7 @@ def holds_over_frequency(loop: HapticLoop, network: Network, delay: int, Phi: Ma
 
 
 @dataclass(frozen=True)
-class Session:
+class LoopCase:
     """A loop, what it is made of, and what is asked for."""
 
     loop: HapticLoop
@@ -212,7 +212,7 @@ def random_request(rng: np.random.Generator, loop: HapticLoop, linear: bool) -> 
     return LinearWanted(tuple(int(rng.integers(0, 3)) for _ in loop.partition.blocks), wish)
 
 
-def sessions(linear: bool) -> Iterator[Session]:
+def sessions(linear: bool) -> Iterator[LoopCase]:
     """Random sessions without end, every one with masses that no port moves; late ones as soft as hands can hold."""
     seed = 0
     while True:
@@ -230,7 +230,7 @@ def sessions(linear: bool) -> Iterator[Session]:
             network = Network(network.ports, masses, links)
         environment = DelayedNetwork(network, delay) if delay else network
         loop = replace(loop, environment=environment)
-        yield Session(loop, network, delay, random_request(rng, loop, linear))
+        yield LoopCase(loop, network, delay, random_request(rng, loop, linear))
 
 
 @pytest.mark.parametrize("linear", [False, True], ids=["spring-damper", "linear"])

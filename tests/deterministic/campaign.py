@@ -33,7 +33,7 @@ SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CampaignOutcome:
     """A run and its findings.
 
     Attributes:
@@ -64,7 +64,7 @@ def prepared(name: str) -> Prepared:
     return prepare(load_session(path, [*overrides, chaos_kinds.ENDURING]))
 
 
-def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, ticks: int = 0) -> Outcome:
+def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, ticks: int = 0) -> CampaignOutcome:
     """Run one session with so many faults; with ``frames`` the account lists every frame.
 
     With ``ticks`` the session ends by itself, and the only faults are processes that stand still for a while.
@@ -92,7 +92,7 @@ def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, tic
         violations.append(f"no last word of {', '.join(silent)}")
     if violations and not told:
         told = account(world, frames)
-    return Outcome(
+    return CampaignOutcome(
         chaos.done.total(),
         ticks,
         world.restarts,

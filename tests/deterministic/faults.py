@@ -16,7 +16,7 @@ from chaos_kinds import Kind, draw
 from manyhands.launch.run.states import SessionPhase
 from manyhands.protocol.clock import from_seconds
 
-from .process import Process
+from .process import SimulatedProcess
 from .world import SimulatedSession
 
 OVERLAP: Final = 0.35
@@ -154,7 +154,7 @@ class Faults:
                 for node in victims:
                     world.kill(node)
 
-    def _slow(self, process: Process, times: int) -> None:
+    def _slow(self, process: SimulatedProcess, times: int) -> None:
         """Stop the process and let it run a little, repeatedly."""
         world = self.world
         if times == 0 or world.processes.get(process.name) is not process:

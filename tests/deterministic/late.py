@@ -41,7 +41,7 @@ class Late:
         return self._driver.sample(tick)
 
 
-class Session(SimulatedSession):
+class LateSession(SimulatedSession):
     """A session in real time of so many ticks, and the telemetry of all its nodes.
 
     Attributes:

@@ -136,7 +136,7 @@ class WitnessedAccount(EnvironmentTelemetry):
         self._witness.settle(tick, core._f, core.tools, self._node)  # type: ignore[union-attr]
 
 
-class Process:
+class SimulatedProcess:
     """One process.
 
     Attributes:

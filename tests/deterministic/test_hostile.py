@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from .guests import Motion, Stamps, Strategy, Timing
-from .hostile import Case, case, run
+from .hostile import HostileCase, case, run
 from .innocence import Wrong
 
 PATIENT = 300  # ticks: enough to be frozen, expected again and frozen again
@@ -31,13 +31,13 @@ def test_honest_sessions_do_not_notice(seed: int) -> None:
 def test_lying_stamps_gain_nothing(clock: str) -> None:
     """A guest that moves six times as fast as its limit claims six periods in every tick."""
     lies = Strategy(stamps=Stamps.LONG, periods=6, motion=Motion.BANG, frequency=2.0)
-    outcome = run(Case(1, clock, 1, "plain", False, lies), PATIENT)
+    outcome = run(HostileCase(1, clock, 1, "plain", False, lies), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
 
 
 @pytest.mark.parametrize("late", [0.2, 0.7, 2.2])
 def test_guests_late_within_the_timeout_cost_others_only_a_transient(late: float) -> None:
-    outcome = run(Case(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
+    outcome = run(HostileCase(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
 
 

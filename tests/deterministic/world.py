@@ -41,7 +41,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
 from .guests import Guest
-from .process import Process, Witness
+from .process import SimulatedProcess, Witness
 from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
@@ -103,7 +103,7 @@ class SimulatedSession:
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
         self.shifts: list[ShiftCoupling] = []
         self._moved = moved
-        self.processes: dict[str, Process] = {}
+        self.processes: dict[str, SimulatedProcess] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
         self.heard = self.restarts = 0
@@ -181,7 +181,7 @@ class SimulatedSession:
     def _start(self, name: str) -> None:
         pid = next(self._pids)
         guest = self._guest if self._guest is not None and name == self._guest.name else None
-        process = Process(
+        process = SimulatedProcess(
             self._bundles[name], pid, self._wires, self.note, self.violate, self._moved, guest, self._witness
         )
         self.processes[name] = process
@@ -193,7 +193,7 @@ class SimulatedSession:
         delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
         process.turn = self.scheduler.begin(name, process.run, delay, lambda error: self._ended(process, error))
 
-    def _ended(self, process: Process, error: BaseException | None) -> None:
+    def _ended(self, process: SimulatedProcess, error: BaseException | None) -> None:
         """Report the end of a process; runs in its own thread."""
         code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
         if error is not None and not isinstance(error, Killed | Stopped):

@@ -44,7 +44,7 @@ JUNK = b"\xc1 rubbish"
 _T = TypeVar("_T")
 
 
-class Time:
+class LinkClock:
     """A clock that a link moves on."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Time:
 class Arriving:
     """A link on which a frame arrives now and then: so many ns after the one before was read."""
 
-    def __init__(self, time: Time, frames: Iterator[tuple[int, bytes]]) -> None:
+    def __init__(self, time: LinkClock, frames: Iterator[tuple[int, bytes]]) -> None:
         self._time, self._frames = time, frames
         self._next = self._following()
         self.reads = 0
@@ -105,9 +105,9 @@ class Ears:
 
 def waiting(
     frames: Iterator[tuple[int, bytes]], turns: bool = False
-) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, Time]:
+) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, LinkClock]:
     """A peer link whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
-    time = Time()
+    time = LinkClock()
     link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
     peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
@@ -156,7 +156,7 @@ def test_the_timeout_counts_from_the_beginning() -> None:
     """One stray after 4 of 5 ms, and then nothing: silence a timeout after the stray at the latest."""
     wait, _, _, _, time = waiting(iter([(4 * MS, JUNK)]))
     assert wait() is Received.NOTHING
-    assert time.ns <= Time().ns + 9 * MS
+    assert time.ns <= LinkClock().ns + 9 * MS
 
 
 def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
@@ -219,7 +219,7 @@ HIS = LinkHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, ("dx",))
 
 
 def joined(link: FrameLink | None, binds: bool = True) -> PeerLink:
-    return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
+    return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), LinkClock())  # type: ignore[arg-type]
 
 
 def heard_by(peer_link: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
@@ -401,7 +401,7 @@ def test_no_frame_raises_and_only_the_ticks_signal_is_admitted(coming: list[byte
 
 @pytest.mark.parametrize("indices", [slice(1, 3), np.array([2, 0])], ids=["a slice", "scattered"])
 def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np.ndarray) -> None:
-    time = Time()
+    time = LinkClock()
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("a", "b"))
     link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
     sent: list[bytes] = []
@@ -416,7 +416,7 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]
 
 
-class Scripted:
+class ScriptedPeerLink:
     """A link of which it is written what comes of it, one thing each time that it is listened to."""
 
     def __init__(self, name: str, script: list[Received], listened: list[str]) -> None:
@@ -436,7 +436,7 @@ def awaited(
 ) -> tuple[int | None, str]:
     """The result of :func:`await_all` after b was read last, with so many rounds allowed; and the links read."""
     listened: list[str] = []
-    links: Any = [Scripted(name, script, listened) for name, script in scripts.items()]
+    links: Any = [ScriptedPeerLink(name, script, listened) for name, script in scripts.items()]
     left = iter([Duration(1)] * rounds)
     found = await_all(
         links, links[1], [], 7, Ears(), lambda _link, heard, tick: moved(heard, tick), lambda _tick: next(left, None)

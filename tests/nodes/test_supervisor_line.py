@@ -384,7 +384,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert one.malformed == 0
 
 
-class Binding:
+class PartlyTakenTransport:
     """A transport of whose addresses some are taken."""
 
     def __init__(self, line: AnsweringLine, taken: frozenset[str]) -> None:
@@ -402,8 +402,10 @@ class Binding:
 
 
 class Test_a_place_for_a_peer_that_was_lost:
-    def bound_with(self, line: AnsweringLine, *taken: str, address: str = "10.0.0.1:7401", times: int = 1) -> Binding:
-        doors = Binding(line, frozenset(taken))
+    def bound_with(
+        self, line: AnsweringLine, *taken: str, address: str = "10.0.0.1:7401", times: int = 1
+    ) -> PartlyTakenTransport:
+        doors = PartlyTakenTransport(line, frozenset(taken))
         one = ControlLine(doors, common())  # type: ignore[arg-type]
         peer = Peer("cx", Role.COUPLING, ("dx",), binds=True, address=address)
         for _ in range(times):

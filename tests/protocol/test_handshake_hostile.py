@@ -91,7 +91,7 @@ ANSWERS: list[Message] = [Welcome(), Refusal("name", "no")]
 junk = st.binary(max_size=30) | strangers.map(encode) | others.map(encode)
 
 
-class Side:
+class RecordedSide:
     """One end, and a diary of what it was handed while it listened."""
 
     def __init__(self, own: LinkHello, hopes: LinkHello, opens: bool) -> None:
@@ -112,7 +112,7 @@ class AdversaryBetween(RuleBasedStateMachine):
     @initialize(pair=st.sampled_from(PAIRS))
     def begin(self, pair: tuple[LinkHello, LinkHello]) -> None:
         connects, binds = pair
-        self.sides = (Side(binds, connects, opens=False), Side(connects, binds, opens=True))
+        self.sides = (RecordedSide(binds, connects, opens=False), RecordedSide(connects, binds, opens=True))
         self.ways: tuple[list[bytes], list[bytes]] = ([], [])
         self.meddled = False
         for side in (1, 0):
@@ -302,7 +302,7 @@ def test_one_frame_too_many_at_any_point(pair: tuple[LinkHello, LinkHello], poin
     between.teardown()
 
 
-class Scripted:
+class ScriptedLink:
     """A link on which a script of frames and silences arrives, and the clock that passes with it."""
 
     def __init__(self, script: list[bytes | int], deaf: bool) -> None:
@@ -351,7 +351,7 @@ honest = st.sampled_from([encode(hello) for pair in PAIRS for hello in pair] + [
 def test_a_links_handshake_ends_in_time_with_a_clear_message(
     own: LinkHello, hopes: LinkHello, opens: bool, script: list[bytes | int], deaf: bool
 ) -> None:
-    handshake, link = side(own, hopes, opens), Scripted(script, deaf)
+    handshake, link = side(own, hopes, opens), ScriptedLink(script, deaf)
     try:
         peer = shake_hands(link, handshake, link, Instant(ALLOWED))
     except (HandshakeRefused, HandshakeTimeout) as error:
@@ -367,7 +367,7 @@ def test_a_links_handshake_ends_in_time_with_a_clear_message(
 
 
 def test_a_handshake_that_stops_half_way_ends_at_the_deadline() -> None:
-    link = Scripted([encode(COUPLING)], deaf=False)
+    link = ScriptedLink([encode(COUPLING)], deaf=False)
     handshake = side(ENVIRONMENT, COUPLING, opens=False)
     with pytest.raises(HandshakeTimeout, match=r"found no answer of cx in the time allowed \(awaiting welcome\)"):
         shake_hands(link, handshake, link, Instant(ALLOWED))

@@ -148,7 +148,7 @@ def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
     assert [row[0] for row in table("| count at the hub | is |")] == list(supervisor._refused)
 
 
-class Told:
+class LastMessageLine:
     """A node's line to the supervisor; only the last message matters."""
 
     def __init__(self) -> None:
@@ -175,7 +175,7 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
                 node = EnvironmentNode(bundle)
             case _:
                 continue
-        line = Told()
+        line = LastMessageLine()
         member = Member(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
         process._report(member, {}, Life.__new__(Life))
         own = [name for name in line.word.counts if name.removeprefix("dropped_") not in DROP_REASONS]

@@ -47,7 +47,7 @@ def hello_of(graph: Topology, node: str, endpoints: dict[str, str], pid: int = 1
 
 
 @dataclass
-class Process:
+class FakeProcess:
     """One process of a node.
 
     Attributes:
@@ -85,7 +85,7 @@ class FakeSession:
 
     def __init__(self, graph: Topology, conductor: Conductor) -> None:
         self.graph, self.conductor = graph, conductor
-        self.processes: dict[str, Process] = {}
+        self.processes: dict[str, FakeProcess] = {}
         self.said: deque[tuple[str, Message]] = deque()
         self.ended: deque[tuple[str, int]] = deque()
         self.killed: list[str] = []
@@ -150,7 +150,7 @@ class FakeSession:
         assert node not in self.processes, f"{node} was started while it still runs"
         assert all(ended != node for ended, _ in self.ended), f"{node} was started before its end was seen"
         binds = [link.connector for link in self.graph.links_of(node) if link.binder == node]
-        self.processes[node] = Process({peer: self._place(node, peer) for peer in binds})
+        self.processes[node] = FakeProcess({peer: self._place(node, peer) for peer in binds})
         pid = next(self._pids)
         if self.conductor.phase is SessionPhase.RUNNING and node not in self.conductor.remote:
             self.conductor.started(node, pid)
@@ -177,7 +177,7 @@ class FakeSession:
                 case ReleaseName():
                     pass
 
-    def _take(self, node: str, process: Process, message: Message) -> None:
+    def _take(self, node: str, process: FakeProcess, message: Message) -> None:
         match message:
             case Connect(endpoints):
                 expected = {link.binder for link in self.graph.links_of(node) if link.connector == node}

@@ -37,7 +37,7 @@ from tests.support.memory_transport import MemoryTransport
 PATIENCE = 30.0  # s, of a test for what must come
 
 
-class TestLine:
+class ThreadLine:
     """A node's line to the test.
 
     Attributes:
@@ -122,8 +122,8 @@ class ThreadedSession:
         self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, RunPlan(clock, None, "")).items()}
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
-        self.lines: dict[str, TestLine] = {}
-        self.all_lines: list[TestLine] = []
+        self.lines: dict[str, ThreadLine] = {}
+        self.all_lines: list[ThreadLine] = []
         self.lives: dict[str, Any] = {}
         self.nodes: dict[str, Node] = {}
         self.ends: dict[str, Future[None]] = {}
@@ -131,7 +131,7 @@ class ThreadedSession:
         self._awaited: list[threading.Event] = []
         self.error: BaseException | None = None
         self.epoch = Instant(RealtimeClock().now() + 50_000_000)
-        self.prepare: Callable[[str, TestLine], None] = lambda _name, _line: None
+        self.prepare: Callable[[str, ThreadLine], None] = lambda _name, _line: None
 
     def __enter__(self) -> ThreadedSession:
         links: dict[str, dict[str, Link]] = {name: {} for name in self.graph.nodes}
@@ -175,7 +175,7 @@ class ThreadedSession:
         self.nodes.update(zip(together, (leader, *carried), strict=True))
         for node in together:
             self._generation += 1
-            line = self.lines[node] = TestLine(self.transport, node, self._generation)
+            line = self.lines[node] = ThreadLine(self.transport, node, self._generation)
             self.all_lines.append(line)
             self.prepare(node, line)
             self.lives[node] = life

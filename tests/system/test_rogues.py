@@ -27,9 +27,9 @@ from .rogues.strangers import Fate
 from .rogues.strays import STRAYS
 
 
-def told() -> around.Told:
+def told() -> around.AttackResults:
     seen = surrounded().told
-    assert isinstance(seen, around.Told)
+    assert isinstance(seen, around.AttackResults)
     return seen
 
 

@@ -72,7 +72,7 @@ def granted(table: tuple[Capability, ...]) -> set[Grant]:
     return {(row.node, port, row.action, row.channel) for row in table if row.channel in SIGNALS for port in row.ports}
 
 
-class Binding:
+class BindingNotes:
     """Stands in for a transport, and notes each binding with its peer."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ def carried(bundles: Mapping[str, Bundle]) -> set[Grant]:
     found: set[Grant] = set()
     commons = {name: bundle.common for name, bundle in bundles.items()}
     for name, common in commons.items():
-        transport: Any = Binding()
+        transport: Any = BindingNotes()
         links, endpoints = bind_links(common, transport)
         assert len(set(transport.bound)) == len(transport.bound) == len(endpoints)
         for other in links:

@@ -59,7 +59,7 @@ def core_of(duration: float | None = None) -> AttachedCore:
     return AttachedCore(RecorderCore(RECORDED, ATTACHED, STARTED), RECORDED, duration, Instant(0))
 
 
-class Frames:
+class BroadcastFrames:
     """A broadcast of which these frames are seen, each ``each`` after the one before; then nothing."""
 
     def __init__(self, clock: SimulatedClock, frames: Iterable[bytes | None], each: Duration) -> None:
@@ -76,7 +76,7 @@ def written(
 ) -> list[bytes]:
     pieces: list[bytes] = []
     clock = SimulatedClock()
-    visit = Frames(clock, shown, Duration(FLUSH_EVERY // 4))
+    visit = BroadcastFrames(clock, shown, Duration(FLUSH_EVERY // 4))
     write_down(core, visit, lambda: gone, pieces.append, lambda: interrupted, clock, lambda _core: None)
     return pieces
 

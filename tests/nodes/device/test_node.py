@@ -28,7 +28,7 @@ SILENT = 5  # the tick from which on the coupling is silent
 REACH = 0.25  # m
 
 
-class Time:
+class SteppedTime:
     """Time that passes where something waits."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Time:
 class Coupling:
     """The other end of the device's link: it answers at once, then falls silent, then answers by ``later``."""
 
-    def __init__(self, time: Time, later: Callable[[int], Force | None]) -> None:
+    def __init__(self, time: SteppedTime, later: Callable[[int], Force | None]) -> None:
         self._time, self._later = time, later
         self._coming: deque[bytes] = deque()
         self.samples: list[Sample] = []
@@ -68,12 +68,12 @@ class Coupling:
         pass
 
 
-class Hand:
+class MovingDriver:
     """A driver that moves a little every period, notes when force is applied, and ends the session at last."""
 
     axes = 1
 
-    def __init__(self, time: Time, life: Any, periods: int, speed: float = 0.01) -> None:
+    def __init__(self, time: SteppedTime, life: Any, periods: int, speed: float = 0.01) -> None:
         self._time, self._life, self._periods, self._speed = time, life, periods, speed
         self.sampled: list[int] = []
         self.exerted: list[tuple[int, float]] = []
@@ -110,8 +110,8 @@ class Alone:
     ) -> None:
         bundle = cut(prepared, RunPlan(REALTIME, None, ""))["dx"]
         assert isinstance(bundle, DeviceBundle)
-        self.time, self.line, self.life = Time(), line, life
-        self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)
+        self.time, self.line, self.life = SteppedTime(), line, life
+        self.hand, self.coupling = MovingDriver(self.time, life, **hand), Coupling(self.time, later)
         node = self.node = DeviceNode(bundle, self.hand, self.time)  # type: ignore[arg-type]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)

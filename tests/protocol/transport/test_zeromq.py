@@ -33,7 +33,7 @@ def transport(make: Callable[[], ZmqTransport]) -> Iterator[ZmqTransport]:
     made.close()
 
 
-class Stranger:
+class ForeignProgram:
     """A program that speaks ZeroMQ, and not our protocol."""
 
     def __init__(self) -> None:
@@ -58,8 +58,8 @@ class Stranger:
 
 
 @pytest.fixture
-def stranger() -> Iterator[Stranger]:
-    outside = Stranger()
+def stranger() -> Iterator[ForeignProgram]:
+    outside = ForeignProgram()
     yield outside
     outside.leave()
 
@@ -187,7 +187,7 @@ def test_an_endpoint_that_zeromq_cannot_read_is_reported() -> None:
 
 
 def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
-    transport: ZmqTransport, stranger: Stranger
+    transport: ZmqTransport, stranger: ForeignProgram
 ) -> None:
     hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     node = transport.join(endpoint, "dx")
@@ -201,7 +201,7 @@ def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
     assert hub.recv() == ("dx", b"still here")
 
 
-def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: Stranger) -> None:
+def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: ForeignProgram) -> None:
     bound, endpoint = transport.bind("cx", "dx")
     connected = transport.connect(endpoint, "supervisor")
     assert connected.send(b"first")
@@ -216,7 +216,7 @@ def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger:
 
 
 def test_a_hub_counts_and_drops_anything_except_named_nodes_single_frames(
-    transport: ZmqTransport, stranger: Stranger
+    transport: ZmqTransport, stranger: ForeignProgram
 ) -> None:
     hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     assert isinstance(hub, ZmqHub)

@@ -65,7 +65,7 @@ WRITES: Final = (
 
 
 @dataclass(frozen=True)
-class Told:
+class AttackResults:
     """The observations of the attackers.
 
     Attributes:
@@ -85,7 +85,7 @@ class Told:
     queued: int
 
 
-def attack(stage: RogueSession) -> Told:
+def attack(stage: RogueSession) -> AttackResults:
     """Make every attack while the session runs."""
     with Stranger() as stranger:
         line, told, observations = _look_on(stage, stranger)
@@ -102,7 +102,7 @@ def attack(stage: RogueSession) -> Told:
         queued = _flood(stage, line, refused)
         line.close()
         told.close()
-    return Told(met, without, refused, lies, observations, queued)
+    return AttackResults(met, without, refused, lies, observations, queued)
 
 
 def _settled(refused: Mapping[str, int]) -> bool:
