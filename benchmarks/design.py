@@ -2,7 +2,7 @@
 
     python benchmarks/design.py [--ports 3 6 12 ...] [--limit SECONDS] [--memory GIB] [--repeats N] [--to FOLDER]
 
-Every run is a process of its own, with a limit on time and memory, so that no run warms another one up and peak memory
+Every run is a process of its own, with a limit on time and memory, so that no run warms the next one up and peak memory
 is its own; methods are interleaved, so that a machine that slows down slows all of them. Linear algebra has one
 thread, as in the command line. Of the repeats the median is shown, with least and greatest. Measured is from the
 physical data to the proved certificate (for the transcription: to its last iterate), without the interpreter's start.

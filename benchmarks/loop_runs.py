@@ -25,7 +25,7 @@ class Run:
         processes: how many, whatever started them.
         cpu: processors used, all processes together.
         resident: MiB at the end of those that could be looked at, together.
-        told: what the middleware is.
+        told: the description of the middleware.
     """
 
     tau_us: dict[str, dict[str, float]]

@@ -59,13 +59,13 @@ class Unit:
 
 @dataclass
 class Module:
-    """What a module's source says.
+    """The content of a module's source.
 
     Attributes:
         code: the statements of every unit.
         package: where its relative imports begin.
         imports: what each name that is imported at the top level stands for: a module, or a name in one.
-        registered: units that a decorator hands to somebody else.
+        registered: units that a decorator passes to other code.
     """
 
     name: str
@@ -91,7 +91,7 @@ def sources(top: Path, name: str) -> dict[str, Module]:
 
 
 def module_of(name: str, package: str, text: str) -> Module:
-    """What a module's source says."""
+    """The content of a module's source."""
     module = Module(name, package)
     top = Unit(name)
     module.code[top] = []

@@ -75,7 +75,7 @@ class Innocence:
             rest: whether the honest hands rest: then all energy that others receive is the guest's.
             tolerated: whether the guest is late by what the ladder was made for: others may be softened for it, and
                 what is covered is its last rung's delay.
-            told: whether it may be told of the others what they measure: the guest is within the allowance at times.
+            told: whether the others' measurements may be reported: the guest is within the allowance at times.
         """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None

@@ -79,7 +79,7 @@ class NotedLog(Log):
 
 
 class SimulatedLine(ControlLine):
-    """A line to the supervisor that says a process id of its own."""
+    """A line to the supervisor that reports a process id of its own."""
 
     pid = 0
     silent = False

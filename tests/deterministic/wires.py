@@ -109,8 +109,8 @@ class Wires:
     """All endpoints of a session, and the nodes at its hub.
 
     Attributes:
-        endpoints: by what a node is told to connect to.
-        seen: told of every frame between nodes as it is sent: the process, the peer, the frame.
+        endpoints: the wires, by the endpoint that a node receives.
+        seen: called with every frame between nodes as it is sent: the process, the peer, the frame.
     """
 
     def __init__(self, scheduler: Scheduler, hear: Callable[[str, bytes], None]) -> None:

@@ -88,7 +88,7 @@ class SimulatedSession:
             frames: whether every frame between nodes is noted, too.
             ticks: of the session; 0 for one that goes on until it is ended.
             moved: makes another driver of each device's own, by its name.
-            guest: who leads one of the devices, from another machine; None for a session of honest users.
+            guest: leads one of the devices, from a remote machine; None for a session of honest users.
             witness: looks at every tick and every telemetry; None for nobody.
         """
         self.scheduler = Scheduler(seed)

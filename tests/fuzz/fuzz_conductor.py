@@ -1,6 +1,6 @@
 """Any messages from nodes and strangers to the conductor, in any order, between the ends of processes, deadlines and
-Ctrl-C: it never raises, everything it says can be sent, and a session only moves forward. Nodes come back no more often
-than their budgets allow, and nobody who runs is moved by what another one says.
+Ctrl-C: it never raises, every message of it can be sent, and a session only moves forward. Nodes come back at most as
+often as their budgets allow, and a message of one node moves no other running node.
 """
 
 from __future__ import annotations

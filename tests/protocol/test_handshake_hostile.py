@@ -102,7 +102,7 @@ class RecordedSide:
 
 
 class AdversaryBetween(RuleBasedStateMachine):
-    """Two honest sides; every frame on its way is in the hands of the adversary, who may also invent some.
+    """Two honest sides; the adversary controls every frame between them and may invent frames.
 
     Frames wait in two lists, ``ways``: 0 to the side that binds, 1 to the one that connects.
     """

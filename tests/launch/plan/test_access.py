@@ -39,7 +39,7 @@ Pattern = NDArray[np.bool_]
 def needed_by(V: StateSpace, orders: Mapping[str, int], ports: tuple[str, ...]) -> set[Grant]:
     """What each process must read and write, from the nonzero entries of the whole V and nothing else.
 
-    The states of V are stacked by block; ``orders`` says how many belong to each. A process reads f_v of the ports
+    The states of V are stacked by block; ``orders`` has the number of each. A process reads f_v of the ports
     whose force reaches its states and hands it on to their devices; it moves the tools that its states reach, each from
     the displacement x of that port. A direct entry of D_V belongs to the process that its tool or its force does.
     """

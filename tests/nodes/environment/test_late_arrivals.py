@@ -111,7 +111,7 @@ def test_on_a_slow_machine_members_late_in_turns_stay_active() -> None:
 
 
 def test_who_is_never_late_spares_nobody() -> None:
-    """Two in turns, and one that is on time: what the two have in common is not everybody's."""
+    """Two in turns, and one that is on time: the delay that the two share is not common to all."""
     late = LateArrivals(3, T, HALF)
     frozen = set()
     for tick in range(3 * BURST):

@@ -20,7 +20,7 @@ SAID = [b"push", b"pull", b"let go"]
 
 
 class Tap:
-    """A relay between one client and its server, who keeps what the client sends, piece by piece.
+    """A relay between one client and its server that keeps what the client sends, piece by piece.
 
     Attributes:
         address: where the client connects to.
