@@ -129,7 +129,11 @@ FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest node send
 
 
 class Supervisor:
-    """One run of one session."""
+    """One run of one session.
+
+    Attributes:
+        conductor: the state of the session and of each node.
+    """
 
     def __init__(
         self,
@@ -168,10 +172,10 @@ class Supervisor:
         self._show = show
         self._graph = prepared.graph
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
-        self._conductor = Conductor(
+        self.conductor = Conductor(
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
         )
-        self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
+        self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
         self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
@@ -204,7 +208,7 @@ class Supervisor:
                 finally:
                     self._log.note(LogEvent.END, reason=str(interrupt.signal or "over"))
                     self._log.close()
-            return self._outcome(interrupt.signal)
+            return self.outcome(interrupt.signal)
 
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
         reach = self._reach
@@ -216,7 +220,7 @@ class Supervisor:
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
             members = (*self._graph.nodes, *self._session.observers)
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
-            self._conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
+            self.conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
             self._recorder.start(directory)  # first, so that it is ready by the time the nodes are
             run = RunPlan(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
@@ -239,7 +243,7 @@ class Supervisor:
         """The loop: wait for any event, pass it to the conductor, carry out its instructions, until the session is
         over.
         """
-        conductor, clock, recorder = self._conductor, self._clock, self._recorder
+        conductor, clock, recorder = self.conductor, self._clock, self._recorder
         phase, deadline = conductor.phase, Instant(clock.now() + STARTUP_TIME)
         shown, reported = Instant(0), 0
         per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
@@ -252,7 +256,7 @@ class Supervisor:
             ready = hub.wait(Duration(timeout), fds, frames=pause == 0 and recorder.has_room)
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
-                self._carry_out(conductor.interrupt(), hub, processes)
+                self.carry_out(conductor.interrupt(), hub, processes)
             # reading is bounded in frames and in time: processes, signals and deadlines are served even in a flood
             until = clock.now() + READING_TIME
             while allowance.pause(clock.now()) == 0 and clock.now() < until and recorder.has_room:
@@ -261,17 +265,17 @@ class Supervisor:
                 allowance.spend(hub.handled - before, clock.now())  # frames that the hub dropped count, too
                 if received is None:
                     break
-                self._receive(*received, hub, processes)
+                self.receive(*received, hub, processes)
             self._note_incident(recorder.attend(ready))
             if not recorder.has_room:  # we do not read now, so no node counts as silent
                 for name in self._reach.remote:
                     self._heard.note(name, clock.now())
             for name in self._silent():
-                self._carry_out(conductor.silent(name, clock.now()), hub, processes)
+                self.carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
                 self._log.note(LogEvent.EXITED, peer=name, code=code)
-                self._carry_out(conductor.exited(name, code, clock.now()), hub, processes)
-            self._carry_out(conductor.look(clock.now()), hub, processes)
+                self.carry_out(conductor.exited(name, code, clock.now()), hub, processes)
+            self.carry_out(conductor.look(clock.now()), hub, processes)
             if conductor.phase is not phase:
                 phase, shown = conductor.phase, Instant(0)
                 self._log.note(LogEvent.PHASE, phase=phase.value)
@@ -285,13 +289,13 @@ class Supervisor:
             elif conductor.phase is SessionPhase.RUNNING and len(conductor.reports) > reported:
                 reported, deadline = len(conductor.reports), Instant(clock.now() + CLOSING_TIME)
             elif clock.now() >= deadline:
-                self._carry_out(conductor.too_late(), hub, processes)
+                self.carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
             if clock.now() - shown >= REFRESH:
                 shown = clock.now()
                 self._log.flush()
                 self._tally(hub, transport)
-                self._report(self._progress(processes))
+                self._report(self.progress(processes))
         self._tally(hub, transport)
         for fault in conductor.faults:
             self._log.note(LogEvent.FAULT, text=fault)
@@ -301,7 +305,7 @@ class Supervisor:
             self._log.note(LogEvent.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
-        self._report(self._progress(processes))
+        self._report(self.progress(processes))
 
     def _report(self, progress: Progress) -> None:
         """Report the session's condition to the display, the recorder and the observers."""
@@ -315,38 +319,42 @@ class Supervisor:
 
     def _note_incident(self, incident: str | None) -> None:
         if incident is not None:
-            self._conductor.incidents.add(incident)
+            self.conductor.incidents.add(incident)
 
     def _silent(self) -> list[str]:
         """Remote nodes that run and have not been heard from for too long."""
-        conductor = self._conductor
+        conductor = self.conductor
         running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
         return self._heard.quiet(running, self._clock.now(), REMOTE_SILENCE)
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
-        counts = {**transport.refused(), **hub.dropped, "out_of_turn": self._conductor.ignored}
+        counts = {**transport.refused(), **hub.dropped, "out_of_turn": self.conductor.ignored}
         counts["telemetry_that_does_not_fit"] = self._collector.refused + self._untimely
         self._refused = {kind: count for kind, count in counts.items() if count > 0}
 
-    def _receive(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+    def receive(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+        """Decode one frame of the hub, pass it to the conductor, and carry out what the conductor decides.
+
+        Telemetry of a tick that cannot have run yet is counted and dropped.
+        """
         if sender in self._reach.remote:
             self._heard.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry) and message.tick > self._most_ticks():
             self._untimely += 1
             return
-        self._carry_out(self._conductor.receive(sender, message, self._clock.now()), hub, processes)
-        if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
+        self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
+        if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._reported.note(sender, self._clock.now())
             for deed in self._assumptions.check(sender, message):
                 match deed:
                     case ShiftCoupling(coupling, rung):
-                        self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
+                        self.carry_out(self.conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
-                        self._carry_out(self._conductor.stop(reason), hub, processes)
+                        self.carry_out(self.conductor.stop(reason), hub, processes)
             for sentence in self._energy.receive(sender, message):
-                self._conductor.note(sentence, self._clock.now())
+                self.conductor.note(sentence, self._clock.now())
             message = names.shown(message)
             self._observer_broadcast.send(sender, message)
             observation = observation_frame(sender, message)
@@ -360,9 +368,10 @@ class Supervisor:
     def _most_ticks(self) -> int:
         now = self._clock.now()
         elapsed = Duration(now - (now if self._began is None else self._began))
-        return most_ticks(elapsed, self._session.period, self._clock_name, self._conductor.ticks)
+        return most_ticks(elapsed, self._session.period, self._clock_name, self.conductor.ticks)
 
-    def _carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
+    def carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
+        """Do what the conductor decided: send messages, release names, start and end processes."""
         for instruction in instructions:
             match instruction:
                 case Send(node, message):
@@ -400,14 +409,15 @@ class Supervisor:
             self._start_process(name, processes)
             for node in self._graph.together(name):
                 if node in processes.pids:
-                    self._conductor.started(node, processes.pids[node])
+                    self.conductor.started(node, processes.pids[node])
         except OSError as error:
             now = self._clock.now()
-            self._carry_out(self._conductor.not_started(name, str(error.strerror), now), hub, processes)
+            self.carry_out(self.conductor.not_started(name, str(error.strerror), now), hub, processes)
 
-    def _progress(self, processes: Processes) -> Progress:
+    def progress(self, processes: Processes) -> Progress:
+        """The state of the session now, for the table and the observers."""
         elapsed = 0.0 if self._began is None else seconds(Duration(self._clock.now() - self._began))
-        conductor = self._conductor
+        conductor = self.conductor
         running = [name for name, state in conductor.states.items() if state is NodeState.RUNNING]
         return Progress(
             conductor.phase,
@@ -422,8 +432,13 @@ class Supervisor:
             tuple(conductor.faults),
         )
 
-    def _outcome(self, ended_by: signal.Signals | None) -> Outcome:
-        conductor, recorder = self._conductor, self._recorder
+    def outcome(self, ended_by: signal.Signals | None) -> Outcome:
+        """The result of the run: exit code, faults, report and recording.
+
+        Args:
+            ended_by: the signal that interrupted the run, if one did.
+        """
+        conductor, recorder = self.conductor, self._recorder
         if recorder.failure is not None:
             conductor.faults.append(recorder.failure)
         code = EXIT_FAILED if conductor.faults else EXIT_OK

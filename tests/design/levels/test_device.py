@@ -108,7 +108,7 @@ def test_pieces_prove_it_in_exact_arithmetic(tau_hat: float, above: float) -> No
 
 @given(st.floats(1e-4, 1e-2), st.floats(0.0, 1.0), ABOVE)
 def test_a_quotient_that_is_rounded_leaves_the_claim_true(T: float, part: float, above: float) -> None:
-    """Whoever proves it divides tau by T exactly."""
+    """A proof divides tau by T exactly."""
     tau = part * T
     exact = Fraction(tau) / Fraction(T)
     kappa = least_gain(tau / T) + above
@@ -131,7 +131,7 @@ def test_gain_and_share_are_inverse(tau_hat: float, part: float) -> None:
 
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.99))
 def test_the_gain_knows_what_pieces_cost(tau_hat: float, part: float) -> None:
-    """At the gain for 16 pieces they prove the share, but for the safety; a little below they do not."""
+    """At the gain for 16 pieces they prove the share, except for the safety margin; a little below they do not."""
     share = part * greatest_share(tau_hat)
     kappa = gain_for_share(share, tau_hat, PIECES)
     assert kappa is not None

@@ -46,7 +46,7 @@ def test_equal_masses_that_are_joined_are_passive(more: tuple[NetworkLink, ...])
     assert analyse(of_equal_masses(2, 0.1, 100.0, 1e-6, *more)).holds
 
 
-def test_what_is_hidden_saves_nobody_who_is_not_passive() -> None:
+def test_hidden_motions_make_no_system_passive() -> None:
     """The reachable part decides: a level that two masses lack is refused with the same reason as for their sum."""
     finding = analyse(of_equal_masses(2, 0.1, 100.0, 1e-3), Phi=np.array([[1.0]]))
     assert not finding.holds

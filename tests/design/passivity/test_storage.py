@@ -91,7 +91,7 @@ def test_every_point_of_a_face_is_on_it(problems, data: st.DataObject, seed: int
         np.testing.assert_allclose(face.complement.T @ pairs, 0.0, atol=1e-12)
 
 
-def test_off_the_face_the_residual_says_so(problems) -> None:
+def test_off_the_face_the_residual_shows_it(problems) -> None:
     E_hat = problems.network.transformed_environment(problems.T)
     assert equality_residual(E_hat, np.eye(5), "input") < 1e-12
     assert equality_residual(E_hat, np.eye(5) + 1e-3 * np.ones((5, 5)), "input") > 1e-6

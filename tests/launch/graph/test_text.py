@@ -127,7 +127,7 @@ def test_both_forms_say_all_there_is(drawn_sessions: st.SearchStrategy[Session],
     assert [(*link["between"], *link["ports"]) for link in plain["links"]] == [
         (link.binder, link.connector, *link.ports) for link in graph.links
     ]
-    # what the links say that each end writes is what the table says that it may
+    # each end writes on the links exactly what the table allows it
     writes = {
         (end, channel, other)
         for link in plain["links"]

@@ -146,7 +146,7 @@ def test_a_node_more_gets_a_key_and_nobody_else(folder: Path) -> None:
     assert {name: new[name] for name in old} == old
 
 
-def test_a_node_less_is_told_and_left(folder: Path) -> None:
+def test_a_removed_node_is_reported_and_left(folder: Path) -> None:
     make_keys(TWO, folder)
     before = contents(folder)
     (folder / "private" / "notes.txt").write_text("not a key")
@@ -231,7 +231,7 @@ def test_a_first_run_that_is_interrupted_can_be_repeated(
     assert {name: keys.pair(name).public for name in NAMES} == dict(keys.public.keys)
 
 
-def test_an_addition_that_is_interrupted_leaves_the_public_keys_and_can_be_repeated(
+def test_an_interrupted_addition_keeps_the_public_keys_and_can_be_repeated(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_keys(ONE, folder)
@@ -246,9 +246,7 @@ def test_an_addition_that_is_interrupted_leaves_the_public_keys_and_can_be_repea
     assert load_folder(TWO, folder).pair("dy") == load_private(key(folder, "dy"), "s", "dy")
 
 
-def test_a_renewal_that_is_interrupted_is_told_and_can_be_repeated(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_renewal_is_reported_and_can_be_repeated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_keys(ONE, folder)
     with monkeypatch.context() as patch:
         failing_replace(patch, "public.json")
@@ -285,11 +283,9 @@ def test_two_runs_at_once_are_refused(folder: Path) -> None:
     assert make_keys(TWO, folder).new == ("dy", "cdy")
 
 
-def test_a_file_system_that_locks_no_folders_is_used_all_the_same(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_without_folder_locks_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locks(_descriptor: int, _how: int) -> None:
-        raise OSError(9, "Bad file descriptor")  # what NFS says to an exclusive lock of what is open for reading
+        raise OSError(9, "Bad file descriptor")  # the error of NFS for an exclusive lock on a file open for reading
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     assert make_keys(ONE, folder).new == NAMES
@@ -331,7 +327,7 @@ def test_a_private_key_that_is_a_link_is_refused(folder: Path, tmp_path: Path) -
     assert elsewhere.read_bytes() == before
 
 
-def test_a_private_folder_that_is_a_link_or_a_file_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_link_or_file_as_private_folder_is_refused(folder: Path, tmp_path: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private").rename(tmp_path / "elsewhere")
     (folder / "private").symlink_to(tmp_path / "elsewhere")
@@ -450,7 +446,7 @@ def test_keys_of_one_run(tmp_path: Path) -> None:
         keys.pair("dy")
 
 
-def test_a_node_is_given_the_file_where_its_key_is_kept_or_one_of_this_run(folder: Path, tmp_path: Path) -> None:
+def test_a_node_gets_its_kept_key_file_or_this_runs(folder: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir(mode=0o700)
     make_keys(ONE, folder)
@@ -464,7 +460,7 @@ def test_a_node_is_given_the_file_where_its_key_is_kept_or_one_of_this_run(folde
     assert load_private(run / "dx.key", "s", "dx") == keys.pair("dx")
 
 
-# --- told
+# --- reported
 
 
 def command(session: Session, folder: Path, *renew: str, as_json: bool = False) -> tuple[int, str, str]:
@@ -473,7 +469,7 @@ def command(session: Session, folder: Path, *renew: str, as_json: bool = False) 
     return (code, *(console.file.getvalue() for console in (out, err)))  # type: ignore[attr-defined]
 
 
-def test_the_command_tells_who_got_what(folder: Path) -> None:
+def test_the_command_prints_each_nodes_keys(folder: Path) -> None:
     folder = folder / "of [red] hands"  # what a terminal's markup would swallow
     code, out, err = command(TWO, folder)
     assert code == 0
@@ -509,7 +505,7 @@ def test_the_command_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -
     }  # fmt: skip
 
 
-def test_a_name_that_a_terminal_would_obey_is_not_told(folder: Path) -> None:
+def test_a_name_that_a_terminal_would_obey_is_not_printed(folder: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private" / "\x1b[2J.key").write_text("")
     assert make_keys(ONE, folder).stale == ()

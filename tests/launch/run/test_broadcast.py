@@ -1,4 +1,4 @@
-"""What an observer is told: the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
+"""An observer receives the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def test_only_what_may_be_read_is_visible(
     assert visible("n", telemetry, channels) == Observation("n", telemetry.tick, figures, traces)
 
 
-def test_nothing_is_said_where_nothing_may_be_read() -> None:
+def test_nothing_is_sent_where_nothing_may_be_read() -> None:
     assert visible("dx", OF_DEVICE, ()) is None
     assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
 
 
-def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
+def test_each_observer_gets_its_own_topics_and_strangers_get_nothing() -> None:
     told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))

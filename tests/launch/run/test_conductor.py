@@ -1,4 +1,4 @@
-"""The supervisor's decisions, without a process: every event in, every instruction out."""
+"""The supervisor's decisions without a process: every event in, every instruction out."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_node_that_dies_ends_the_session(state: str, code: int, words: str) ->
     assert len(c.faults) == 1
 
 
-def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_0() -> None:
+def test_an_early_end_without_report_is_a_fault_despite_exit_0() -> None:
     c = running()
     assert c.exited("dx", 0, 0) == [Terminate()]
     assert "ended with exit code 0 while running" in c.faults[0]
@@ -122,7 +122,7 @@ def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_
         ({"endpoints": {"dy": "ipc://b"}}, "found endpoints for dy; expected them for dx"),
     ],
 )
-def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, object], words: str) -> None:
+def test_a_foreign_node_is_refused_with_the_reason(changes: dict[str, object], words: str) -> None:
     c = conductor()
     out = c.receive("cx", hello("cx", **changes), 0)
     first = out[0]
@@ -173,7 +173,7 @@ def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
     assert c.faults == []
 
 
-def test_a_start_up_that_takes_too_long_says_who_is_missing_and_a_stubborn_process_is_killed() -> None:
+def test_a_slow_start_names_missing_nodes_and_stubborn_processes_are_killed() -> None:
     c = conductor()
     c.receive("dx", hello("dx"), 0)
     assert c.too_late() == [Terminate()]
@@ -183,7 +183,7 @@ def test_a_start_up_that_takes_too_long_says_who_is_missing_and_a_stubborn_proce
     assert running().too_late() == []
 
 
-def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
+def test_a_fault_and_the_exit_after_it_count_once() -> None:
     c = running()
     assert c.receive("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("received")), Terminate()]
     assert c.states["cx"] is NodeState.FAULTED
@@ -191,7 +191,7 @@ def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
     assert c.faults == ["cx: no more"]
 
 
-def test_a_clock_may_be_asked_for_until_a_node_is_ready_and_while_it_runs() -> None:
+def test_the_clock_is_answered_until_a_node_is_ready_and_running() -> None:
     c = conductor("dx")
     assert c.receive("dx", Probe(7), 100) == []  # a stranger as yet
     for name in GRAPH.nodes:
@@ -224,13 +224,13 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
 
 
 @pytest.mark.parametrize("ticks", [5, 0])
-def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(ticks: int) -> None:
+def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     c = running("dx", ticks=ticks, restarts=1)
     report = Report(4, {}, {}, {})
     assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
     assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
     assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
-    assert (c.left, c.reports) == ({"dx": report}, {})  # nobody waits for the others to be done, too
+    assert (c.left, c.reports) == ({"dx": report}, {})  # the session does not wait for the others, too
     c.receive("cx", Offer("dx", "ipc://cx-dx.1"), 0)
     assert c.receive("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
     c.receive("dx", Ready(), 0)
@@ -242,9 +242,7 @@ def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(
 
 
 @pytest.mark.parametrize(("restarts", "together"), [(0, False), (3, True)])
-def test_a_guest_that_leaves_ends_a_session_that_is_to_stay_together_or_restarts_nobody(
-    restarts: int, together: bool
-) -> None:
+def test_a_leaving_guest_ends_sessions_that_stay_together_or_restart_nobody(restarts: int, together: bool) -> None:
     c = running("dx", restarts=restarts, together=together)
     c.receive("dx", Report(4, {}, {}, {}), 0)
     assert c.phase is SessionPhase.ENDING
@@ -264,7 +262,7 @@ def test_a_guest_that_ends_while_others_are_awaited_may_join_again() -> None:
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_but_not_where_its_peers_already_shake_hands_with_it_or_all_stay_together(together: bool) -> None:
+def test_a_guest_interrupted_in_its_handshakes_ends_the_session(together: bool) -> None:
     c = conductor("dx", together=together)
     for name in ["dx"] if together else GRAPH.nodes:
         c.receive(name, hello(name), 0)
@@ -273,7 +271,7 @@ def test_but_not_where_its_peers_already_shake_hands_with_it_or_all_stay_togethe
     assert c.faults == ["dx: its user ended it"]
 
 
-def test_a_node_that_leaves_early_once_the_session_ends_is_no_fault() -> None:
+def test_leaving_early_while_the_session_ends_is_no_fault() -> None:
     c = running(ticks=0)
     c.interrupt()
     for name in GRAPH.nodes:
@@ -288,7 +286,7 @@ def refused(instructions: list[object]) -> RefusalCode | None:
 
 
 class Test_nodes_that_are_started_elsewhere:
-    def test_one_is_awaited_until_it_has_said_hello(self) -> None:
+    def test_a_guest_is_awaited_until_its_hello(self) -> None:
         c = conductor("dx", "dz")
         assert c.awaited == ("dx", "dz")
         c.receive("dx", hello("dx"), 0)
@@ -350,7 +348,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.states["dx"] is NodeState.ENDED
         assert c.reports == {}
 
-    def test_an_end_is_told_to_those_who_hear_no_signal_of_ours(self) -> None:
+    def test_guests_receive_the_end_as_a_message(self) -> None:
         c = running("dx", "cy")
         assert c.interrupt() == [
             Terminate(),
@@ -358,7 +356,7 @@ class Test_nodes_that_are_started_elsewhere:
             Send("cy", Stop("the session ends")),
         ]
 
-    def test_those_who_never_came_are_not_waited_for_at_the_end(self) -> None:
+    def test_guests_that_never_came_are_not_awaited_at_the_end(self) -> None:
         c = conductor("dx")
         for name in GRAPH.nodes:
             if name != "dx":
@@ -370,7 +368,7 @@ class Test_nodes_that_are_started_elsewhere:
                 c.exited(name, 0, 0)
         assert c.phase is SessionPhase.OVER
 
-    def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
+    def test_nodes_that_do_not_end_in_time_are_given_up(self) -> None:
         c = running("dx")
         c.interrupt()
         for name in GRAPH.nodes:
@@ -410,7 +408,7 @@ def vars_of(message: NodeHello) -> dict[str, object]:
 
 class Test_observers:
     @pytest.mark.parametrize("c", [conductor(), running(), running("dx")], ids=["starting", "running", "with a guest"])
-    def test_one_is_told_its_own_place_whenever_it_comes_and_changes_nothing(self, c: Conductor) -> None:
+    def test_an_observer_receives_its_endpoint_each_time_and_changes_nothing(self, c: Conductor) -> None:
         before = dict(c.states), c.phase
         for _ in range(3):
             assert c.receive("watch", observer("watch"), 0) == [
@@ -422,7 +420,7 @@ class Test_observers:
         assert (dict(c.states), c.phase) == before
         assert (c.faults, c.ignored) == ([], 0)
 
-    def test_places_that_are_known_only_later_are_told_as_well(self) -> None:
+    def test_endpoints_known_only_later_are_sent_as_well(self) -> None:
         """The supervisor binds them after it has made its conductor."""
         c = Conductor(GRAPH, "c", "example-1", 5)
         c.observers = {"watch": "ipc:///late"}
@@ -440,7 +438,7 @@ class Test_observers:
             ({"endpoints": {"dx": "tcp://192.0.2.1:1"}}, RefusalCode.ENDPOINTS),
         ],
     )
-    def test_one_that_does_not_belong_is_refused_and_the_session_goes_on(
+    def test_a_foreign_observer_is_refused_and_the_session_goes_on(
         self, changes: dict[str, object], code: RefusalCode
     ) -> None:
         c = running()
@@ -449,7 +447,7 @@ class Test_observers:
         assert out[1:] == [ReleaseName("watch")]
         assert (c.phase, c.faults, c.ignored) == (SessionPhase.RUNNING, [], 1)
 
-    def test_whatever_else_it_says_is_counted_and_not_heard(self) -> None:
+    def test_any_other_message_is_counted_and_ignored(self) -> None:
         c = running()
         c.receive("watch", observer("watch"), 0)
         before = dict(c.states)

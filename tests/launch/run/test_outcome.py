@@ -1,4 +1,4 @@
-"""The report of a run: what nodes say at their end goes in, one JSON object comes out, whatever they say."""
+"""The report of a run: the nodes' final messages go in, one JSON object comes out, whatever they contain."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_incidents_are_listed_where_there_were_any() -> None:
 
 
 @given(reports)
-def test_whatever_a_node_says_there_is_a_report_that_can_be_written_and_shown(report: Report) -> None:
+def test_any_node_message_gives_a_report_that_can_be_shown(report: Report) -> None:
     received = decode(encode(report), MAX_CONTROL_BYTES)
     assert isinstance(received, Report)
     made = whole({"dx": received})

@@ -1,4 +1,4 @@
-"""Who may open the page: names of the host, origins, tokens, and files that hold one."""
+"""Access to the page: names of the host, origins, tokens, and the files that hold tokens."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_outside_any_address_and_the_own_name_are_ours() -> None:
     assert not LOOPBACK.host_is_ours(host("192.0.2.7:8000"))
 
 
-def test_a_host_that_is_missing_or_said_twice_is_not_ours() -> None:
+def test_a_missing_or_repeated_host_is_refused() -> None:
     assert not LOOPBACK.host_is_ours([])
     assert not LOOPBACK.host_is_ours(host("localhost:8000") * 2)
 

@@ -1,4 +1,4 @@
-"""How the session is goes to whoever looks on and to the recorder, and what is too long to be said ends nothing."""
+"""The session's condition goes to observers and recorder; one too long for a frame ends nothing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class Ear(Recorder):
-    """Keeps what it is told."""
+    """Keeps every message."""
 
     def __init__(self) -> None:
         self.told: list[bytes | None] = []
