@@ -243,7 +243,7 @@ class EnforcedCore:
         self._compliance = self._S[:, None] * whole * self._S
 
     def _stiffness_of(self, D_V: Vector) -> Vector:
-        """D_V^{-1}, N/m: the couplings' stiffness against a displacement within one tick; only a controller needs it."""
+        """D_V^{-1}, N/m: the couplings' stiffness within one tick; D_V itself without a controller, which needs it."""
         if self.controller is None:
             return D_V
         if not float(np.linalg.eigvalsh((D_V + D_V.T) / 2.0)[0]) > 0.0:

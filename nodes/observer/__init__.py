@@ -1,5 +1,5 @@
-"""An observer: reads what its session lists for it, and writes nothing.
+"""An observer: it reads the nodes that its session permits, and writes nothing into the session.
 
-Read ``scene`` first (what is known of a session), then ``tracks`` (the last seconds of each trace), ``alarms``, and
-``node`` (the process that prints).
+Read ``scene`` first (the session as an observer sees it), then ``tracks`` (the last seconds of each trace), ``alarms``,
+and ``node`` (the process that prints).
 """

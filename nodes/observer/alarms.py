@@ -1,8 +1,8 @@
-"""What of a running session a person should know at once, since when, and what to do about it. Pure.
+"""The alarms of a running session: what a person should know at once, since when, and what to do about it. Pure.
 
-An alarm is raised when its cause is first seen, and cleared when the cause has been away for a while, so that what
-comes and goes with every telemetry is one alarm and not ten a second. What the session tells in sentences (notices,
-incidents, faults) has happened and is not cleared.
+An alarm is raised when its cause is first seen, and cleared when the cause has been away for a while. So a cause that
+comes and goes with every telemetry is one alarm, and not ten a second. Notices, incidents and faults of the session
+have happened, and are not cleared.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ HOLD: Final = from_seconds(2.0)
 """How long a cause must be away before its alarm is cleared."""
 
 UNHEARD: Final = from_seconds(3.0)
-"""How long nothing at all may come from a session that is not over."""
+"""How long a session that is not over may be silent before an alarm is raised."""
 
 MOST_ALARMS: Final = 1000
-"""How many are kept; of more, the cleared ones go first, then the oldest. Sentences alone may be 384."""
+"""The most alarms kept. Of more, the cleared ones go first, then the oldest. Sentences alone may be 384."""
 
 LEDGER_BOUND: Final = 0.0
-"""-V(psi_0) of every party, J: what its ledger may not fall below, for all start at rest."""
+"""The bound of every party's ledger, -V(psi_0), J: 0, for all parties start at rest."""
 
 LEDGER_ROUNDING: Final = 1e-9
-"""What the sums of a long session may be wrong by, J."""
+"""The greatest error of a ledger's sum in a long session, J."""
 
 
 class AlarmLevel(StrEnum):
-    """How grave an alarm is; the graver the later."""
+    """The gravity of an alarm, in rising order."""
 
-    NOTE = "note"  # it happened, and the session withstood it
-    WARNING = "warning"  # the certificate's word, or a user, is not what it was
+    NOTE = "note"  # the session withstood what happened
+    WARNING = "warning"  # an assumption of the certificate is broken, or a user takes no part
     FAULT = "fault"  # a promise is broken, or a part of the session is gone
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """Something that a person should know.
+    """An alarm that is raised or was cleared.
 
     Attributes:
-        key: what it is about; one alarm stands for each at a time.
-        level: how grave it is.
-        text: what is so.
-        advice: what to do.
-        since: when it was first seen.
-        cleared: when its cause was last seen, if it is gone; None while it stands.
+        key: names its cause; there is one alarm for a key at a time.
+        level: its gravity.
+        text: a sentence that states the cause.
+        advice: what a person can do about it.
+        since: when its cause was first seen.
+        cleared: when its cause was last seen, for a cleared alarm; None while the alarm stands.
     """
 
     key: str
@@ -64,7 +64,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class AlarmCause:
-    """What is so now, and would raise an alarm; ``lasting`` if it cannot be undone."""
+    """A present cause of an alarm; ``lasting`` if it cannot be undone, so that its alarm is never cleared."""
 
     key: str
     level: AlarmLevel
@@ -76,18 +76,18 @@ class AlarmCause:
 _AWAY: Final = "See the log of the node; a session with faults: {restarts: N} brings it back by itself."
 _NODE_ADVICE: Final = {
     Health.AWAY: _AWAY,
-    Health.SILENT: "Its process runs and says nothing: see whether it hangs or the machine is overloaded.",
-    Health.LATE: "The machine is too slow for the period: run manyhands doctor, close what else runs.",
+    Health.SILENT: "Its process runs and sends nothing: see whether it hangs or the machine is overloaded.",
+    Health.LATE: "The machine is too slow for the period: run manyhands doctor, and close other programs.",
 }
 _NODE_TEXT: Final = {
-    Health.SILENT: "nothing has been heard of it for a while",
+    Health.SILENT: "it has sent nothing for a while",
     Health.LATE: "more of its ticks are late than a machine has now and then",
 }
 _NODE_LEVEL: Final = {Health.AWAY: AlarmLevel.FAULT, Health.SILENT: AlarmLevel.FAULT, Health.LATE: AlarmLevel.WARNING}
 
 
 def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
-    """Everything that is so in this scene, the gravest not necessarily first."""
+    """The causes of alarms in this scene at ``now``, in no order of gravity."""
     yield from _told(scene)
     for node in scene.nodes.values():
         yield from _of_node(node)
@@ -98,7 +98,7 @@ def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
             "frozen",
             AlarmLevel.WARNING,
             f"{scene.frozen} of the session's couplings {'is' if scene.frozen == 1 else 'are'} frozen",
-            "Their users take no part until they are heard in time again; the others go on, still certified.",
+            "Their users take no part until their signals come in time again; the others go on, still certified.",
         )
     for name, late in scene.frozen_late.items():
         advice = "See what its user's machine or network does; design for a longer tau where that is all it can do."
@@ -112,10 +112,10 @@ def _told(scene: Scene) -> Iterator[AlarmCause]:
         return
     for text in said.faults:
         yield AlarmCause(
-            f"fault: {text}", AlarmLevel.FAULT, text, "The session ends of it; see its report and logs.", True
+            f"fault: {text}", AlarmLevel.FAULT, text, "It ends the session; see the report and the logs.", True
         )
     for text in said.notices:
-        advice = "An assumption of the certificate was broken: what it proves is about a session without this."
+        advice = "An assumption of the certificate was broken, so its proof does not cover what happened then."
         yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
     for text in said.incidents:
         yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session withstood it.", True)
@@ -141,7 +141,7 @@ def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
 
 
 def covered_tau(scene: Scene, device: str) -> float:
-    """The delay (s) that the certificate covers for a device now: that of the rung its couplings are on."""
+    """The delay (s) that the certificate covers for a device now: the least of the rungs of its couplings."""
     certificate = scene.about.certificate
     if certificate is None:
         return 0.0
@@ -178,8 +178,8 @@ def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
         yield AlarmCause(
             "unheard",
             AlarmLevel.FAULT,
-            "nothing has been heard of the whole session for a while",
-            "What is drawn is old: see whether its supervisor is stopped or the machine is overloaded.",
+            "the whole session has sent nothing for a while",
+            "The picture is old: see whether the supervisor is stopped or the machine is overloaded.",
         )
 
 
@@ -190,23 +190,23 @@ class Alarms:
     """The alarms of a session.
 
     Attributes:
-        version: another one whenever :meth:`listed` is.
+        version: changes whenever :meth:`listed` changes.
     """
 
     def __init__(self) -> None:
-        """None yet."""
+        """No alarm yet."""
         self._alarms: dict[str, Alarm] = {}
         self._seen: dict[str, Instant] = {}
         self._lasting: set[str] = set()
         self.version = 0
 
     def look(self, scene: Scene, now: Instant) -> None:
-        """Raise and clear what there is to be raised and cleared."""
+        """Raise and clear alarms by the causes in ``scene`` at ``now``."""
         for cause in causes(scene, now):
             self._seen[cause.key] = now
             standing = self._alarms.get(cause.key)
             if standing is None or standing.cleared is not None:
-                self._alarms.pop(cause.key, None)  # raised again: a new one, at the end
+                self._alarms.pop(cause.key, None)  # raised again, so it is a new alarm, at the end
                 self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, now))
                 if cause.lasting:
                     self._lasting.add(cause.key)
@@ -218,7 +218,7 @@ class Alarms:
         self._forget()
 
     def listed(self) -> list[Alarm]:
-        """Those that stand, the gravest first, and then those that are cleared; of each kind the latest first."""
+        """The alarms that stand, the gravest first, then the cleared ones; of equal gravity the latest first."""
 
         def order(alarm: Alarm) -> tuple[bool, int, int]:
             return alarm.cleared is not None, -_GRAVITY[alarm.level], -alarm.since

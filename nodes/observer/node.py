@@ -1,8 +1,6 @@
-"""The observer's process: what the supervisor tells it goes to standard output, a line each.
+"""The observer's process: it prints every observation of the broadcast as one line of JSON on standard output.
 
-It comes and goes as it likes: the session neither waits for it nor notices that it left.
-
-What an observer makes of what it is told: one line of JSON for each observation, for people and programs alike.
+An observer may come and go at any time: the session neither waits for it nor notices that it left.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 
 class ObserverCore:
-    """Reads observations.
+    """Turns frames into lines.
 
     Attributes:
         malformed: frames that were no observation.
@@ -39,7 +37,7 @@ class ObserverCore:
     def line(self, frame: bytes) -> str | None:
         """The line for a frame: node, latest tick, figures, traces (ticks x ports); None if it is no observation.
 
-        A figure that is infinite or not a number is null.
+        A number that is not finite is null.
         """
         message = decode(frame, MAX_CONTROL_BYTES)
         if not isinstance(message, Observation):
@@ -61,7 +59,13 @@ _PATIENCE = from_seconds(0.2)
 
 
 def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
-    """Print what the session tells this observer until the session or the observer ends; returns the exit code."""
+    """Print this observer's observations until the session or the observer ends; returns the exit code.
+
+    Args:
+        bundle: the observer's part of the session.
+        life: whether the process should still run.
+        ring: the observer's keys; None for a session without keys.
+    """
     common, core = bundle.common, ObserverCore()
     transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
     try:
@@ -84,7 +88,7 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
     except (TransportError, ValueError) as error:
         print(f"error: {common.name}: {error}", file=sys.stderr)  # noqa: T201
         return EXIT_BAD_INPUT
-    except BrokenPipeError:  # whoever read the lines has had enough
+    except BrokenPipeError:  # the program that read the lines has ended
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 -- the interpreter flushes it once more at its end
         return EXIT_OK
     finally:

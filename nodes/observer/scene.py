@@ -1,12 +1,11 @@
-"""What a running session says of itself to whoever may enter its directory: who takes part, in what world, how surely.
+"""A running session as an observer sees it: its description (:class:`About`), and its changing state (:class:`Scene`).
 
-One JSON file, written by the supervisor before its nodes are started. What changes while the session runs comes from
-its broadcast (:mod:`manyhands.protocol.transport.broadcast`); what is here does not change. It holds no key and no
-block of V.
+The description is one JSON file in the session's directory, which the supervisor writes before it starts the nodes. It
+lists the nodes, the virtual world and the certificate, and does not change. It holds no key and no block of V.
 
-What somebody who looks on knows of a running session: a state that frames of its broadcast are taken into. Pure.
-
-Who shows it (a table, a page, a line a tick) reads it; nothing here waits, prints or knows of sockets.
+The state is pure: it takes in the frames of the session's broadcast
+(:mod:`manyhands.protocol.transport.broadcast`). Tables, the page and the printed lines read it; nothing here waits,
+prints or uses a socket.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ ABOUT: Final = "about.json"
 
 MAX_ABOUT_BYTES: Final = 16 * 2**20
 
-_LATEST: Final = 2.5e11  # the end of the year 9891: what calendars can show
+_LATEST: Final = 2.5e11  # the end of the year 9891, about the last that calendars can show
 
 
 class AboutError(Exception):
-    """A session's description cannot be read; names the file and what is wrong."""
+    """A session's description cannot be read; the message names the file and the reason."""
 
 
 @dataclass(frozen=True)
 class NodeAbout:
-    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if it does."""
+    """A node: its role, its ports in the order of its traces, and the node whose process it shares, or None."""
 
     role: Role
     ports: tuple[str, ...]
@@ -50,7 +49,7 @@ class NodeAbout:
 
 @dataclass(frozen=True)
 class LinkAbout:
-    """A link: its two ends, the one nearer to a hand first, and its ports."""
+    """A link: its two ends, the end nearer to a hand first, and its ports."""
 
     ends: tuple[str, str]
     ports: tuple[str, ...]
@@ -58,7 +57,7 @@ class LinkAbout:
 
 @dataclass(frozen=True)
 class SpringAbout:
-    """A spring and a damper of the virtual world, between two ports, masses or the ground: N/m and N*s/m."""
+    """A spring (N/m) and a damper (N*s/m) of the virtual world, between two of its ports, masses and the ground."""
 
     ends: tuple[str, str]
     stiffness: float
@@ -67,15 +66,15 @@ class SpringAbout:
 
 @dataclass(frozen=True)
 class CertificateAbout:
-    """What the session's certificate says: delay that it covers (s), margins by condition, levels, rungs of its ladder.
+    """The figures of the session's certificate.
 
     Attributes:
-        tau: longest delay inside the tick, s.
-        margins: by condition, N*s/m.
-        gamma: proved level of the transparency objective, or None.
-        delta_D: the least eigenvalue of each device's level, N*s/m.
-        ladder: delays that further rungs cover, s.
-        enforced: parties whose promise a controller keeps at run time, and no proof.
+        tau: the longest delay inside the tick that it covers, s.
+        margins: the margin of each condition, N*s/m.
+        gamma: the proved level of the transparency objective, or None.
+        delta_D: by device, the least eigenvalue of its level, N*s/m.
+        ladder: the delays that further rungs cover, s.
+        enforced: the parties whose promise a controller keeps at run time in place of a proof.
     """
 
     tau: float
@@ -97,17 +96,17 @@ class About:
         clock: "realtime" or "simulated".
         transport: "ipc" or "tcp".
         period: T, s.
-        ticks: how many it runs; 0 for no end.
-        started: seconds since 1970.
-        nodes: by name, devices first, then couplings, then the environment.
-        links: in the session's order.
-        masses: of the virtual world, kg by name; empty where it is no network.
-        springs: of the virtual world; likewise.
-        grips: devices that a person's browser can hold.
-        reach: of each port's device, the greatest displacement, m.
-        certificate: None for a session that nothing proves.
+        ticks: the number of ticks that it runs; 0 for no end.
+        started: the time of its start, s since 1970.
+        nodes: the nodes by name: devices, then couplings, then the environment.
+        links: the links, in the session's order.
+        masses: the masses of the virtual world by name, kg; empty where it is no network.
+        springs: the springs of the virtual world; empty where it is no network.
+        grips: the devices that a person's browser can hold.
+        reach: by port, the greatest displacement of its device, m.
+        certificate: the certificate; None for an uncertified session.
         environment: the environment's type.
-        observers: by name what each may read, as in the session.
+        observers: by observer, the nodes that it may read.
     """
 
     session: str
@@ -129,24 +128,24 @@ class About:
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The description in the form that JSON writes."""
         return dataclasses.asdict(self)
 
     def save(self, directory: Path) -> None:
-        """Write it into the session's directory, for its user alone (mode 0600), whole or not at all.
+        """Write the file into the session's directory as a whole, readable by its user alone (mode 0600).
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         with replacing(directory / ABOUT, mode=0o600) as file:
             file.write(json.dumps(self.as_plain(), allow_nan=False).encode())
 
     @classmethod
     def load(cls, directory: Path) -> About:
-        """Read it from a session's directory.
+        """Read the file in a session's directory.
 
         Raises:
-            AboutError: not readable, or no such description.
+            AboutError: the file cannot be read, or is no description.
         """
         path = directory / ABOUT
         try:
@@ -170,7 +169,7 @@ _SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
     "started": (int, float),
     "environment": str,
 }
-"""What is neither a list nor a map, and of what type it is."""
+"""The entries that are neither lists nor maps, with their types."""
 
 
 def _about(data: Any) -> About:
@@ -199,7 +198,7 @@ def _about(data: Any) -> About:
         if not isinstance(data[name], kind) or isinstance(data[name], bool):
             raise TypeError(f"{name}: found {data[name]!r}")
     if not (0.0 < about.period < math.inf and 0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
-        raise ValueError("found a period, an instant, a process id or a number of ticks that there cannot be")
+        raise ValueError("found a period, an instant, a process id or a number of ticks that is out of range")
     for link in about.links:
         for name in link.ends:
             _known(name, nodes)
@@ -244,7 +243,7 @@ def _numbers(values: Any) -> dict[str, float]:
 
 
 def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
-    """A node's name, or None, which is nobody's."""
+    """``name``, which must be one of ``nodes``, or None."""
     if name is not None and name not in nodes:
         raise ValueError(f"found {name!r}; expected a node")
     return name
@@ -256,21 +255,21 @@ def _two(ends: Any) -> tuple[str, str]:
 
 
 RATE_OVER: Final = from_seconds(0.5)
-"""The shortest time that a rate is taken over: telemetry comes ten times a second."""
+"""The shortest time over which a rate is taken: telemetry comes ten times a second."""
 
 LATE_SHARE: Final = 0.01
-"""Of the ticks between two looks, so many late ones make a node's health LATE."""
+"""The share of late ticks between two looks above which a node's health is LATE."""
 
 
 class Health(StrEnum):
-    """How a node or a link is, at a glance; the worse the later."""
+    """The health of a node, a link or the session, in the order of severity."""
 
     OK = "ok"
     WAITING = "waiting"  # it has not begun, or has nothing more to do
-    LATE = "late"  # more of its ticks are late than every machine has now and then
-    FROZEN = "frozen"  # it takes no part, and others go on
-    SILENT = "silent"  # it runs, and nothing is heard of it
-    AWAY = "away"  # it died, or failed
+    LATE = "late"  # more of its ticks are late than any machine has now and then
+    FROZEN = "frozen"  # it takes no part, and the others go on
+    SILENT = "silent"  # its process runs, and sends nothing
+    AWAY = "away"  # its process died, or failed
 
 
 _SEVERITY: Final = {health: place for place, health in enumerate(Health)}
@@ -282,23 +281,23 @@ STATE_HEALTH: Final = {
     "failed": Health.AWAY,
     "leaving": Health.AWAY,
 }
-"""What a node's state says of its health; every other state is one of waiting."""
+"""The health of a node in each state of the supervisor; every other state means WAITING."""
 
 
 @dataclass
 class NodeScene:
-    """What is known of one node.
+    """The present figures of one node.
 
     Attributes:
-        name: the node's.
-        role: the node's.
-        state: where it stands, in the supervisor's words; empty before anything was heard.
-        tick: the latest it told of.
+        name: the node's name.
+        role: the node's role.
+        state: its state, in the supervisor's words; empty before the first condition.
+        tick: the tick after the latest of its telemetry.
         rate: its ticks a second; None before two looks.
-        figures: of its latest telemetry.
-        heard: when that came; None if none has.
-        late: whether more of its ticks than usual were late lately.
-        silent: whether the supervisor has not heard of it for a while, though it runs.
+        figures: the figures of its latest telemetry.
+        heard: when that telemetry came; None before any.
+        late: whether more than :data:`LATE_SHARE` of its latest ticks were late.
+        silent: whether the supervisor has received nothing of it for a while, though it runs.
     """
 
     name: str
@@ -314,7 +313,7 @@ class NodeScene:
 
     @property
     def health(self) -> Health:
-        """How it is."""
+        """The node's health, by its state, silence and late ticks."""
         health = STATE_HEALTH.get(self.state, Health.WAITING)
         if health is not Health.OK:
             return health
@@ -323,9 +322,10 @@ class NodeScene:
         return Health.LATE if self.late else Health.OK
 
     def take(self, told: Observation, now: Instant) -> None:
-        """Its latest telemetry."""
+        """Take in the node's telemetry, which came at ``now``."""
         late = told.figures.get(names.LATE, 0.0)
-        if self._since is None or told.tick < self.tick or late < self._since[2]:  # the first, or of a new process
+        # the first telemetry of a process begins a new rate: a new process counts late ticks from 0
+        if self._since is None or told.tick < self.tick or late < self._since[2]:
             self._since, self.rate, self.late = (now, told.tick, late), None, False
         since, tick, late_then = self._since
         if now - since >= RATE_OVER:
@@ -336,31 +336,31 @@ class NodeScene:
         self.tick, self.figures, self.heard = told.tick, dict(told.figures), now
 
     def stand(self, state: str, silent: bool) -> None:
-        """Where the supervisor sees it; whoever does not run, or says nothing, has no rate."""
+        """Take in the supervisor's ``state`` of the node; a node that does not run or is silent has no rate."""
         self.state, self.silent = state, silent
         if STATE_HEALTH.get(state) is not Health.OK or silent:
             self._since, self.rate, self.late = None, None, False
 
 
 class Scene:
-    """A session as it is seen.
+    """The present state of a session.
 
     Attributes:
-        about: what does not change.
-        nodes: every node, in the session's order.
-        condition: the latest that the supervisor has said; None before it has.
-        malformed: frames that were nothing of a broadcast's.
+        about: the session's description, which does not change.
+        nodes: every node by name, in the session's order.
+        condition: the supervisor's latest condition; None before any.
+        malformed: frames that were no message of this session's broadcast.
     """
 
     def __init__(self, about: About) -> None:
-        """Nothing has been seen yet."""
+        """No frame has come yet."""
         self.about = about
         self.nodes = {name: NodeScene(name, node.role) for name, node in about.nodes.items()}
         self.condition: Condition | None = None
         self.malformed = 0
 
     def take(self, frame: bytes, now: Instant) -> Observation | Condition | None:
-        """Take in a frame that came at ``now``; returns what it was, None if it was nothing of this session's."""
+        """Take in a frame that came at ``now``; returns its message, or None if it is none of this session."""
         message = decode(frame, MAX_CONTROL_BYTES)
         match message:
             case Observation(node) if node in self.nodes:
@@ -377,34 +377,34 @@ class Scene:
 
     @property
     def tick(self) -> int:
-        """The latest tick that any node told of."""
+        """The latest tick of any node's telemetry."""
         return max((node.tick for node in self.nodes.values()), default=0)
 
     @property
     def rate(self) -> float | None:
-        """Ticks a second of the environment, whose ticks are the session's; None before it is known."""
+        """The environment's ticks a second, which are the session's; None before they are known."""
         rates = [node.rate for node in self.nodes.values() if node.role is Role.ENVIRONMENT]
         return rates[0] if rates else None
 
     @property
     def frozen(self) -> int:
-        """Couplings that are frozen now, as the environment says; what is no number of couplings counts as none."""
+        """The number of couplings that are not active now, by the environment's figures; 0 for a senseless figure."""
         told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
         return round(sum(value for value in told if 0.0 < value < math.inf))
 
     @property
     def frozen_late(self) -> dict[str, names.CouplingLateness]:
-        """Couplings that were frozen because the others waited for them again and again, as the environment says."""
+        """The couplings that were frozen for being late, by the environment's figures."""
         worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
         late = [item for told in worlds for item in names.lateness_by_coupling(told, told).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
 
     @property
     def health(self) -> Health:
-        """How the session is: as its worst node, and FROZEN where any coupling is."""
+        """The health of the session: that of its worst node, and at least FROZEN where any coupling is frozen."""
         worst = max((node.health for node in self.nodes.values()), key=_SEVERITY.__getitem__, default=Health.WAITING)
         return max(worst, Health.FROZEN, key=_SEVERITY.__getitem__) if self.frozen else worst
 
     def link_health(self, link: LinkAbout) -> Health:
-        """How a link is: as the worse of its two ends."""
+        """The health of a link: the worse of its two ends."""
         return max((self.nodes[end].health for end in link.ends), key=_SEVERITY.__getitem__)

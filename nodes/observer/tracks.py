@@ -1,13 +1,11 @@
-"""What somebody who looks on keeps of a session's traces: the last seconds of each, decimated, in bounded memory. Pure.
+"""The last seconds of a session's traces as an observer keeps them: decimated, in bounded memory. Pure.
 
-Every trace of the table of topics is a track, and so is each device's velocity, which is the difference of its
-displacement from tick to tick, taken before anything is left out.
+Every trace of the table of topics is a track. So is each device's velocity: the difference of its displacement from
+tick to tick, taken before the decimation.
 
-A long trace in few points, of which none that matters is missing: least and greatest value of every bucket. Pure.
-
-A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session lie side
-by side. Of each, two values are kept, its least and its greatest, in the order in which they came: what is drawn
-through them touches every extreme of the trace, however short, which leaving out samples would not.
+A track keeps the least and the greatest value of every bucket. A bucket is a run of ticks of fixed length, counted from
+tick 0, so the buckets of all traces of a session lie side by side. The two values are in the order in which they came.
+A line through them touches every extreme of the trace, however short; a line through every n-th sample would miss some.
 """
 
 from __future__ import annotations
@@ -27,13 +25,13 @@ Floats = NDArray[np.float64]
 
 
 def extremes(values: Floats) -> Floats:
-    """Least and greatest value of each bucket, in the order of time.
+    """The least and the greatest value of each bucket, in the order of time.
 
     Args:
-        values: buckets x ticks x columns; NaN where there is none.
+        values: buckets x ticks x columns; NaN where there is no value.
 
     Returns:
-        Buckets x 2 x columns: of every bucket and column the two, the earlier first; NaN twice where all are NaN.
+        Buckets x 2 x columns: the two values of every bucket and column, the earlier first; NaN twice where all are NaN.
     """
     absent = np.isnan(values)
     least = np.where(absent, np.inf, values).argmin(axis=1)
@@ -44,21 +42,25 @@ def extremes(values: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Decimated:
-    """Some buckets of a trace: the index of the first, and of each the two values (buckets x 2 x columns)."""
+    """Consecutive buckets of a trace: the index of the first, and the two values of each (buckets x 2 x columns)."""
 
     first: int
     values: Floats
 
 
 class Decimator:
-    """Makes buckets of a trace that comes in pieces, one after another.
+    """Makes buckets of a trace that comes in consecutive pieces.
 
     Attributes:
-        size: ticks a bucket.
+        size: ticks of a bucket.
     """
 
     def __init__(self, size: int, columns: int) -> None:
-        """Nothing has come yet.
+        """No piece has come yet.
+
+        Args:
+            size: ticks of a bucket.
+            columns: columns of the trace.
 
         Raises:
             ValueError: ``size`` is below 1.
@@ -70,14 +72,14 @@ class Decimator:
         self._rest = np.empty((0, columns))
 
     def take(self, tick: int, values: Floats) -> list[Decimated]:
-        """The next piece.
+        """Take in the next piece.
 
         Args:
-            tick: of its first row; rows that have come before are left out.
-            values: ticks x columns, a row a tick.
+            tick: the tick of its first row; rows that have come before are ignored.
+            values: ticks x columns, one row for each tick.
 
         Returns:
-            The buckets that are whole now, or that a gap has cut; in the order of time.
+            The buckets that are whole now, or were ended by a gap, in the order of time.
         """
         if self._next is not None and tick < self._next:
             values = values[self._next - tick :]
@@ -89,7 +91,7 @@ class Decimator:
         return done if whole is None else [*done, whole]
 
     def _cut(self) -> list[Decimated]:
-        """What was begun before a gap."""
+        """The unfinished bucket before a gap, if there is one."""
         rest, self._rest = self._rest, self._rest[:0]
         if not len(rest) or self._next is None:
             return []
@@ -111,13 +113,13 @@ class Decimator:
 
 
 WINDOW: Final = 10.0
-"""Seconds of a trace that are kept."""
+"""The length of a track, s."""
 
 BUCKETS: Final = 1000
-"""Into so many buckets those seconds are cut: as many as a picture is wide."""
+"""The number of buckets of a track, as many as a picture has columns."""
 
 VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
-"""What no node tells: the difference of a device's displacement over a period."""
+"""The backward difference of a device's displacement over a period; no node sends it."""
 
 
 class Track:
@@ -128,14 +130,14 @@ class Track:
     """
 
     def __init__(self, columns: int, capacity: int = BUCKETS) -> None:
-        """Empty."""
+        """An empty track of ``capacity`` buckets for a trace of ``columns`` columns."""
         self._ring = np.full((capacity, 2, columns), np.nan)
         self._begin = self.end = 0
 
     def add(self, piece: Decimated) -> None:
-        """Add buckets; between them and the latest there may be a gap, which is kept as one of NaN.
+        """Add buckets; a gap between the latest bucket and them is kept as buckets of NaN.
 
-        A bucket that is the latest already (a gap began and ended inside it) is joined with what it has.
+        If the first of them is the latest bucket already (a gap began and ended inside it), the two are joined.
         """
         capacity, first, values = len(self._ring), piece.first, piece.values
         end = first + len(values)
@@ -154,14 +156,14 @@ class Track:
         self._begin = max(self._begin, end - capacity)
 
     def since(self, bucket: int) -> Decimated:
-        """The buckets from ``bucket`` on, or as many of them as are kept."""
+        """The buckets from ``bucket`` on, as far as they are kept."""
         first = min(max(bucket, self._begin), self.end)
         return Decimated(first, self._ring[np.arange(first, self.end) % len(self._ring)])
 
 
 @dataclass(frozen=True)
 class TrackKey:
-    """Which track: of which node, and of which topic."""
+    """The node and the topic of a track."""
 
     node: str
     topic: Topic
@@ -176,23 +178,23 @@ class Tracks:
     """All tracks of a session.
 
     Attributes:
-        size: ticks a bucket.
-        columns: names of each track's columns.
-        unfit: observations whose traces were not of this session's shape.
+        size: ticks of a bucket.
+        columns: by track, the names of its columns.
+        unfit: the number of traces that had not the shape that this session describes.
     """
 
     def __init__(self, about: About, window: float = WINDOW, buckets: int = BUCKETS) -> None:
-        """Nothing has come yet."""
+        """Empty tracks of ``window`` seconds in ``buckets`` buckets, for the session that ``about`` describes."""
         self.size = max(1, round(window / about.period / buckets))
         self._about, self._buckets = about, buckets
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
         self._decimators = {key: Decimator(self.size, len(columns)) for key, columns in self.columns.items()}
-        self._last: dict[str, tuple[int, Floats]] = {}  # of each device its latest displacement, and its tick
+        self._last: dict[str, tuple[int, Floats]] = {}  # by device, the latest tick and its displacement
         self.unfit = 0
 
     def take(self, observation: Observation) -> None:
-        """Take in what a node told."""
+        """Take in a node's telemetry."""
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         first = observation.tick - rows
         for key in self.columns:

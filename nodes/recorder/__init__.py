@@ -1,4 +1,5 @@
 """The recorder: a process of its own, so that neither a slow nor a full disk reaches the loop.
 
-Read ``format`` first (what the file looks like), then ``core`` (what is taken in), ``mcap`` (the file), ``node``.
+Read ``format`` first (the messages of the file), then ``core`` (from observations to bytes, with ``coverage``),
+``mcap`` (the file) and ``node`` (the process).
 """

@@ -1,14 +1,13 @@
-"""What a recorder makes of what it is told: the bytes of an MCAP file, in the order in which they are to be written.
+"""From observations to the bytes of an MCAP file, in the order in which they are to be written. Pure.
 
-Without any I/O: observations go in, and what the file still lacks comes out in pieces that end at a chunk's border.
-A chunk has a checksum and stands alone, so a file that ends anywhere is readable up to its last whole chunk. What
-belongs to one observation is always in one chunk.
+Observations go in, and the bytes that the file still lacks come out, in pieces that end at a chunk's border. A chunk
+has a checksum and stands alone, so a file that ends anywhere is readable up to its last whole chunk. All messages of
+one observation are in one chunk.
 
-The JSON messages of many ticks at once: what a recorder does most, 23 000 times a second with three users.
-
-A message is ``{"tick": 17, "time": 0.017, "x": [0.001]}``. Its beginning is the same for all topics of a node and is
-made once for all of them; the numbers of a whole trace are written by one call. Numbers are the shortest text that is
-read back as the same double; what is infinite or not a number is null.
+A message is ``{"tick": 17, "time": 0.017, "x": [0.001]}``. With three users a recorder makes 23 000 messages a second,
+its greatest work, so it makes those of many ticks at once. The beginning of a message is the same for all topics of a
+node and is made once; one call writes the numbers of a whole trace. A number is the shortest text that reads back as
+the same double; a number that is not finite is null.
 """
 
 from __future__ import annotations
@@ -50,13 +49,13 @@ _BLOCK: Final = 128  # ticks
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """Consecutive ticks of a session: what their messages have in common.
+    """The common parts of the messages of consecutive ticks.
 
     Attributes:
-        times: when they were, ns since 1970, uint64.
+        times: the time of each tick, ns since 1970, uint64.
         sequences: their sequence numbers, uint32.
-        beginnings: how each one's messages begin, as far as the key of the topic's value.
-        lengths: of the beginnings, bytes.
+        beginnings: for each tick the beginning of its messages, up to the key of the topic's value.
+        lengths: the lengths of the beginnings, bytes.
     """
 
     times: NDArray[np.uint64]
@@ -78,12 +77,12 @@ class Ticks:
 
 
 def _since_start(first: int, count: int, tick_ns: float) -> NDArray[np.float64]:
-    """How long after tick 0 the ticks are, ns: whole numbers."""
+    """The times of the ticks since tick 0, ns: whole numbers."""
     return np.rint(np.arange(first, first + count, dtype=np.uint64).astype(np.float64) * tick_ns)
 
 
 def _beginnings(first: int, count: int, tick_ns: float) -> tuple[bytes, ...]:
-    """How the messages of these ticks begin, out of blocks: all nodes tell of the same ticks, one after the other."""
+    """The beginnings of the messages of these ticks, from cached blocks: all nodes have messages of the same ticks."""
     out: list[bytes] = []
     for block in range(first // _BLOCK, (first + count - 1) // _BLOCK + 1):
         out += _block(block, tick_ns)
@@ -104,11 +103,11 @@ def lengths_of(texts: Sequence[bytes]) -> NDArray[np.uint64]:
 
 
 def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
-    """Each row as JSON has it without brackets: its numbers, or, of ``one`` column, its number.
+    """Each row as JSON text without brackets.
 
     Args:
         values: ticks x columns; at least one of each.
-        one: whether the rows are plain numbers, and no arrays.
+        one: whether a row is a plain number, and no array.
     """
     plain = values[:, 0].tolist() if one else values.tolist()
     text = repr(plain).encode()
@@ -119,28 +118,28 @@ def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
 
 
 CHUNK_BYTES: Final = 1024 * 1024
-"""After so many bytes a chunk is closed, however young it is."""
+"""The size at which a chunk is closed, however young it is, bytes."""
 
 
 class RecorderCore:
-    """Turns observations into a file.
+    """Turns observations into the bytes of a file.
 
     Times in the file are the session's own: tick k was at the start plus kT. The start is counted back from the arrival
-    of the first observation, so that it is the time of day too, as long as ticks keep to the clock on the wall.
+    of the first observation. So times are the time of day as well, as long as the ticks keep pace with it.
 
     Attributes:
-        over: becomes true when the session has said that nothing more will come.
+        over: whether the supervisor has reported the end of the session.
         tick: the latest tick of any device that was taken.
-        refused: frames that were no observation, or of nobody's, or did not fit its node's columns and ticks.
+        refused: frames that were no observation, were of an unknown node, or did not fit its columns and ticks.
     """
 
     def __init__(self, recorded: Recorded, attachments: Mapping[str, bytes] | None = None, started: int = 0) -> None:
-        """Begin the file of what ``recorded`` says.
+        """Begin the file.
 
         Args:
-            recorded: the session.
-            attachments: contents by name, of those of :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
-            started: when the recording was, ns since 1970.
+            recorded: the session that is recorded.
+            attachments: contents by name, with names from :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
+            started: the time at which the recording starts, ns since 1970.
         """
         self._recorded = recorded
         self._tape = Tape(f"manyhands {recorded.version}")
@@ -158,7 +157,7 @@ class RecorderCore:
         self.refused = 0
 
     def take(self, frame: bytes, time: int) -> None:
-        """Take in a frame that arrived at ``time``, ns since 1970. What makes no sense is counted."""
+        """Take in a frame that arrived at ``time``, ns since 1970; frames that are refused are counted."""
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Stop):
             self.over = True
@@ -172,7 +171,7 @@ class RecorderCore:
             self.refused += 1
 
     def _since_start(self, tick: int) -> int:
-        """How long after tick 0 it is, ns."""
+        """The time of ``tick`` since tick 0, ns."""
         return round(tick * self._recorded.tick_ns)
 
     def _fits(self, told: Observation) -> bool:
@@ -213,7 +212,7 @@ class RecorderCore:
         self._tape.messages(self._channel(node, topic.name, topic), ticks.times, ticks.sequences, lengths, columns)
 
     def _channel(self, node: str, name: str, topic: Topic | None) -> int:
-        """The channel of a node's topic; the file is told of it before its first message."""
+        """The number of the channel of a node's topic; its record is written before its first message."""
         number = self._channels.get((node, name))
         if number is None:
             about = {"node": node, "role": self._recorded.roles.get(node, Role.SUPERVISOR).value}
@@ -232,7 +231,7 @@ class RecorderCore:
         self._tape.message(channel, start + self._since_start(tick), tick % SEQUENCES, data)
 
     def _note(self, condition: Condition, time: int) -> None:
-        """Write down how the session is, unless nothing has changed but the time."""
+        """Write the session's condition, if more of it than the time has changed."""
         before, self._condition = self._condition, condition
         if before is not None and replace(condition, elapsed=before.elapsed) == before:
             return
@@ -245,25 +244,25 @@ class RecorderCore:
 
     @property
     def missing_in_all(self) -> dict[str, int]:
-        """Ticks that were never told up to the latest of any device, by device, those devices that miss some."""
+        """By device, the ticks up to the latest of any device that never came; devices without any are left out."""
         return missing_by_party(self.coverage, 0, self.tick)
 
     @property
     def coverage(self) -> dict[str, Coverage]:
-        """Which ticks of each device were taken; the others were lost on the way."""
+        """By device, the ticks that were taken; the other ticks were lost on the way."""
         return {device: self._coverage[device] for device in self._recorded.devices}
 
     @property
     def full(self) -> bool:
-        """Whether the chunk should be closed now, however young it is."""
+        """Whether the chunk has its greatest size and should be closed now."""
         return self._tape.waiting >= CHUNK_BYTES
 
     def cut(self) -> bytes:
-        """Close the chunk; returns what the file lacks so far, nothing if that is nothing."""
+        """Close the chunk; returns the bytes that the file lacks so far, which may be none."""
         self._tape.close_chunk()
         return self._tape.take()
 
     def end(self) -> bytes:
-        """Close the file; returns its rest, with the index that viewers look for at the end."""
+        """Close the file; returns its last bytes, with the index that viewers expect at the end."""
         self._tape.finish()
         return self._tape.take()

@@ -1,7 +1,7 @@
-"""What a recording holds: the channels of an MCAP file, their messages' form, and the session it says it is of.
+"""The format of a recording: the channels of an MCAP file, the form of their messages, and the session's metadata.
 
-One message a tick and topic, in JSON, which every viewer of such files can draw: the tick, its time since tick 0, and
-the topic's row. docs/files.md tells it to people; writer and reader both start from here.
+There is one JSON message for each tick and topic, which every viewer of such files can draw: the tick, its time since
+tick 0, and the topic's row. docs/files.md describes the format; writer and reader both use this module.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from manyhands.protocol.messages import Condition, Role
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
 METADATA: Final = "session"
-"""The name of the metadata record that says what was recorded."""
+"""The name of the metadata record that describes the session."""
 
 SESSION_FILE: Final = "session.yaml"
 CERTIFICATE_FILE: Final = "certificate.json"
 MEDIA_TYPES: Final[Mapping[str, str]] = {SESSION_FILE: "application/yaml", CERTIFICATE_FILE: "application/json"}
-"""The attachments: the session as it was run, and the certificate it ran under where it had one."""
+"""The attachments: the session file, and the certificate of a certified session."""
 
 SUPERVISOR: Final = "supervisor"
 """The node under whose name the session's condition is recorded."""
@@ -46,18 +46,18 @@ MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
-"""A name in a recording. It becomes a table's heading, and a spreadsheet computes what begins with ``=+-@``."""
+"""A name in a recording. It becomes a table's heading, and a spreadsheet runs text that begins with ``=+-@``."""
 
 _LONGEST_TEXT: Final = 200
 
-_NUMBER: Final = {"type": "number", "nullable": True}  # one type alone: viewers refuse a list of them
+_NUMBER: Final = {"type": "number", "nullable": True}  # a single type, for viewers refuse a list of types
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
 
 
 def schema_of(topic: Topic) -> tuple[str, str]:
-    """Name and text of the JSON schema of a topic's messages."""
+    """The name and the text of the JSON schema of a topic's messages."""
     one = topic.columns is Columns.ONE
     value = _NUMBER if one else {"type": "array", "items": _NUMBER}
     about = f"{topic.symbol}, {topic.unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
@@ -81,20 +81,20 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
         },
     ),
 }
-"""Names and texts of the schemas of what is told besides the topics of the table."""
+"""By channel, the names and texts of the schemas of messages that are not of a topic of the table."""
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
-    """The message of figures up to ``tick``; what is infinite or not a number is null."""
+    """The message of the figures up to ``tick``; a number that is not finite is null."""
     finite = {name: json_number(value) for name, value in figures.items()}
     return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
 
 
 def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
-    """Tick and figures of a message that was read as JSON; null is not a number.
+    """The tick and the figures of a message that was read as JSON; null becomes NaN.
 
     Raises:
-        ValueError: it is none of figures.
+        ValueError: the message is not one of figures.
     """
     match plain:
         case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
@@ -113,7 +113,7 @@ def _number(value: object) -> float:
 
 
 def encode_condition(tick: int, condition: Condition) -> bytes:
-    """The message of how the session was when ``tick`` was the latest known."""
+    """The message of the session's condition when ``tick`` was the latest known tick."""
     return json.dumps(
         {
             TICK: tick,
@@ -130,10 +130,10 @@ def encode_condition(tick: int, condition: Condition) -> bytes:
 
 
 def decode_condition(plain: Any) -> tuple[int, Condition]:
-    """Tick and condition of a message that was read as JSON.
+    """The tick and the condition of a message that was read as JSON.
 
     Raises:
-        ValueError: it is none of a condition.
+        ValueError: the message is not one of a condition.
     """
     match plain:
         case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
@@ -153,17 +153,17 @@ def _texts(found: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded.
+    """The session that a recording is of.
 
     Attributes:
         session: the session's name.
-        certificate: id of the certificate (or of the uncertified session) it ran under.
+        certificate: id of the certificate (or of the uncertified session) that it ran under.
         period: T, s.
         clock: "realtime" or "simulated".
-        roles: every node's role.
-        ports: the ports of each node, in the order of its traces' columns.
-        masses: the environment's masses, likewise; none where nobody knows of any.
-        version: of this program, that recorded it.
+        roles: by node, its role.
+        ports: by node, its ports in the order of its traces' columns.
+        masses: the environment's masses, in the order of their trace's columns; empty where none are known.
+        version: the version of manyhands that recorded it.
     """
 
     session: str
@@ -181,22 +181,22 @@ class Recorded:
         return {name: self.ports[name] for name, role in self.roles.items() if role is Role.DEVICE}
 
     def topics(self, node: str) -> tuple[Topic, ...]:
-        """The topics of a node, in the table's order; none of a stranger."""
+        """The topics of a node, in the table's order; empty for a node that is not of the session."""
         role = self.roles.get(node)
         return () if role is None else topics_of(role, self.masses)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
-        """Names of the columns of a node's topic."""
+        """The names of the columns of a node's topic."""
         return topic.columns_of(self.ports[node], self.masses)
 
     @property
     def tick_ns(self) -> float:
-        """T, ns: a whole number wherever it is one but for the rounding of its decimals."""
+        """T, ns; a whole number where only the rounding of its decimals keeps it from being one."""
         exact = self.period * 1e9
         return float(round(exact)) if math.isclose(exact, round(exact), rel_tol=1e-12) else exact
 
     def as_metadata(self) -> dict[str, str]:
-        """As the file has it: texts by name, structure as JSON."""
+        """The form of the metadata record: texts by name, with structures as JSON."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -212,10 +212,10 @@ class Recorded:
 
     @classmethod
     def from_metadata(cls, texts: Mapping[str, str]) -> Recorded:
-        """From what a file has.
+        """The session of a file's metadata record.
 
         Raises:
-            ValueError: it is not a recording of this format, or makes no sense.
+            ValueError: the file has a different format or version, or entries are missing or not usable.
         """
         found = f"{texts.get('format', '')!r:.40} version {texts.get('version', '')!r:.40}"
         if (texts.get("format"), texts.get("version")) != (FORMAT, VERSION):

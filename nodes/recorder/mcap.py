@@ -1,10 +1,11 @@
-"""An MCAP file as it is written: records one after the other, messages gathered in compressed chunks, an index at last.
+"""The bytes of an MCAP file (:class:`Tape`), and the file on the disk that grows by them (:class:`RecordingFile`).
 
-The records are those of https://mcap.dev/spec, most of them as the library ``mcap`` writes them. Its writer makes an
-object of each message and writes it field by field, which takes longer than all else that a recorder does: here the
-messages of one trace are laid out together, with their indexes.
+An MCAP file is a sequence of records: messages in compressed chunks, and an index at the end. The records are those of
+https://mcap.dev/spec, and the library ``mcap`` writes most of them. Its writer makes an object of each message and
+writes it field by field, which takes longer than all other work of a recorder. So this module lays out the messages of
+one trace together, with their indexes.
 
-The recording on the disk: pieces are appended whole, or the file stays as it was before.
+On the disk a piece is appended as a whole, or the file stays as it was before.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import open_beside
 
 COMPRESSION: Final = "zstd"
-LEVEL: Final = 1  # higher ones take twice the time and more, for a tenth of the bytes
+LEVEL: Final = 1  # higher levels take at least twice the time, and save a tenth of the bytes
 
 _CHUNK: Final = struct.Struct("<BQQQQI")  # opcode, length, first and last time, uncompressed size, checksum
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
@@ -59,12 +60,12 @@ _HEAD: Final = np.dtype(
     ]
 )
 _HEAD_BYTES: Final = np.dtype(f"V{_HEAD.itemsize}")
-_FRAME_BYTES: Final = 9  # opcode and length, which the length does not count
+_FRAME_BYTES: Final = 9  # opcode and length, which the length of a record does not include
 _ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
 
 class _Chunk:
-    """The chunk that is open."""
+    """The open chunk: its records, its first and last time, and the index of each channel."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -78,14 +79,14 @@ class _Chunk:
 
 
 class Tape:
-    """The bytes of a file, in the order in which they are to be written; :meth:`take` takes those that are ready.
+    """The bytes of a file, in the order in which they are to be written; :meth:`take` returns those that are ready.
 
     Attributes:
         waiting: bytes in the chunk that is open, uncompressed.
     """
 
     def __init__(self, library: str) -> None:
-        """Begin a file, written by ``library``."""
+        """Begin a file; its header names ``library`` as the writer."""
         self._ready: list[bytes] = []
         self._at = self._crc = 0
         self._chunk = _Chunk()
@@ -111,27 +112,27 @@ class Tape:
         return self._chunk.size
 
     def metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Write texts by name, outside the chunks."""
+        """Write a metadata record with texts by name, outside the chunks."""
         record = _record(Metadata(name, dict(texts)))
         self._metadata.append(_record(MetadataIndex(self._at, len(record), name)))
         self._write(record)
 
     def attach(self, name: str, media_type: str, data: bytes, time: int) -> None:
-        """Write another file's content, made at ``time``, ns since 1970."""
+        """Write an attachment: the content of a file that was made at ``time``, ns since 1970."""
         record = _record(Attachment(time, time, name, media_type, data))
         index = AttachmentIndex(self._at, len(record), time, time, len(data), name, media_type)
         self._attachments.append(_record(index))
         self._write(record)
 
     def schema(self, name: str, encoding: str, text: str) -> int:
-        """Say what messages of some channels are like; returns the schema's number."""
+        """Add the schema of some channels' messages; returns its number."""
         number = len(self._schemas) + 1
         self._schemas.append(_record(Schema(number, text.encode(), encoding, name)))
         self._chunk.add(self._schemas[-1])
         return number
 
     def channel(self, topic: str, encoding: str, schema: int, about: dict[str, str]) -> int:
-        """Say that there will be messages of ``topic``; returns the channel's number."""
+        """Add a channel for the messages of ``topic``; returns its number."""
         number = len(self._channels) + 1
         self._channels.append(_record(Channel(number, topic, encoding, about, schema)))
         self._chunk.add(self._channels[-1])
@@ -149,11 +150,11 @@ class Tape:
         """Add messages to the chunk.
 
         Args:
-            channel: their channel.
-            times: when each was, ns since 1970; at least one.
-            sequences: their numbers.
-            lengths: of each one's data, bytes.
-            columns: of each one's data, all first parts, all second parts, and so on.
+            channel: the number of their channel.
+            times: the time of each message, ns since 1970; at least one.
+            sequences: the sequence number of each message.
+            lengths: the length of each message's data, bytes.
+            columns: the first parts of all messages' data, then their second parts, and so on.
         """
         count, chunk = len(times), self._chunk
         heads = np.empty(count, dtype=_HEAD)
@@ -180,7 +181,7 @@ class Tape:
         self.messages(channel, one * np.uint64(time), numbers, one * np.uint64(len(data)), [[data]])
 
     def close_chunk(self) -> None:
-        """Compress the chunk that is open and write it with its indexes; nothing if there is no message in it."""
+        """Compress the open chunk and write it with its indexes; do nothing if it has no message."""
         chunk = self._chunk
         if not chunk.indexes:
             return
@@ -212,13 +213,13 @@ class Tape:
         self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
 
     def take(self) -> bytes:
-        """What is ready to be written and was not taken yet; it ends at a record's border."""
+        """The bytes that are ready and were not taken yet; they end at a record's border."""
         out = b"".join(self._ready)
         self._ready.clear()
         return out
 
     def finish(self) -> None:
-        """Close the last chunk and the file: its checksum, and the summary that viewers look for at the end."""
+        """Close the last chunk and the file: add the checksum, and the summary that viewers expect at the end."""
         self.close_chunk()
         self._write(_record(DataEnd(self._crc)))
         started, offsets = self._at, []
@@ -265,16 +266,16 @@ def _record(record: McapRecord) -> bytes:
 
 
 class RecordingFile:
-    """A file that takes the place of an older one when it has its beginning, and grows from then on.
+    """A file that replaces an older one as soon as its beginning is written, and grows from then on.
 
-    Every piece is on the disk (fdatasync) when :meth:`append` returns: what a power failure takes is what came after.
+    Every piece is on the disk (fdatasync) when :meth:`append` returns: a power failure takes only what came after.
     """
 
     def __init__(self, path: Path, beginning: bytes) -> None:
-        """Begin the file.
+        """Write ``beginning`` to a new file, which then replaces any file at ``path``.
 
         Raises:
-            OSError: it cannot be written; an older one of that name is still there.
+            OSError: the file cannot be written; an older file at ``path`` is still there then.
         """
         partial, self._file = open_beside(path)
         self._fd = self._file.fileno()
@@ -288,7 +289,7 @@ class RecordingFile:
             raise
 
     def append(self, piece: bytes) -> None:
-        """Add a piece, whole or not at all.
+        """Add a piece as a whole, or leave the file as it was.
 
         Raises:
             OSError: there is no room, or the disk fails.
@@ -299,11 +300,11 @@ class RecordingFile:
                 rest = rest[os.write(self._fd, rest) :]
             os.fdatasync(self._fd)
         except OSError:
-            os.ftruncate(self._fd, self._length)  # needs no room
+            os.ftruncate(self._fd, self._length)  # this works on a full disk as well
             os.lseek(self._fd, self._length, os.SEEK_SET)
             raise
         self._length += len(piece)
 
     def close(self) -> None:
-        """Close it."""
-        self._file.close()  # nothing is buffered in it
+        """Close the file; its bytes are on the disk already."""
+        self._file.close()

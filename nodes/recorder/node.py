@@ -1,20 +1,19 @@
-"""The recorder's process: what its supervisor tells it goes to the disk, twice a second.
+"""The recorder's process: it writes the supervisor's observations to the disk, twice a second.
 
-Writing and syncing take as long as the disk takes, milliseconds or seconds: that is why this is nobody's loop. The
-supervisor keeps what it has not taken in yet, within bounds, and hears of every frame that was. The recorder ends when
-it is told that the session is over, when it cannot write any more, or when the supervisor is gone; the file then has
-all that was taken in before, unless it was killed, which costs less than a second.
+Writing and syncing take as long as the disk takes, milliseconds or seconds. So a process of its own does it, in which
+no tick runs. The supervisor keeps the frames that the recorder has not taken in yet, within bounds. The recorder ends
+when the session is over, when it cannot write any more, or when the supervisor is gone. The file then has all frames
+that were taken in; if the recorder was killed, less than a second of them is lost.
 
-What a recorder is given to start with: where to write, what of, and where its supervisor finds it.
+A :class:`Plan` states what a recorder records and where to. A recorder reports its :data:`Status` to its supervisor on
+a pipe, one line of JSON for each:
 
-What a recorder says to its supervisor: a line of JSON each, on a pipe of their own.
-
-    {"ready": ENDPOINT}               the file is begun; this is where to send observations
+    {"ready": ENDPOINT}               the file is begun; the supervisor sends observations to this endpoint
     {"taken": N}                      so many frames in all have been taken in: there is room for others
     {"stopped": TEXT, "tick": K}      nothing more can be written; the file is readable up to tick K
     {"closed": {...}, "tick": K}      the file is whole; ticks missing by device
 
-A recorder and its supervisor are of one version and one machine: this is not part of the protocol.
+A recorder and its supervisor have one version and run on one machine, so this is not part of the protocol.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 
 class PlanError(Exception):
-    """A plan cannot be read; names the file and what is wrong."""
+    """A plan cannot be read; the message names the file and the reason."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +48,11 @@ class Plan:
     """A recorder's plan.
 
     Attributes:
-        file: the recording, absolute.
+        file: the absolute path of the recording.
         directory: the run's own directory, mode 0700, where the recorder binds its socket.
-        recorded: what it will be told.
-        attachments: files that go into the recording, contents by name; texts.
-        started: when the recording was, ns since 1970.
+        recorded: the session that is recorded.
+        attachments: the contents of text files that go into the recording, by name.
+        started: the time at which the recording starts, ns since 1970.
     """
 
     file: Path
@@ -63,10 +62,10 @@ class Plan:
     started: int = 0
 
     def save(self, path: Path) -> None:
-        """Write it for its owner's eyes only (mode 0600).
+        """Write the plan to a new file that only its owner can read (mode 0600).
 
         Raises:
-            OSError: the file cannot be written.
+            OSError: the file exists or cannot be written.
         """
         plain = {
             "file": str(self.file),
@@ -80,10 +79,10 @@ class Plan:
 
     @classmethod
     def load(cls, path: Path) -> Plan:
-        """Read it.
+        """Read a plan.
 
         Raises:
-            PlanError: not readable, or no plan.
+            PlanError: the file cannot be read, or is no plan.
         """
         try:
             data = json.loads(path.read_text())
@@ -101,26 +100,26 @@ class Plan:
 
 
 MAX_LINE_BYTES: Final = 1024 * 1024
-"""Longest line: it may name every device."""
+"""The greatest length of a line, which may name every device."""
 
 
 @dataclass(frozen=True)
 class Ready:
-    """The file is begun; observations are expected at ``endpoint``."""
+    """The file is begun; the recorder expects observations at ``endpoint``."""
 
     endpoint: str
 
 
 @dataclass(frozen=True)
 class Taken:
-    """How many frames have been taken in since the beginning."""
+    """The number of frames that have been taken in since the beginning."""
 
     frames: int
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """Nothing more can be written, and why; the file is readable up to ``tick``."""
+    """Nothing more can be written, for the reason ``text``; the file is readable up to ``tick``."""
 
     text: str
     tick: int
@@ -128,7 +127,7 @@ class Stopped:
 
 @dataclass(frozen=True)
 class Closed:
-    """The file is whole up to ``tick``; ``missing``: ticks never told, by device, those devices that miss some."""
+    """The file is whole up to ``tick``; ``missing`` has the number of ticks that never came, by device."""
 
     missing: Mapping[str, int]
     tick: int
@@ -153,7 +152,7 @@ def encode(status: Status) -> bytes:
 
 
 class Lines:
-    """Puts the pieces that a pipe delivers together again.
+    """Joins the pieces that a pipe delivers into lines.
 
     Attributes:
         nonsense: lines that were no status.
@@ -164,7 +163,7 @@ class Lines:
         self.nonsense = 0
 
     def feed(self, piece: bytes) -> Iterator[Status]:
-        """The statuses that are complete with ``piece``."""
+        """The statuses whose lines are complete with ``piece``."""
         *whole, self._rest = (self._rest + piece).split(b"\n")
         if len(self._rest) > MAX_LINE_BYTES:
             self._rest = b""
@@ -195,19 +194,19 @@ def _decode(line: bytes) -> Status | None:
 
 
 FLUSH_EVERY: Final = from_seconds(0.5)
-"""So that a recorder that is killed costs no second, what was under way to it included."""
+"""The time between two writes; a killed recorder then loses less than a second, frames on their way included."""
 
 TAKEN_EVERY: Final = 32
-"""Frames after which they are said to be taken, though more are waiting."""
+"""Frames after which the recorder reports them as taken, even while more are waiting."""
 
-NICENESS: Final = 10  # the loop's processes come first on a busy machine: being late costs nothing here
+NICENESS: Final = 10  # on a busy machine the loop's processes come first: a late recorder costs nothing
 _PATIENCE: Final = from_seconds(0.1)
 
 Say = Callable[[Status], None]
 
 
 def to_pipe(fd: int) -> Say:
-    """A way to tell the supervisor, over its pipe; one that is gone hears nothing, and ``Life`` finds out."""
+    """A function that reports to the supervisor over its pipe; without a reader it does nothing."""
 
     def say(status: Status) -> None:
         try:
@@ -219,7 +218,14 @@ def to_pipe(fd: int) -> Say:
 
 
 def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
-    """Record until the session is over, or nothing more can be written; returns the exit code."""
+    """Record until the session is over, or nothing more can be written; returns the exit code.
+
+    Args:
+        plan: the session, and the file to write.
+        life: whether the process should still run.
+        clock: paces the writes; a realtime one.
+        say: reports to the supervisor.
+    """
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:
@@ -239,15 +245,19 @@ def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
 
 
 class _Recording:
-    """A file being written."""
+    """The loop of a recorder whose file has begun."""
 
     def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, say: Say) -> None:
         self._core, self._file, self._link, self._clock, self._say = core, file, link, clock, say
         self._taken = self._told = 0
-        self._tick = 0  # up to which it is on the disk
+        self._tick = 0  # the tick up to which the file is on the disk
 
     def run(self, life: Life) -> int:
-        """Take in, write, say so, until the end."""
+        """Take in frames, write and report, until the end; returns the exit code.
+
+        The loop reads all frames that wait before it reports or looks at ``life``: the supervisor holds them back until
+        they are reported as taken, and a request to end must not lose frames that came before it.
+        """
         core, clock = self._core, self._clock
         due = Instant(clock.now() + FLUSH_EVERY)
         try:
@@ -255,7 +265,7 @@ class _Recording:
                 frame = self._link.recv(Duration(0))
                 if frame is None:
                     self._tell()
-                    if life.stopping:  # and all that came before has been taken in
+                    if life.stopping:  # only here, where every frame that came before has been taken in
                         break
                     frame = self._link.recv(Duration(min(_PATIENCE, max(due - clock.now(), 1))))
                 if frame is not None:
