@@ -31,7 +31,7 @@ def extremes(values: Floats) -> Floats:
         values: buckets x ticks x columns; NaN where there is no value.
 
     Returns:
-        Buckets x 2 x columns: the two values of every bucket and column, the earlier first; NaN twice where all are NaN.
+        Buckets x 2 x columns: both values of every bucket and column, the earlier first; NaN twice where all are NaN.
     """
     absent = np.isnan(values)
     least = np.where(absent, np.inf, values).argmin(axis=1)
