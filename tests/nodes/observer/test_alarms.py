@@ -46,7 +46,7 @@ def test_a_session_that_is_well_has_none() -> None:
         (conditioned(notices=("left: a delay",)), AlarmLevel.WARNING, "left: a delay"),
         (conditioned(incidents=("vl came back",)), AlarmLevel.NOTE, "vl came back"),
         (conditioned(faults=("vl was killed",)), AlarmLevel.FAULT, "vl was killed"),
-        (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: nothing has been heard"),
+        (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: it has sent nothing"),
         (conditioned(lost=("left",)), AlarmLevel.FAULT, "left: lost"),
         (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), AlarmLevel.FAULT, "vl: its ledger fell to -0.25 J"),
         (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
