@@ -53,16 +53,16 @@ class Deadline:
 
     __slots__ = ("_began", "_due", "_first", "_period", "_timeouts", "listened")
 
-    def __init__(self, patience: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
+    def __init__(self, timeouts: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
         """Begin to wait; no signal is there yet.
 
         Args:
-            patience: ``freeze`` and ``stale`` are used.
+            timeouts: the timeouts, of which ``freeze`` and ``stale`` are used.
             period: T, ns.
             due: when the devices sample the present tick.
             began: when the tick before was answered.
         """
-        self._timeouts, self._period, self._due, self._began = patience, period, due, began
+        self._timeouts, self._period, self._due, self._began = timeouts, period, due, began
         self._first = _NOBODY_WAITS  # since when a coupling whose signal is there waits for the missing ones
         self.listened = False
 

@@ -446,12 +446,12 @@ class Members:
         self._feedthrough, self._digests = dict(feedthrough), dict(digests)
 
     def _event(self, member: Member, event: MembershipEvent, tick: int) -> bool:
-        was_seated = member.membership.state is Membership.ACTIVE
+        was_active = member.membership.state is Membership.ACTIVE
         if not member.membership.on(event, tick):
             return False
         if member.membership.state is Membership.ACTIVE:
             self.events.activate(tick, member.peer_link.peer.name)
-        elif was_seated:
+        elif was_active:
             self.events.freeze(tick, member.peer_link.peer.name)
         if self.log is not None and (noted := _NOTED.get(member.membership.state)) is not None:
             self.log.note(noted, peer=member.peer_link.peer.name, tick=tick, heard=event.value)
