@@ -27,6 +27,43 @@ from manyhands.nodes.device.pointer import BrowserDriver, pointer_of
 from manyhands.nodes.device.simulated import simulated_driver
 
 
+class Driver(Protocol):
+    """A force-feedback device: displacement out, force in, one of each a tick."""
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        ...
+
+    def sample(self, tick: int) -> Sequence[float]:
+        """The displacement x(k), m, at this moment, one entry for each axis; ``tick`` counts the calls from 0."""
+        ...
+
+    def apply(self, f: Sequence[float]) -> None:
+        """Exert the force f (N) and hold it until the next call."""
+        ...
+
+    def release(self) -> None:
+        """Exert no force until the next :meth:`apply`; the loop calls this when it has no force in time."""
+        ...
+
+    def idle(self) -> None:
+        """Do the work that was put off: the tick's force is applied, and the next sample is not yet due."""
+        ...
+
+    def intended_work(self) -> float:
+        """The work of the hand's intention between the last two samples, J; 0 where it is unknown."""
+        ...
+
+    def figures(self) -> Mapping[str, float]:
+        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
+        ...
+
+    def close(self) -> None:
+        """Exert no force, and release the device's files and sockets. A second call does nothing."""
+        ...
+
+
 class TraceDriver:
     """A :class:`manyhands.nodes.device.drivers.Driver` that plays a motion; at its end it stays there."""
 
@@ -88,43 +125,6 @@ class TraceDriver:
     def _at(self, tick: int) -> Floats:
         t = tick * self._T
         return [trace(t) for trace in self._traces]
-
-
-class Driver(Protocol):
-    """A force-feedback device: displacement out, force in, one of each a tick."""
-
-    @property
-    def axes(self) -> int:
-        """Number of axes."""
-        ...
-
-    def sample(self, tick: int) -> Sequence[float]:
-        """The displacement x(k), m, at this moment, one entry for each axis; ``tick`` counts the calls from 0."""
-        ...
-
-    def apply(self, f: Sequence[float]) -> None:
-        """Exert the force f (N) and hold it until the next call."""
-        ...
-
-    def release(self) -> None:
-        """Exert no force until the next :meth:`apply`; the loop calls this when it has no force in time."""
-        ...
-
-    def idle(self) -> None:
-        """Do the work that was put off: the tick's force is applied, and the next sample is not yet due."""
-        ...
-
-    def intended_work(self) -> float:
-        """The work of the hand's intention between the last two samples, J; 0 where it is unknown."""
-        ...
-
-    def figures(self) -> Mapping[str, float]:
-        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
-        ...
-
-    def close(self) -> None:
-        """Exert no force, and release the device's files and sockets. A second call does nothing."""
-        ...
 
 
 def driver_of(bundle: DeviceBundle) -> Driver:

@@ -89,6 +89,20 @@ LONGEST_PAUSE: Final = 256
 FORGIVEN: Final = 100
 """Ticks of activity after which a coupling's earlier absences no longer lengthen its pause: those of the ramp."""
 
+MOST_AHEAD = 2**16
+"""Ticks by which a signal that is kept may be ahead: far more than pass between two telemetries.
+
+A resumed environment begins at the tick of the last telemetry, and its couplings may be ahead by that much.
+"""
+
+LEAD = 3
+"""Ticks that a coupling has for its way back; the environment does not wait for it in them.
+
+They are fewer than a device waits for its force, the first tick's own wait included: it would let go again otherwise.
+"""
+
+_NOTED = {Membership.FROZEN: LogEvent.FROZEN, Membership.GONE: LogEvent.LOST, Membership.ACTIVE: LogEvent.RETURNED}
+
 
 class MembershipRecord:
     """The membership of one coupling.
@@ -464,18 +478,3 @@ class Members:
     def _sort(self) -> None:
         self.active = [member for member in self.all if member.membership.state is Membership.ACTIVE]
         self.all_active = len(self.active) == len(self.all)
-
-
-_NOTED = {Membership.FROZEN: LogEvent.FROZEN, Membership.GONE: LogEvent.LOST, Membership.ACTIVE: LogEvent.RETURNED}
-
-MOST_AHEAD = 2**16
-"""Ticks by which a signal that is kept may be ahead: far more than pass between two telemetries.
-
-A resumed environment begins at the tick of the last telemetry, and its couplings may be ahead by that much.
-"""
-
-LEAD = 3
-"""Ticks that a coupling has for its way back; the environment does not wait for it in them.
-
-They are fewer than a device waits for its force, the first tick's own wait included: it would let go again otherwise.
-"""
