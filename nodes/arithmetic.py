@@ -1,19 +1,17 @@
-"""Products with the small matrices of a tick, as plain floats where those are faster.
+"""The arithmetic of a tick: products with small matrices, small systems of equations, clipped forces, a matrix digest.
 
-A loop wakes once a millisecond and finds its caches taken by others: what a product costs then is the code that has to
-be fetched, not the arithmetic. A call into numpy costs some 10 us cold however small the matrix, a sum of products in
-Python a tenth of that for a device's one port. Beyond :data:`NARROW` entries numpy is the faster one.
+**Products** (:func:`linear_map`, :func:`dot`) are sums of plain floats where these are faster than numpy. A loop wakes
+once a millisecond, and other processes have used its caches meanwhile. A product then costs the time to fetch its code,
+not the arithmetic. A call into numpy costs some 10 us with cold caches, however small the matrix. A sum of products in
+Python costs a tenth of that for a device with one port. Beyond :data:`NARROW` entries numpy is faster. The choice
+depends on the matrix alone, so that a run and its simulation have the same numbers.
 
-The choice depends on the matrix alone, so that a run and its simulation have the same numbers.
+**Clipping** (:class:`Saturation`) limits a force port by port: at the coupling, and again at the device, last before
+its actuator. The certificate does not cover a clipped force, so both places count the ticks and report them.
 
-Clipping a force to its limits, port by port: at the coupling, and again at the device, last before its actuator.
-
-A clipped force is not the one that the certificate is about. Both places count the ticks, so that it is told.
-
-By what the environment knows the D_V that its certificate is about, without being given it.
-
-The launcher puts the digest of every block's D_V into the environment's bundle; a coupling says its D_V at the
-handshake. One that runs another block than the certificate's is found out as far as the environment can see.
+**The digest** (:func:`feedthrough_digest`) lets the environment recognise the D_V of its certificate without having it.
+The launcher puts the digest of every block's D_V into the environment's bundle, and a coupling sends its D_V in the
+handshake. So the environment refuses a coupling whose block has a different D_V.
 """
 
 from __future__ import annotations
@@ -36,14 +34,14 @@ Rows: TypeAlias = Sequence[Floats]
 LinearMap: TypeAlias = Callable[[Floats], Floats]
 
 NARROW: Final = 100
-"""Entries of a matrix up to which its products are sums in Python: 3 ports and 5 states of an environment are 88."""
+"""Entries of a matrix up to which its products are sums in Python: 3 ports and 5 states of an environment have 88."""
 
 FEW: Final = 4
-"""Unknowns up to which equations are solved in Python: with five numpy is the faster one, with eight four times."""
+"""Unknowns up to which equations are solved in Python: with five numpy is faster, with eight four times faster."""
 
 
 def linear_map(matrix: NDArray[np.float64]) -> LinearMap:
-    """The map v -> M v."""
+    """The map v -> M v, for a constant matrix M."""
     if matrix.size > NARROW:
         whole = np.array(matrix, order="C")
 
@@ -67,7 +65,13 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def solve(A: Rows, b: Floats, least: float) -> Floats | None:
-    """A^{-1} b of a square matrix; None where a pivot, or what stands for one, is not greater than ``least``."""
+    """A^{-1} b of a square matrix A; None where A is nearly singular.
+
+    Args:
+        A: n x n.
+        b: n numbers.
+        least: a pivot must be greater than this; beyond :data:`FEW` unknowns 1/||A^{-1}||_1 takes its place.
+    """
     n = len(b)
     if n > FEW:
         try:
@@ -76,7 +80,7 @@ def solve(A: Rows, b: Floats, least: float) -> Floats | None:
             return None
         image: Floats = (inverse @ np.array(b)).tolist()
         return image if least * float(np.linalg.norm(inverse, 1)) < 1.0 else None
-    # Gauss and Jordan, with the greatest of a column as its pivot
+    # Gauss-Jordan elimination; the pivot is the greatest entry of its column
     work = [[*row, at] for row, at in zip(A, b, strict=True)]
     for k in range(n):
         pivot = max(range(k, n), key=lambda i: abs(work[i][k])) if k < n - 1 else k
@@ -93,21 +97,21 @@ def solve(A: Rows, b: Floats, least: float) -> Floats | None:
 
 
 class Saturation:
-    """Limits of the force at a number of ports.
+    """The limits of the forces at several ports.
 
     Attributes:
-        ticks: how often a force was clipped.
+        ticks: the number of ticks whose force was clipped.
     """
 
     __slots__ = ("_limits", "ticks")
 
     def __init__(self, limits: Sequence[float]) -> None:
-        """``limits``: greatest absolute force by port, N."""
+        """``limits`` has the greatest absolute force of each port, N."""
         self._limits = tuple(limits)
         self.ticks = 0
 
     def clip(self, f: Floats) -> Floats:
-        """``f`` (N) itself where it is within the limits, otherwise a new list that is; what is no number becomes 0."""
+        """``f`` (N) itself where it is within the limits, otherwise a clipped copy, in which NaN becomes 0."""
         for force, limit in zip(f, self._limits, strict=True):
             if not -limit <= force <= limit:
                 break

@@ -1,14 +1,12 @@
-"""What a node is given to start with: its own part of the session and nothing of the others'.
+"""The bundle that one node is started with: its own part of the session, and nothing of the others'.
 
-A bundle is one JSON file, written by the launcher from the session and its certificate, readable by its
-node alone. A device's holds no block of V, a coupling's only its own, the environment's none: D_V reaches it at the
-handshake, and its bundle has the D_V of the ladder's further rungs.
+A bundle is one JSON file. The launcher writes it from the session and its certificate, and only its node may read it.
+A device's bundle holds no block of V, and a coupling's only its own block. The environment's bundle holds none: D_V of
+rung 0 comes with the handshakes, and the bundle has only the D_V of the ladder's further rungs.
 
-What a node's bundle is made of: who it is, its peers, limits, and rungs of the ladder.
-
-The values that bundles are made of, to JSON and back: arrays with their shape, systems, floats.
-
-What moves a device, as its bundle says it: a simulated hand, a recorded motion, or a person at a browser.
+A bundle names the node, its peers and its limits (:class:`Common`, :class:`Peer`, :class:`Limits`), and the rungs of
+the ladder. A device's bundle also has the source of its motion (:data:`Source`): a simulated hand, a recorded motion,
+or a person at a browser. Arrays are written with their shape (:func:`plain`, :func:`array`).
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from manyhands.nodes.environment.model import ModelName
 from manyhands.protocol.messages import Role
 
 MOST_RUNGS = 8
-"""Of a ladder, besides rung 0: as many as a session file may state."""
+"""The most rungs of a ladder besides rung 0, as many as a session file may state."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,10 @@ class Peer:
 
     Attributes:
         name: the peer's name.
-        role: what it is.
+        role: the peer's role.
         ports: the ports that the link carries, in order.
         binds: whether *this* node binds the link's endpoint.
-        address: where it binds it (tcp), host:port; empty for any port of the loopback.
+        address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
     """
 
     name: str
@@ -55,7 +53,7 @@ class Peer:
 
 @dataclass(frozen=True)
 class Common:
-    """What every node needs to find and recognise the others.
+    """The part of a bundle that every node needs, to find its peers and to be recognised by them.
 
     Attributes:
         session: the session's name.
@@ -71,12 +69,13 @@ class Common:
         directory: the session's directory, mode 0700; empty for a node on another machine.
         control: endpoint of the supervisor's hub.
         ports: the node's ports, in order.
-        peers: its links.
+        peers: the node at the other end of each link.
         telemetry_ticks: ticks between two telemetry messages.
-        telemetry_first: ticks to the first, at most as many: nodes do not all tell in the same tick.
+        telemetry_first: ticks before the first one, at most as many; they differ, so that the nodes of a session do not
+            all send telemetry in the same tick.
 
     Raises:
-        ValueError: the first telemetry has more ticks than the others, for which alone there is room.
+        ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
     """
 
     session: str
@@ -106,7 +105,7 @@ class Common:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the devices at a node's ports may exert and reach, either way; one entry for each port of the node.
+    """The limits of the devices at a node's ports, in either direction; one entry for each port of the node.
 
     Attributes:
         force: N.
@@ -129,12 +128,12 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class DeviceRung:
-    """What a device promises at one rung of the ladder.
+    """The promise of a device at one rung of the ladder.
 
     Attributes:
         tau: delay that the rung covers, s.
-        level: of its G_hat, m_i x m_i, N*s/m.
-        K: m_i x m_i, m/N.
+        level: the passivity level of its G_hat, share Delta_D, m_i x m_i, N*s/m.
+        K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
     """
 
     tau: float
@@ -149,7 +148,7 @@ class CouplingRung:
     Attributes:
         block: V_i.
         K: K_i, m_i x m_i, m/N.
-        level: Delta_V,i, m_i x m_i, N*s/m; None where nothing is certified.
+        level: Delta_V,i, m_i x m_i, N*s/m; None for an uncertified session.
     """
 
     block: StateSpace
@@ -161,10 +160,10 @@ def require_rungs(rungs: Sequence[DeviceRung | CouplingRung]) -> None:
     """Check that the rungs of one node fit each other.
 
     Args:
-        rungs: all of them, rung 0 first.
+        rungs: all rungs, rung 0 first.
 
     Raises:
-        ValueError: too many, a matrix of another shape than rung 0's, or a coupling's rung without a level.
+        ValueError: there are too many, a matrix has not the shape that it has at rung 0, or a rung has no level.
     """
     if len(rungs) > 1 + MOST_RUNGS:
         raise ValueError(f"found {len(rungs)} rungs; expected at most {1 + MOST_RUNGS}")
@@ -180,7 +179,7 @@ def require_rungs(rungs: Sequence[DeviceRung | CouplingRung]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: data classes by their fields, arrays with their shape."""
+    """A value in the form that JSON writes: data classes by their fields, arrays with their shape."""
     if dataclasses.is_dataclass(value):
         return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, np.ndarray):
@@ -193,35 +192,35 @@ def plain(value: Any) -> Any:
 
 
 def array(data: Any) -> Matrix:
-    """A matrix; what is none raises one of the errors that :func:`manyhands.nodes.bundle.load` knows."""
+    """The matrix of ``data``; other data raise one of the errors that :func:`load` turns into a BundleError."""
     return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
 
 
 def system(data: Any) -> StateSpace:
-    """A system by its matrices A, B, C, D; likewise."""
+    """The system of ``data``, by its matrices A, B, C, D; other data raise as in :func:`array`."""
     return StateSpace(*(array(data[name]) for name in "ABCD"))
 
 
 def floats(data: Any) -> tuple[float, ...]:
-    """Numbers; likewise."""
+    """The numbers of ``data``; other data raise as in :func:`array`."""
     return tuple(float(value) for value in data)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedHand:
-    """The physics of a simulated device and its hand, one entry an axis.
+    """The physics of a simulated device and its hand, one entry for each axis.
 
     Attributes:
-        mass: kg, device and hand together.
-        damping: the device's, N*s/m.
-        operator: H in continuous time.
+        mass: of device and hand together, kg.
+        damping: of the device, N*s/m.
+        operator: H in continuous time, the operator's dynamics.
         hand_damping: N*s/m.
         hand_stiffness: N/m.
         force: intended force (N): a number, a formula in t, or {"times", "values"}.
-        motion: intended motion (m), likewise.
+        motion: intended motion (m), in the same forms.
 
     Raises:
-        ValueError: not as many of each.
+        ValueError: the entries are not of one number of axes.
     """
 
     mass: tuple[float, ...]
@@ -244,10 +243,10 @@ class SimulatedHand:
 
 @dataclass(frozen=True, eq=False)
 class BrowserHand:
-    """The physics of a device that a person's browser can hold; by itself the hand intends nothing.
+    """The physics of a device that a person holds by a browser's pointer; by itself the hand has no intention.
 
     Attributes:
-        physics: device and hand, the hand being what holds the device to the pointer.
+        physics: the device, and the hand that joins it to the pointer.
     """
 
     physics: SimulatedHand
@@ -260,15 +259,15 @@ class BrowserHand:
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """A motion that was recorded, and moves the device whatever force acts on it.
+    """A recorded motion, which moves the device whatever force acts on it.
 
     Attributes:
-        damping: Delta_D of the device that is moved, m x m, N*s/m.
-        times: of the samples, s, growing from 0.
-        values: of each axis, as many as there are times, m.
+        damping: Delta_D of the device, m x m, N*s/m.
+        times: the times of the samples, s, increasing from 0.
+        values: by axis, one value for each time, m.
 
     Raises:
-        ValueError: there are not as many, or the damping is not m x m.
+        ValueError: an axis has not one value for each time, or the damping is not m x m.
     """
 
     damping: Matrix
@@ -287,7 +286,7 @@ class RecordedMotion:
 
 
 Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion
-"""What moves a device."""
+"""The source of a device's motion."""
 
 
 def _require_one_number(numbers: set[int]) -> None:
@@ -296,17 +295,18 @@ def _require_one_number(numbers: set[int]) -> None:
 
 
 def plain_source(source: Source) -> dict[str, Any]:
-    """As a bundle's file has it."""
+    """The source in the form of a bundle's file."""
     kind = next(kind for kind, (of, _) in _KINDS.items() if isinstance(source, of))
     return {"kind": kind, **{field.name: plain(getattr(source, field.name)) for field in dataclasses.fields(source)}}
 
 
 def source_from(data: Any) -> Source:
-    """From what a bundle's file has.
+    """The source in a bundle's file; the inverse of :func:`plain_source`.
 
     Raises:
-        ValueError: no such kind, or numbers that do not fit each other.
-        KeyError, TypeError: of another form.
+        ValueError: the kind is unknown, or the numbers do not fit each other.
+        KeyError: an entry is missing.
+        TypeError: an entry has the wrong type.
     """
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -341,24 +341,27 @@ REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
 
 MAX_TELEMETRY_TICKS = 1000
-"""Most ticks between two telemetry messages: a node keeps the traces of as many."""
+"""The most ticks between two telemetry messages: a node keeps the traces of all of them."""
 
 
 class BundleError(Exception):
-    """A bundle cannot be read; names the file and what is wrong."""
+    """A bundle cannot be read; the message names the file and the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeviceBundle:
-    """A device's part.
+    """A device's part of the session.
 
     Attributes:
-        common: what every node needs; its tau is that of rung 0.
-        level: of its G_hat, N*s/m.
-        K: K_i, m/N.
-        source: what moves it.
-        limits: its own.
-        longer: what it promises at rungs 1, 2, ... of the ladder, for longer delays.
+        common: the part that every node needs; its tau is that of rung 0.
+        level: the passivity level of its G_hat, share Delta_D, m_i x m_i, N*s/m.
+        K: K_i, m_i x m_i, m/N.
+        source: what moves the device.
+        limits: the limits of the device.
+        longer: the promises at rungs 1, 2, ... of the ladder, for longer delays.
+
+    Raises:
+        ValueError: there is no level, the axes of the source are not the ports, or the rungs do not fit each other.
     """
 
     common: Common
@@ -382,21 +385,24 @@ class DeviceBundle:
 
     @property
     def rungs(self) -> tuple[DeviceRung, ...]:
-        """What it promises at each rung; rung 0 is that of the session's certificate."""
+        """The promise at each rung; rung 0 is the session's certificate."""
         return (DeviceRung(self.common.tau, self.level, self.K), *self.longer)
 
 
 @dataclass(frozen=True, eq=False)
 class CouplingBundle:
-    """A coupling block's part.
+    """A coupling block's part of the session.
 
     Attributes:
-        common: what every node needs.
+        common: the part that every node needs.
         block: V_i.
-        K: K_i, m/N.
-        level: Delta_V,i, N*s/m; None for an uncertified session.
-        limits: its devices'.
+        K: K_i, m_i x m_i, m/N.
+        level: Delta_V,i, m_i x m_i, N*s/m; None for an uncertified session.
+        limits: the limits of its devices.
         softer: the block at rungs 1, 2, ... of the ladder.
+
+    Raises:
+        ValueError: the rungs do not fit each other.
     """
 
     common: Common
@@ -411,35 +417,35 @@ class CouplingBundle:
 
     @property
     def rungs(self) -> tuple[CouplingRung, ...]:
-        """The block at each rung; rung 0 is that of the session's certificate."""
+        """The block at each rung; rung 0 is the session's certificate."""
         return (CouplingRung(self.block, self.K, self.level), *self.softer)
 
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentBundle:
-    """The environment's part: E, Phi_E (N*s/m) unless uncertified, and by what it knows its couplings.
+    """The environment's part of the session.
 
     Attributes:
-        common: what every node needs.
-        E: the environment; None for a model.
-        Phi_E: its level.
-        tool_magnitude: the greatest |p| that honest devices and couplings can send, by port, m; None: no bound.
-        tool_step: the greatest |p(k) - p(k-1)|, likewise.
-        feedthrough: by coupling, the digest of the D_V that it must say
+        common: the part that every node needs.
+        E: the environment, tool displacement (m) to force (N); None for a model.
+        Phi_E: its passivity level, m x m, N*s/m; None where none is promised.
+        tool_magnitude: by port, the greatest |p| that honest devices and couplings can send, m; None for no bound.
+        tool_step: by port, the greatest |p(k) - p(k-1)|, m; None for no bound.
+        feedthrough: by coupling, the digest of the D_V that its hello must have
             (:func:`manyhands.nodes.arithmetic.feedthrough_digest`).
         feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
         independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
-        model: the model in place of E.
-        masses: whose positions are entries of E's state, from the m-th on; none where E is no network.
+        model: the model in place of E; None for E.
+        masses: the masses whose positions are entries of E's state, from the m-th on; none where E is no network.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
-            softens couplings, else the certificate's; 0 where none is covered.
-        budgets: what each coupling may put into the others, in the order of the peers.
+            softens couplings, else the certificate's; 0 where no delay is covered.
+        budgets: the energy that each coupling may put into the others, in the order of the peers.
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
 
     Raises:
-        ValueError: not one of E and a model, or a ladder that is none. A model that has promised a level is not run
-            without its controller: the certificate rests on it.
+        ValueError: there are both or neither of E and a model, or budgets, storage or rungs do not fit. A model with a
+            level needs its controller, for the certificate rests on it.
     """
 
     common: Common
@@ -480,7 +486,7 @@ class EnvironmentBundle:
 
 @dataclass(frozen=True, eq=False)
 class ObserverBundle:
-    """An observer's part: who it is, and nothing of the session itself."""
+    """An observer's part: its name, its keys and its peers, and nothing of the session's mathematics."""
 
     common: Common
 
@@ -490,24 +496,24 @@ _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBund
 
 
 def save(bundle: Bundle, path: Path) -> None:
-    """Write a bundle as a new file, for its owner's eyes only (mode 0600).
+    """Write a bundle as a new file that only its owner can read (mode 0600).
 
     Raises:
-        OSError: there is something of that name, or it cannot be written.
+        OSError: the path exists, or it cannot be written.
     """
     with open_new(path, mode=0o600) as file:
         file.write(encoded(bundle))
 
 
 def encoded(bundle: Bundle) -> bytes:
-    """What is in a bundle's file."""
+    """The content of a bundle's file."""
     fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
     written = {name: plain_source(value) if name == "source" else plain(value) for name, value in fields.items()}
     return json.dumps(written, allow_nan=False).encode()
 
 
 def role_of(path: Path) -> Role:
-    """What the node of a bundle is.
+    """The role of a bundle's node.
 
     Raises:
         BundleError: as :func:`load`.
@@ -519,7 +525,7 @@ def load(path: Path, kind: type[_B]) -> _B:
     """Read a bundle of the wanted kind.
 
     Raises:
-        BundleError: not readable, or not such a bundle.
+        BundleError: the file cannot be read, or is no bundle of that kind.
     """
     try:
         data = json.loads(read_regular(path, MAX_FILE_BYTES))
@@ -527,7 +533,7 @@ def load(path: Path, kind: type[_B]) -> _B:
     except OSError as error:
         raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        # not its repr, which may quote the whole file
+        # the error's text and not its repr, which may quote the whole file
         raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}") from error
 
 
@@ -585,7 +591,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
 }
-"""Of what type a node takes these to be, without looking again."""
+"""The checks of :class:`Common`'s entries, which a node then uses without further checks."""
 
 _READ: dict[str, Any] = {
     "common": _common,

@@ -1,4 +1,4 @@
-"""One number as JSON has it."""
+"""One number as JSON can write it."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import math
 
 
 def json_number(value: float | None) -> float | None:
-    """The number, or None for one that JSON has no words for: infinite, or not a number."""
+    """``value``, or None where JSON cannot write it: it is infinite or not a number."""
     return None if value is None or not math.isfinite(value) else value

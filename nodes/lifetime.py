@@ -1,12 +1,12 @@
-"""How a node's process lives and ends, whatever its role.
+"""When a node's process ends, whatever its role.
 
-A node ends when its ticks are done, when the supervisor asks (SIGTERM), or when the supervisor is gone. The
-kernel is asked to send SIGTERM on the parent's death; as that fires on the death of the parent's *thread* and
-can be missed before it is asked for, the parent's id is compared as well whenever a node waits in vain.
-Ctrl-C is the supervisor's business: nodes ignore it, so that the order of ending stays in one hand.
+A node ends when its ticks are done, when the supervisor asks (SIGTERM), or when the supervisor is gone. The kernel is
+asked to send SIGTERM at the parent's death. That signal also comes at the death of the parent's *thread*, and is missed
+where the parent dies before the request. So a node also compares the parent's id whenever a wait brings no signal.
+Nodes ignore Ctrl-C: the supervisor handles it, so that one process decides the order of ending.
 
-A node on another machine than its supervisor has no such parent. It looks at its line to the supervisor instead, and
-Ctrl-C or Ctrl-backslash in its own terminal, or that terminal's end, ends it.
+A guest, a node on a different machine than its supervisor, has no such parent. It checks its line to the supervisor
+instead. Ctrl-C or Ctrl-backslash in its own terminal, or that terminal's end, ends it.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _LOOK_EVERY = from_seconds(0.1)
 
 
 def terminal_signals() -> tuple[signal.Signals, ...]:
-    """What a terminal sends besides Ctrl-C (SIGHUP, SIGQUIT), but for what is ignored, as SIGHUP is under nohup."""
+    """The signals of a terminal besides Ctrl-C (SIGHUP, SIGQUIT), without ignored ones such as SIGHUP under nohup."""
     return tuple(which for which in (signal.SIGHUP, signal.SIGQUIT) if signal.getsignal(which) != signal.SIG_IGN)
 
 
 class Stopped(Exception):
-    """The node was asked to end before its loop had begun."""
+    """A request to end came before the node's loop had begun."""
 
 
 class Sight(Enum):
-    """What was seen of the supervisor."""
+    """The state of the supervisor, as the node sees it."""
 
     PRESENT = "present"
-    ENDING = "ending"  # it wants this node to end
+    ENDING = "ending"  # the supervisor asks this node to end
     GONE = "gone"
 
 
@@ -50,15 +50,19 @@ class Life:
     """Whether this process should still run.
 
     Attributes:
-        stopping: becomes true when it should end at the next tick.
-        orphaned: becomes true when its supervisor is gone.
-        failure: why it ends, if that is a failure.
-        signal: the signal that asked it to end, if one did.
-        watch: for a node without a parent: looks after the supervisor some other way, and says what it saw.
+        stopping: whether the process should end at the next tick.
+        orphaned: whether its supervisor is gone.
+        failure: the reason of a failure that ends it; None without one.
+        signal: the number of the signal that asked it to end; None without one.
+        watch: for a node without a parent, returns the state of the supervisor.
     """
 
     def __init__(self, parent: int | None) -> None:
-        """Watch over the process whose supervisor has the process id ``parent``, or is on another machine."""
+        """Handle the signals of this process.
+
+        Args:
+            parent: the supervisor's process id; None for a supervisor on a different machine.
+        """
         self.stopping = self.orphaned = False
         self.failure: str | None = None
         self.signal: int | None = None
@@ -78,35 +82,39 @@ class Life:
         self.check()
 
     def look(self, now: Instant) -> None:
-        """:meth:`check`, if that was not done lately; for a loop that is kept busy, cheap enough for every signal."""
+        """Call :meth:`check` at most every 0.1 s; cheap enough for every tick, also of a loop that never waits."""
         if now >= self._due:
             self._due = Instant(now + _LOOK_EVERY)
             self.check()
 
     def check(self) -> None:
-        """Look after the supervisor; to be called wherever the node has waited in vain."""
+        """Check that the supervisor is still there; call this after every wait without a signal."""
         sight = self.watch() if self._parent is None else _sight_of(self._parent)
         if sight is not Sight.PRESENT:
             self.stopping = True
             self.orphaned = sight is Sight.GONE
 
     def fail(self, text: str) -> None:
-        """End at the next tick because of a failure; the first one is the one that is told."""
+        """End at the next tick because of a failure, with the message ``text``; the first failure is reported."""
         self.stopping = True
         self.failure = self.failure or text
 
     def enter_loop(self) -> None:
-        """From now on a request to end is only noted, so that no tick is cut in two."""
+        """Begin the loop: from now on a request to end only sets ``stopping``, so that it interrupts no tick.
+
+        Raises:
+            Stopped: a request to end has come already.
+        """
         self._raises = False
         if self.stopping:
             raise Stopped
-        # what start-up made stays: a collection in a tick would walk all of it
+        # a collection in a tick would walk through all objects of the start-up, which stay anyway
         gc.collect()
         gc.freeze()
         gc.disable()
 
     def leave_loop(self) -> None:
-        """The ticks are over; the collector may run again. A request to end is still only noted."""
+        """End the loop: the garbage collector may run again. A request to end still only sets ``stopping``."""
         gc.enable()
         gc.unfreeze()
 

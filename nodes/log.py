@@ -1,13 +1,13 @@
-"""What happened to one process, for whoever wants to know afterwards: a file of JSON lines, one for each event.
+"""The log of one process: a file of JSON lines, one for each event.
 
     {"time": "2026-01-02T03:04:05.678901Z", "monotonic_ns": 1, "session": "s", "node": "dx", "level": "info",
      "event": "loop", ...}
 
-A tick never waits for it. To note an event costs a call and a tuple in a queue of bounded length; formatting and
-writing are :meth:`Log.flush`'s, which a node calls where it has time: before its loop, when it sends telemetry, and at
-its end. In a run without incidents nothing is noted between the first tick and the last, so nothing is written then;
-the rare line at an incident takes as long as a write to the page cache takes. Whatever the disk does is counted and
-never raised: a loop outlives its log.
+A tick never waits for the log. :meth:`Log.note` costs a call and a tuple in a queue of bounded length.
+:meth:`Log.flush` formats and writes; a node calls it before its loop, when it sends telemetry, and at its end. A run
+without incidents notes no event between the first tick and the last, so it writes nothing then. The rare line at an
+incident takes as long as a write to the page cache. A failure of the disk is counted and never raised, so that it does
+not end the loop.
 """
 
 from __future__ import annotations
@@ -27,53 +27,53 @@ from manyhands.protocol.clock import Clock
 from manyhands.protocol.messages import presentable
 
 Value: TypeAlias = str | int | float | bool | None
-"""What an event may carry; a private key never is such a value: only names, counts, lengths of time and reasons are."""
+"""A value of an event: a name, a count, a length of time or a reason, and never a private key."""
 
 LOG_FOLDER: Final = "log"
 LOG_SUFFIX: Final = ".jsonl"
 
 QUEUE_EVENTS: Final = 256
-"""Events that wait to be written; more than that between two flushes are counted and dropped."""
+"""The most events that wait to be written; further ones before the next flush are dropped and counted."""
 
 MAX_LOG_BYTES: Final = 1024 * 1024
-"""Longest log of one process, but for its last two lines: the one that says so, and the process's end."""
+"""The greatest length of a process's log. Only two lines may follow: ``truncated``, and the process's ``end``."""
 
 MAX_VALUE: Final = 500
-"""Longest text of an event, characters."""
+"""The greatest length of an event's text, characters."""
 
 _NS_PER_S: Final = 1_000_000_000
 _LAST_WORDS_BYTES: Final = 4096
 
 
 class LogEvent(StrEnum):
-    """Everything that is noted. The value is the line's ``event``."""
+    """The kinds of events, each with its further fields. The value is the line's ``event``."""
 
-    START = "start"  # the process: role, pid, certificate
-    WELCOMED = "welcomed"  # by the supervisor
-    ESTABLISHED = "established"  # every link: peers
-    GRANTED = "granted"  # what the machine permits a real-time process, by name
-    REFUSED = "refused"  # by the supervisor, or by a peer at the handshake: reason
+    START = "start"  # the process has started: role, pid, certificate
+    WELCOMED = "welcomed"  # the supervisor has accepted the node
+    ESTABLISHED = "established"  # every link has shaken hands: peers
+    GRANTED = "granted"  # the machine granted or refused a wish of a real-time process: wish, granted, said
+    REFUSED = "refused"  # the supervisor or a peer refused the node: reason
     LOOP = "loop"  # the first tick is set: ticks
-    FROZEN = "frozen"  # the ports of a peer: peer, tick
-    RETURNED = "returned"  # a peer that was frozen or lost: peer, tick
-    LOST = "lost"  # a peer, by the supervisor's word: peer, tick
-    JUMPED = "jumped"  # over ticks that this node missed: tick, to
-    RUNG = "rung"  # of the ladder, from this tick on: rung, tick
-    STALE = "stale"  # a force; zero is applied until there is a new one: tick
-    BREACH = "breach"  # of what the certificate assumes, or of a limit: tick, reason
-    CLIPPED = "clipped"  # a force, the first time: tick
-    STARTED = "started"  # a process, by the supervisor: peer, pid
-    EXITED = "exited"  # a process, seen by the supervisor: peer, code
-    PHASE = "phase"  # of the session: phase
-    NOTICE = "notice"  # as the user was told it: text
-    INCIDENT = "incident"  # likewise
-    FAULT = "fault"  # likewise
-    TRUNCATED = "truncated"  # this log is as long as it may get
-    END = "end"  # the process's: reason, ticks, dropped
+    FROZEN = "frozen"  # the ports of a peer are frozen: peer, tick
+    RETURNED = "returned"  # a peer that was frozen or lost is active again: peer, tick
+    LOST = "lost"  # the supervisor reports that a peer is lost: peer, tick
+    JUMPED = "jumped"  # the node went on over ticks that it missed: tick, to
+    RUNG = "rung"  # a rung of the ladder holds from this tick on: rung, tick
+    STALE = "stale"  # a force is stale, and zero is applied until a new one comes: tick
+    BREACH = "breach"  # an assumption of the certificate or a limit is broken: tick, reason
+    CLIPPED = "clipped"  # a force was clipped for the first time: tick
+    STARTED = "started"  # the supervisor has started a process: peer, pid
+    EXITED = "exited"  # a process has ended: peer, code
+    PHASE = "phase"  # the session has reached a phase: phase
+    NOTICE = "notice"  # a message to the user: text
+    INCIDENT = "incident"  # a message to the user about an incident: text
+    FAULT = "fault"  # a message to the user about a failure: text
+    TRUNCATED = "truncated"  # this log has its greatest length
+    END = "end"  # the process ends: reason, ticks, dropped
 
 
 class LogLevel(StrEnum):
-    """How grave an event is."""
+    """The gravity of an event."""
 
     INFO = "info"
     WARNING = "warning"
@@ -108,8 +108,8 @@ class Log:
     """One process's log.
 
     Attributes:
-        dropped: events that were not written: the queue was full, the log too long, or the disk did not take them.
-        trouble: what the disk said when it first did not take a line; None while it does.
+        dropped: events that were not written, for the queue was full, the log too long, or the disk failed.
+        trouble: the error of the first write that failed; None without one.
     """
 
     def __init__(
@@ -121,15 +121,15 @@ class Log:
         wall: Callable[[], int] = time.time_ns,
         most_bytes: int = MAX_LOG_BYTES,
     ) -> None:
-        """Open the log; a file that is there is continued, by a node that was started anew.
+        """Open the log; a node that was started anew continues the file of its process before.
 
         Args:
             path: the file; None for a log that is not kept.
             session: the session's name.
-            node: the process's.
-            clock: for ``monotonic_ns``; a realtime one, whatever paces the session.
-            wall: the time of day, ns since 1970.
-            most_bytes: how long the file may get.
+            node: the name of the process.
+            clock: a realtime clock for ``monotonic_ns``, whatever paces the session.
+            wall: returns the time of day, ns since 1970.
+            most_bytes: the greatest length of the file.
         """
         self._who = {"session": session, "node": node}
         self._clock, self._wall, self._most_bytes = clock, wall, most_bytes
@@ -152,7 +152,7 @@ class Log:
             self.trouble = error.strerror or str(error)
 
     def note(self, event: LogEvent, **data: Value) -> None:
-        """Note an event of now, to be written at the next flush; cheap enough for a tick in which something happens."""
+        """Note an event with the present time, to be written at the next flush; cheap enough for a tick."""
         if not self._kept:
             return
         if len(self._queue) >= QUEUE_EVENTS:
@@ -161,7 +161,7 @@ class Log:
         self._queue.append((self._wall(), self._clock.now(), event, data))
 
     def flush(self) -> None:
-        """Write what was noted; nothing that goes wrong with that is raised."""
+        """Write the events that were noted; an error of the disk is counted and not raised."""
         queue = self._queue
         if not queue:
             return
@@ -172,14 +172,14 @@ class Log:
         self._write(lines)
 
     def close(self) -> None:
-        """Write what was noted, and close the file. A second time does nothing."""
+        """Write the events that were noted, and close the file. A second call does nothing."""
         self.flush()
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
     def _admit(self, entry: _Entry) -> bytes:
-        """The line of an entry if the file has room for it: the end of a process always has."""
+        """The line of an entry if the file has room for it; the end of a process always has room."""
         line = self._line(entry)
         if self._full or self._length + len(line) > self._most_bytes:
             if entry[2] is LogEvent.END and len(line) <= _LAST_WORDS_BYTES:
@@ -222,7 +222,7 @@ class Log:
             self.dropped += len(lines)
 
     def _undo(self, written: int) -> None:
-        """Leave no half line: what of a batch went to a full disk is taken back."""
+        """Take back the part of a batch that went to a full disk, so that the file has no half line."""
         self.trouble = self.trouble or "not all of a line was taken"
         try:
             if written:
@@ -232,14 +232,14 @@ class Log:
 
 
 def _plain(value: Value) -> Value:
-    """A value as JSON has it, of bounded length; what is infinite or not a number is null."""
+    """A value in the form that JSON writes, of bounded length; a number that is not finite is null."""
     if isinstance(value, float):
         return json_number(float(value))
     if value is None or isinstance(value, bool | int):
         return value
-    return presentable(str(value))[:MAX_VALUE]  # also what a type checker would have refused: a loop outlives its log
+    return presentable(str(value))[:MAX_VALUE]  # also of any other type: a bad value must not end a loop
 
 
 def log_path(directory: str, node: str) -> Path | None:
-    """Where the log of a node is, by the run's own directory; None for a node on another machine, which has none."""
+    """The path of a node's log in the run's directory; None for a guest, which has no such directory."""
     return Path(directory) / LOG_FOLDER / f"{node}{LOG_SUFFIX}" if directory else None

@@ -1,16 +1,16 @@
-"""The energy ledger of one party: its promise, watched online from its own data alone.
+"""The energy ledger of a party, and the controller that keeps the ledger of an environment without a proof above zero.
 
-A party that is Delta-OSP and Phi-ISP (Definition 2 of [Bianchini2010]_) satisfies, at every tick k,
+**The ledger** checks the promise of one party in every tick, from the party's own data alone. A party that is Delta-OSP
+and Phi-ISP (Definition 2 of [Bianchini2010]_) satisfies, at every tick k,
 
     E_k = sum_{j <= k} T (y^T u - y^T Delta y - u^T Phi u) >= -V(psi_0),
 
-and everything here starts at rest, V(psi_0) = 0. A ledger below zero is a broken promise.
+and every party starts at rest, V(psi_0) = 0. A ledger below zero is a broken promise.
 
-A passivity controller at the environment's ports: it keeps a promise that nothing proves.
-
-A physics engine or a neural simulator has no storage function to show. What it exerts at the ports is held back
-instead, tick by tick, until the ledger of its declared level Phi is never below zero: the passivity observer and
-controller of [Hannaford2002]_, in the form that an algebraic loop of force and motion needs.
+**The controller** stands at the environment's ports and keeps a promise that nothing proves. A physics engine or a
+neural simulator has no known storage function. So the controller reduces the model's forces, tick by tick, as far as
+the ledger of its declared level Phi needs to stay at zero or above. This is the passivity observer and controller of
+[Hannaford2002]_, in the form that an algebraic loop of force and motion needs.
 
 At one tick the tool's velocity depends on the force by the couplings' feedthrough,
 
@@ -20,8 +20,8 @@ with G + G^T > 0, as every output strictly passive V_hat has. So one force holds
 
     h = -G^{-1} w_0,     w(h) = 0,     w(f) = G (f - h).
 
-Damping the model's force f_m in the metric of the couplings, with Z = G^{-1} (N*s/m, what the coupling itself opposes
-to a motion of one tick), gives an algebraic loop in the applied force,
+The controller damps the model's force f_m in the metric of the couplings, with Z = G^{-1} (N*s/m, the resistance of the
+coupling itself to a motion of one tick). That gives an algebraic loop in the applied force,
 
     f = f_m - alpha Z w(f),     alpha >= 0,
 
@@ -29,18 +29,17 @@ which has one solution for every alpha, on the line between the two forces: with
 
     f = s f_m + (1 - s) h,     w = s w_m,     w_m = w(f_m).
 
-What the ledger gains is a quadratic in s,
+The ledger gains an energy that is quadratic in s,
 
     e(s)/T = -w^T f + w^T Phi w = a s - b s^2,     a = -w_m^T h,     b = w_m^T (f_m - h) - w_m^T Phi w_m,
 
-and e(0) = 0: a tool that stands still costs nothing, so that s = 0 (alpha = infinity) always keeps a ledger that is
-not below zero. Where s = 1 would break the promise, E + e(0) >= 0 > E + e(1) leaves exactly one change of sign in
-[0, 1], whatever the signs of a and b; the forces before it are those that keep the promise, and the greatest such s,
-the least alpha, is a root in closed form. Where w_m = 0 nothing moves, nothing can be damped, and nothing needs to be:
-the work is zero.
+and e(0) = 0: a tool that stands still costs nothing, so s = 0 (alpha = infinity) always keeps a ledger that is not
+below zero. Where s = 1 would break the promise, E + e(0) >= 0 > E + e(1) leaves exactly one change of sign in [0, 1],
+whatever the signs of a and b. The values of s before it keep the promise, and the greatest of them, the least alpha, is
+a root in closed form. Where w_m = 0 nothing moves, and nothing needs to be damped: the work is zero.
 
-f and w may be any model's: nothing about it is assumed but that its force is finite. The controller never makes a tool
-go further than the model would, and never the other way.
+The only assumption on the model is that its force is finite. The controller never moves a tool further than the model
+would, and never in the opposite direction.
 """
 
 from __future__ import annotations
@@ -52,13 +51,13 @@ from numpy.typing import NDArray
 
 
 class Ledger:
-    """Running total of a party's energy, J.
+    """The running total of a party's energy, J.
 
     Attributes:
         total: E_k, J.
-        minimum: the least total so far, J; not above 0, where it began.
-        ticks: how many were entered.
-        at: after which of them the total was least; 0 where it never fell below its beginning.
+        minimum: the least total so far, J; at most 0, where the ledger began.
+        ticks: the number of ticks entered.
+        at: the number of ticks after which the total was least; 0 where it never fell below 0.
     """
 
     __slots__ = ("at", "minimum", "ticks", "total")
@@ -70,7 +69,7 @@ class Ledger:
 
     @property
     def margin(self) -> float:
-        """By how much the least total stayed above its bound, -V(psi_0) = 0, J; negative for a broken promise."""
+        """The least total's distance from its bound, -V(psi_0) = 0, J; negative for a broken promise."""
         return self.minimum
 
     def enter(self, energy: float) -> None:
@@ -84,24 +83,24 @@ class Ledger:
 
 Vector = NDArray[np.float64]
 
-_ROUNDING = 1e-12  # of the work in a tick: less than this is rounding, and breaks no promise
-_INSIDE = 1e-9  # of s: stay that far inside the root, a million times its rounding
+_ROUNDING = 1e-12  # part of the work in a tick below which an overdraft is rounding, and breaks no promise
+_INSIDE = 1e-9  # part of s by which the result stays inside the root, a million times the root's rounding
 
 
 class PassivityController:
-    """Decides how much of a model's force may be exerted, and counts what it kept back.
+    """Decides which part of a model's force is exerted, and counts the energy that it kept back.
 
-    A tick is :meth:`part`, perhaps several times, and :meth:`settle`.
+    A tick is :meth:`part`, once or several times, and then :meth:`settle`.
 
     Attributes:
-        ticks: how often it has acted.
-        energy: J that it kept back: what the raw forces of those ticks would have put out more.
+        ticks: the number of ticks in which it reduced a force.
+        energy: the energy that it kept back, J: the raw forces of those ticks would have put out so much more.
     """
 
     __slots__ = ("_T", "_kept_back", "energy", "ticks")
 
     def __init__(self, T: float) -> None:
-        """Nothing kept back so far; T is the period, s."""
+        """No energy is kept back so far; T is the period, s."""
         self._T = T
         self._kept_back: float | None = None  # in this tick, J
         self.ticks = 0
@@ -118,7 +117,7 @@ class PassivityController:
             allowed: w_m^T Phi w_m, W.
 
         Returns:
-            s; 1 where nothing is to be kept back.
+            s; 1 where the whole force keeps the promise.
         """
         c = max(balance, 0.0) / self._T
         e = allowed - float(w @ f)  # e(1)/T
@@ -132,7 +131,7 @@ class PassivityController:
         return s
 
     def settle(self) -> None:
-        """Count what the last answer kept back: it is what was done in this tick."""
+        """Count the energy that the last answer of :meth:`part` kept back: that answer was applied in this tick."""
         if self._kept_back is not None:
             self.ticks += 1
             self.energy += self._kept_back
@@ -142,7 +141,7 @@ class PassivityController:
 def _greatest(a: float, b: float, c: float) -> float:
     """The greatest s in [0, 1] with c + a s - b s^2 >= 0, where c >= 0 and s = 1 is beyond it.
 
-    Of the two ways to write a root the one is taken whose sum cannot cancel.
+    Of the two forms of the root the function takes the one whose sum does not cancel.
     """
     root = math.sqrt(max(a * a + 4.0 * b * c, 0.0))
     s = (a + root) / (2.0 * b) if a > 0.0 else 2.0 * c / (root - a) if root - a > 0.0 else 0.0

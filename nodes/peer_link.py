@@ -1,13 +1,12 @@
-"""One link of a running node: its signals of the tick, and what else may come of a peer.
+"""One link of a node to a peer: the handshake, the signals of the ticks, and what else a peer may send.
 
-A peer does its part in time, is silent, has fallen behind, is lost, or comes back on a new link. A peer link hears all
-of that and says which (:class:`Received`); what is done about it is the node's own business (:class:`Listener`).
+A peer sends its signal in time, is silent, has fallen behind, is lost, or comes back on a new link. :class:`PeerLink`
+tells these cases apart (:class:`Received`); the node decides what follows from each (:class:`Listener`).
+:func:`await_all` waits until every peer has sent its signal of one tick.
 
-How a node and its peers come together: links bound, hands shaken, before the first tick and again later.
-
-Before the first tick a node waits for its peers, one after the other, in the session's order. Once the loop runs
-nobody waits any more: a peer that was lost and comes back is greeted on a new link, frame by frame, between the
-ticks (:meth:`manyhands.nodes.peer_link.PeerLink.greet`).
+Before the first tick a node binds its links and shakes hands with its peers, one after the other, in the session's
+order (:func:`establish`). Once the loop runs no handshake may hold it up: a peer that was lost and comes back is
+greeted on a new link, frame by frame, between the ticks (:meth:`PeerLink.greet`).
 """
 
 from __future__ import annotations
@@ -34,27 +33,30 @@ Indices = NDArray[np.int64]
 
 
 class Received(Enum):
-    """What came of listening to a peer."""
+    """The outcome of listening to a peer once."""
 
-    SIGNAL = "the signal of the tick, put in its place"
+    SIGNAL = "the signal of the tick, put into the node's values"
     NOTHING = "nothing of use in the time allowed"
-    DECLINED = "the listener wants no more of this tick"
-    RECONNECTED = "the peer is back: hands were shaken on the new link"
+    DECLINED = "the listener no longer awaits this tick"
+    RECONNECTED = "the peer is back, and has shaken hands on a new link"
 
 
 class Listener(Protocol):
-    """What a node makes of a frame that is not the signal of the tick."""
+    """How a node handles a frame that is not the signal of the tick."""
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """A proper signal of tick ``told`` came while ``awaited`` was waited for; whether to stop waiting for it."""
+        """Handle a valid signal of tick ``told``, which came in place of ``awaited``; returns whether to stop waiting.
+
+        Where this returns True, :meth:`PeerLink.hear` returns ``Received.DECLINED``.
+        """
         ...
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """A word besides the signals; whether to stop waiting."""
+        """Handle a message that is no signal; returns whether to stop waiting for ``Received.DECLINED``."""
         ...
 
     def flooded(self, text: str) -> None:
-        """A peer sends more stray frames than any honest one: the node has to end, and why."""
+        """End the node, for the reason ``text``: a peer sends more stray frames than any honest peer does."""
         ...
 
 
@@ -62,18 +64,18 @@ class PeerLink:
     """One link of a node.
 
     Attributes:
-        own: the hello that this end says.
-        peer: who is at the other end.
+        own: the hello that this end sends.
+        peer: the peer at the other end.
         link: the connection; None while the peer is lost.
         gate: admits the peer's signals.
         indices: where the link's ports are among the node's own; a slice where they follow each other.
-        handshake: the one that goes on with a peer that comes back; None otherwise.
-        hello: what a peer said who came back.
-        new: whether nothing has been admitted yet of a peer who came back: it may be at another tick.
-        tick: that of the latest signal; -1 before the first.
+        handshake: the unfinished handshake with a peer that comes back; None otherwise.
+        hello: the hello of a peer that came back; None before that.
+        new: whether the peer came back and no signal of it has been admitted since: it may be at another tick.
+        tick: the tick of the latest signal admitted; -1 before the first.
         other_tick: the tick of the last signal that was not of the tick awaited.
         other_zero: whether all values of that signal were zero.
-        other_frame: its frame.
+        other_frame: the frame of that signal.
     """
 
     def __init__(
@@ -86,16 +88,16 @@ class PeerLink:
         clock: Clock,
         bounds: Bounds | None = None,
     ) -> None:
-        """Join the node to a peer that has shaken hands on ``link``.
+        """Join the node to a peer.
 
         Args:
-            own: the hello that this end says.
-            peer: who is at the other end.
-            link: the connection.
-            admits: the signal that comes from there.
-            indices: where its values belong.
-            clock: by which a wait knows how long it has lasted, and a gate what has passed; a realtime one.
-            bounds: what its values keep within.
+            own: the hello that this end sends.
+            peer: the peer at the other end.
+            link: the connection; None for a peer that is absent.
+            admits: the type of the peer's signals.
+            indices: where the peer's values belong among the node's own.
+            clock: a realtime clock, which measures the waits and the time between the signals.
+            bounds: the bounds of the peer's values; None for no bounds.
         """
         self.own, self.peer, self.link, self.indices = own, peer, link, indices
         self.handshake: LinkHandshake | None = None
@@ -106,13 +108,13 @@ class PeerLink:
         self.gate = Gate(admits, len(peer.ports), bounds, clock)
         self._part = indices if isinstance(indices, slice) else None
         self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
-        self._writer: SignalWriter | None = None  # it sends one kind of signal, which is known when it does
+        self._writer: SignalWriter | None = None  # made with the first signal sent, whose kind is known only then
         self._last: bytes = b""
-        self._junk_tick, self._junk = -1, 0  # frames that were no signal at all, while this tick's was awaited
+        self._junk_tick, self._junk = -1, 0  # an awaited tick, and the frames during its wait that were no signals
 
     @property
     def reachable(self) -> bool:
-        """Whether there is a link to the peer, or the beginning of one."""
+        """Whether there is a link to the peer, with its handshake finished or not."""
         return self.link is not None
 
     @property
@@ -122,7 +124,7 @@ class PeerLink:
 
     @property
     def _open(self) -> Link | None:
-        """The link, where hands have been shaken on it."""
+        """The link, once its handshake is finished; None before."""
         return self.link if self.handshake is None else None
 
     def share(self, values: Floats) -> Floats:
@@ -138,7 +140,17 @@ class PeerLink:
             values[at] = value
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
-        """Send this link's share of the node's ``values``; False when the peer's queue is full or gone."""
+        """Send this link's share of the node's ``values``.
+
+        Args:
+            kind: the type of the signal.
+            tick: k.
+            stamp: when the device took the sample that the signal follows from, ns.
+            values: those of all ports of the node.
+
+        Returns:
+            Whether the frame is on its way; False where the peer is lost, or its queue is full.
+        """
         link = self.link
         if link is None or self.handshake is not None:
             return False
@@ -151,19 +163,19 @@ class PeerLink:
         return link.send(frame)
 
     def send_again(self) -> None:
-        """Send the last signal once more: it, or the answer to it, may have been lost with a connection."""
+        """Send the last signal once more: the signal or its answer may have been lost with a connection."""
         link = self._open
         if link is not None and self._last:
             link.send(self._last)
 
     def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
-        """Tell the peer, by a force of zero, that ``tick`` is over: it goes on with the one after it."""
+        """Send the peer a zero force of ``tick``: that tick is over, and the peer goes on with the next one."""
         link = self._open
         if link is not None and tick >= 0:
             link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
 
     def say(self, message: Rung | Absent) -> None:
-        """Send a word besides the signals."""
+        """Send a message that is no signal."""
         link = self._open
         if link is not None:
             link.send(encode(message))
@@ -189,7 +201,7 @@ class PeerLink:
         return self._hear_on(frame, values, tick, timeout, listener)
 
     def take(self, frame: bytes, values: Floats, tick: int) -> bool:
-        """Put a signal that came early into the node's ``values``, now that it is its turn; whether it is admitted."""
+        """Put a signal that came early into the node's ``values`` in its own tick; returns whether it was admitted."""
         admitted = self.gate.admitted(frame, tick)
         if admitted is None:
             return False
@@ -198,23 +210,28 @@ class PeerLink:
         return True
 
     def settle(self, tick: int) -> None:
-        """The force of ``tick`` is applied; nothing is left to do for a peer in a process of its own."""
+        """Finish ``tick``, once its force is applied; a peer in a process of its own needs nothing more."""
 
     def lose(self) -> None:
-        """The peer is gone: close the link to it."""
+        """Close the link to a peer that is gone."""
         if self.link is not None:
             self.link.close()
         self.link, self.handshake = None, None
 
     def greet(self, link: Link, handshake: LinkHandshake) -> None:
-        """Begin to shake hands with the peer, who comes back on ``link``; :meth:`hear` goes on with it."""
+        """Begin the handshake with a peer that comes back on ``link``; :meth:`hear` continues it."""
         self.lose()
         self.link, self.handshake = link, handshake
         for message in handshake.start():
             link.send(encode(message))
 
     def _hear_on(self, frame: bytes, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
-        """Look at a frame that was not the signal of the tick, and listen on for the rest of the time."""
+        """Handle a frame that was not the signal of the tick, and listen on for the rest of the time.
+
+        Every frame that is read here costs time in the tick, so their number is bounded. A peer that is only behind
+        repeats its valid signal as long as it waits, so such frames count for one call alone. Frames that are no
+        signals count for the whole wait of a tick.
+        """
         due = Instant(self._clock.now() + timeout)
         strays = 0
         if self._junk_tick != tick:
@@ -225,7 +242,7 @@ class PeerLink:
             if received is not None:
                 return received
             strays += 1
-            self._junk += signal is None  # who is only behind says the same again and again
+            self._junk += signal is None  # a peer that is only behind repeats valid signals, and is no flood
             if max(strays, self._junk) > MAX_STRAY_FRAMES:
                 listener.flooded(self._flood(tick))
                 return Received.NOTHING
@@ -253,7 +270,7 @@ class PeerLink:
         if signal is None and len(frame) <= _LONGEST_WORD and type_of(frame) in _WORDS:
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, Rung | Absent):
-                self.gate.dropped["wrong_kind"] -= 1  # it was counted as a stray, and is none
+                self.gate.dropped["wrong_kind"] -= 1  # the gate counted it as a stray frame, which it is not
                 return Received.DECLINED if listener.on_notice(self, message) else None
         return None
 
@@ -263,11 +280,11 @@ class PeerLink:
             return Received.NOTHING
         for message in handshake.receive(decode(frame, MAX_CONTROL_BYTES)):
             if not link.send(encode(message)) and not isinstance(message, Refusal):
-                self.lose()  # gone again; the supervisor will tell
+                self.lose()  # the peer is gone again; the supervisor will report it
                 return Received.NOTHING
         if not handshake.finished:
             return None
-        if handshake.peer is None:  # refused: as good as absent, and told at the other end
+        if handshake.peer is None:  # refused: the peer counts as absent, and the other end has received the reason
             self.lose()
             return Received.NOTHING
         self.handshake, self.hello, self.new = None, handshake.peer, True
@@ -294,21 +311,24 @@ def await_all(
     react: Callable[[PeerLink, Received, int], int],
     pause: Callable[[int], Duration | None],
 ) -> int | None:
-    """Wait until every peer has sent its signal of one tick; listen in turn to those that have not.
+    """Wait until every peer has sent its signal of one tick; listen in turn to the peers that have not.
+
+    The awaited tick may change during the wait: ``react`` moves a node to the tick of a peer that is further on. Peers
+    whose signal of the earlier tick is there already are then awaited again, so the loop compares with the tick anew.
 
     Args:
         peer_links: the links.
-        last: the one that was listened to last; the first round begins behind it.
+        last: the link that was listened to last; the first round begins with the link after it.
         values: the node's values, where the signals are put.
         tick: the tick that is awaited.
-        listener: what the node makes of frames that are not the signal.
-        react: does what the node does about what it heard of a peer while it waited for a tick; returns the tick that
-            is awaited from then on.
+        listener: handles the frames that are not the signal.
+        react: called with a link, the outcome of listening to it and the awaited tick; returns the tick that is awaited
+            from then on.
         pause: called before every round with the tick that is awaited; returns how long to listen to each peer at
             most, ns, or None to wait no longer.
 
     Returns:
-        The tick that everybody has sent a signal of; None where the node waits no longer.
+        The tick of which every peer has sent its signal; None where the node waits no longer.
     """
     behind = peer_links.index(last) + 1
     order = (*peer_links[behind:], *peer_links[:behind])
@@ -332,14 +352,21 @@ def peer_link_of(peer_links: Sequence[PeerLink], peer: str) -> PeerLink | None:
 
 
 HANDSHAKE_TIME = from_seconds(20.0)
+"""Time limit for all handshakes of a node before its first tick, ns."""
 
 
 def bounds_by_peer(
     common: Common, role: Role, magnitude: Sequence[float | None], step: Sequence[float | None]
 ) -> dict[str, Bounds]:
-    """Bounds of the signals of every peer of ``role``, from those of the node's own ports; None for no bound.
+    """The bounds of the signals of every peer of ``role``, by the peer's name.
 
-    Under the simulated clock a tick is one period, whatever the stamps say and however long it takes.
+    Under the simulated clock a tick counts as one period, whatever the stamps say and however long it takes.
+
+    Args:
+        common: the node's bundle.
+        role: the role of the peers.
+        magnitude: by port of the node, the greatest absolute value, in the signal's unit; None for no bound.
+        step: by port of the node, the greatest change in one period, in the signal's unit; None for no bound.
     """
 
     def of(bound: float | None) -> float:
@@ -378,23 +405,25 @@ def establish(
     feedthrough: Values | None = None,
     bounds: Mapping[str, Bounds] | None = None,
 ) -> tuple[list[PeerLink], dict[str, LinkHello]]:
-    """Shake hands on every link, in the session's order, which all nodes share: no two can wait for each other.
+    """Shake hands on every link, in the session's order.
+
+    All nodes share that order, so no two of them can wait for each other.
 
     Args:
         common: the node's bundle.
-        links: a link for each peer; a peer without one is absent, and met later.
-        admits: the signal to expect from each peer.
-        clock: for the time limit, and for waiting on the peer links; a realtime one, for processes start and wait in
-        real
-            time whatever the session's clock.
-        feedthrough: D_V, told to the environment alone.
-        bounds: what the signals of a peer keep within; those of peers without an entry are not bounded.
+        links: a link for each peer; a peer without a link is absent, and is greeted later.
+        admits: the type of the signals of each peer.
+        clock: a realtime clock, for the time limit and the waits on the links. Processes start and wait in real time,
+            whatever the session's clock.
+        feedthrough: D_V of a coupling, m/N, which is sent to the environment alone.
+        bounds: the bounds of a peer's signals; the signals of peers without an entry are not bounded.
 
     Returns:
-        The peer links in the order of the peers, and the hellos of those who are there.
+        The peer links in the order of the peers, and by peer the hellos of the peers that are present.
 
     Raises:
-        HandshakeRefused, HandshakeTimeout: told clearly, at both ends.
+        HandshakeRefused: the two ends disagree; each end reports the reason.
+        HandshakeTimeout: a peer has not finished its handshake within :data:`HANDSHAKE_TIME`.
     """
     peer_links: list[PeerLink] = []
     hellos: dict[str, LinkHello] = {}
@@ -417,13 +446,13 @@ def establish(
 
 
 def handshake_of(peer_link: PeerLink) -> LinkHandshake:
-    """A handshake with the peer at the other end, at its beginning."""
+    """A new handshake with the peer at the other end of ``peer_link``."""
     peer = peer_link.peer
     return LinkHandshake(peer_link.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
 
 
 def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHello:
-    """What a node says first to one of its peers; D_V to the environment alone."""
+    """The first message of a node to one of its peers; D_V, m/N, is in it for the environment alone."""
     tells = feedthrough is not None and peer.role is Role.ENVIRONMENT
     return LinkHello(
         PROTOCOL_VERSION,
@@ -437,7 +466,7 @@ def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHell
 
 
 def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
-    """Where ``carried`` ports are among ``own``: as a slice, which costs a tick less, where one will do."""
+    """Where the ``carried`` ports are among ``own``: a slice where they follow each other, for it costs a tick less."""
     at = [own.index(port) for port in carried]
     if at == list(range(at[0], at[0] + len(at))):
         return slice(at[0], at[0] + len(at))

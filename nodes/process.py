@@ -1,9 +1,9 @@
-"""The life of a node's process from its first line to its exit code, whatever its role.
+"""The process of one or several nodes from its start to its exit code, whatever their role.
 
     bind -> hello -> (welcome, connect) -> shake hands on every link -> ready -> (start) -> ticks -> report
 
-Everything a role adds is a :class:`Node`; everything that can go wrong on the way ends in one Fault to the
-supervisor, one line on standard error, and an exit code other than 0.
+A role adds a :class:`Node`. A failure at any step ends in one Fault to the supervisor, one line on standard error, and
+an exit code other than 0.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ EXIT_REFUSED = 4
 
 
 class Node(Protocol):
-    """What a role adds to :func:`run`."""
+    """The part of a node that depends on its role."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
-        """Shake hands with every peer."""
+        """Shake hands with every peer on ``links``, a link for each peer that is present."""
         ...
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks, until done or ``life.stopping``."""
+        """Run the ticks until the last one or ``life.stopping``."""
         ...
 
     def report(self) -> Report:
-        """The node's last word."""
+        """The figures of the whole run, for the supervisor."""
         ...
 
 
@@ -56,14 +56,19 @@ _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle)
 
 
 def main(kind: type[_B], make: Callable[[_B], Node]) -> int:
-    """Run the node whose bundle and supervisor's process id the command line names; returns the exit code."""
+    """Run the node whose bundle and supervisor's process id the command line names; returns the exit code.
+
+    Args:
+        kind: the type of the bundle.
+        make: makes the node from its bundle.
+    """
     return main_together(kind, lambda bundle: [(bundle, make(bundle))])
 
 
 def main_together(
     kind: type[_B], make: Callable[[_B], Sequence[tuple[DeviceBundle | CouplingBundle | EnvironmentBundle, Node]]]
 ) -> int:
-    """The same for a process of several nodes, of which ``make`` makes all from the first one's bundle."""
+    """As :func:`main`, for a process of several nodes; ``make`` makes all of them from the first node's bundle."""
     if len(sys.argv) != 3 or not sys.argv[2].isdigit():
         print("usage: python -m manyhands.nodes.ROLE BUNDLE SUPERVISOR_PID", file=sys.stderr)  # noqa: T201
         return EXIT_BAD_INPUT
@@ -84,7 +89,11 @@ def _ring_of(common: Common) -> KeyRing | None:
 
 
 def key_ring(common: Common, private: Path) -> KeyRing:
-    """The node's own keys, and the public ones of those it has to do with.
+    """The node's own key pair, and the public keys of its peers and the supervisor.
+
+    Args:
+        common: the node's bundle.
+        private: the file of its private key.
 
     Raises:
         KeyFileError: the private key cannot be read, or is not this node's.
@@ -92,7 +101,7 @@ def key_ring(common: Common, private: Path) -> KeyRing:
     pair = load_private(private, common.session, common.name)
     if common.public.get(common.name) != pair.public:
         raise KeyFileError(
-            f"{private}: found another key than the bundle names for {common.name}; "
+            f"{private}: found a key that is not the one in the bundle of {common.name}; "
             "expected the one it was cut with; have bundle and key renewed together"
         )
     return KeyRing(common.name, pair, {name: key for name, key in common.public.items() if name != common.name})
@@ -100,14 +109,14 @@ def key_ring(common: Common, private: Path) -> KeyRing:
 
 @dataclass
 class Member:
-    """One node in its process. There are several where couplings are co-located with their device.
+    """One node of the process. There are several where couplings are co-located with their device.
 
     Attributes:
-        common: its bundle's common part.
-        node: what its role adds.
-        transport: its sockets; of its own, as its keys are.
+        common: the common part of its bundle.
+        node: the part that depends on its role.
+        transport: its sockets; each node has its own, as it has its own keys.
         control: its line to the supervisor.
-        links: to its peers, as far as they exist.
+        links: by peer, the links that exist so far.
     """
 
     common: Common
@@ -121,20 +130,20 @@ def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bo
     """Run one node to its end; returns the exit code.
 
     Args:
-        common: its bundle.
-        node: what its role adds.
-        life: whether it should still run.
-        ring: its keys; None for a session without.
-        remote: whether it runs on another machine than its supervisor, or may.
+        common: the common part of its bundle.
+        node: the part that depends on its role.
+        life: whether the process should still run.
+        ring: its keys; None for a session without keys.
+        remote: whether its supervisor may be on a different machine.
     """
     return run_together([(common, node, ring)], life, remote)
 
 
 def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Life, remote: bool = False) -> int:
-    """Run one or several nodes in this process; the first one's loop is the process's, and carries the others along.
+    """Run one or several nodes in this process; the loop of the first node runs the ticks of all of them.
 
-    The others come first: their handshakes, in their order, which has to be the session's, and their loops, which only
-    begin.
+    The others shake hands before the first node does, in the order given, which must be the session's. Their loops
+    begin before the first node's, and return at once.
     """
     members: list[Member] = []
     transports: list[Transport] = []
@@ -165,7 +174,7 @@ def _log_of(common: Common) -> Log:
 
 
 def run_members(members: Sequence[Member], life: Life, remote: bool) -> int:
-    """The exit code, after the whole life of the process; how it ended is told and noted."""
+    """Run the nodes to their end, and report how they ended to the supervisor and the log; returns the exit code."""
     common, control = members[0].common, members[0].control
     if remote:
         life.watch = control.connection
@@ -223,7 +232,8 @@ def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
         if granted is not None:
             restore(granted)
     if remote:
-        life.watch = leader.control.connection  # a Stop is now the answer to the last word, and not to be taken from it
+        # from now on a Stop is the supervisor's answer to the last message, and no longer a request to end
+        life.watch = leader.control.connection
     if life.failure is not None:
         leader.control.fault(life.failure, life)
         print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
@@ -236,9 +246,9 @@ def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
 
 
 def _connect(member: Member, life: Life) -> None:
-    """Wait to be told where the peers are that bind the links, and connect to them."""
+    """Wait for the endpoints of the peers that bind their links, and connect to them."""
     told = member.control.peers_endpoints(life)
-    for name in member.control.absent:  # they come back on a new link, if they do
+    for name in member.control.absent:  # an absent peer may come back, but on a new link
         link = member.links.pop(name, None)
         if link is not None:
             link.close()
@@ -253,7 +263,10 @@ def _connect(member: Member, life: Life) -> None:
 
 
 def _prepare(leader: Member) -> Granted | None:
-    """What the machine grants a process that runs in real time; a priority where strangers cannot make it compute."""
+    """Ask the machine for real-time scheduling and locked memory; None under the simulated clock.
+
+    Only a node on ipc asks for a priority: over tcp strangers could send it work, and it would keep its processor.
+    """
     if leader.common.clock == SIMULATED:
         return None
     granted = prepare(RealtimeWishes(priority=FIFO_PRIORITY if leader.common.transport == "ipc" else 0))
@@ -263,7 +276,7 @@ def _prepare(leader: Member) -> Granted | None:
 
 
 def _report(member: Member, granted: Mapping[str, float], life: Life) -> None:
-    """The last word of one node."""
+    """Send the report of one node."""
     report = member.node.report()
     control = member.control
     counts = {f"{names.REFUSED}{kind}": count for kind, count in control.refused().items()}
@@ -273,10 +286,10 @@ def _report(member: Member, granted: Mapping[str, float], life: Life) -> None:
 
 
 def _stopped(common: Common, life: Life, control: ControlLine) -> int:
-    """The end of a guest before its loop; a supervisor elsewhere cannot see the process end, and is told."""
+    """End a guest before its loop; it reports its end, which a supervisor on a different machine cannot see."""
     if life.orphaned:
         return _lost(common)
-    if life.stopping:  # and not because the supervisor said so
+    if life.stopping:  # its user ended it, for a Stop of the supervisor does not set this
         control.fault(f"{common.name}: its user ended it before the first tick", life)
     return EXIT_OK
 

@@ -1,23 +1,21 @@
-"""What a node's process asks of the kernel before its loop: its memory kept, its turn before others', no slack.
+"""The real-time rights that a node's process asks of the kernel before its loop: locked memory, SCHED_FIFO, no slack.
 
-Each wish may be refused, and a loop runs without any of them, only less evenly. So nothing is raised here: every step
-says in a sentence what was granted, or why not and what would have helped, and a figure says it to the report.
+The kernel may refuse each wish, and a loop runs without any of them, only less evenly. So this module raises nothing:
+every step returns a sentence that states what was granted, or why not and what would help. A figure of the report
+states it as well. :func:`prepare` decides what to ask for, of any :class:`System`; :class:`Linux` has the calls alone.
 
-**Memory** is locked, pages in use and those still to come, each when it is first touched (MCL_ONFAULT): a page that
-the loop has used is there in its next tick. Without MCL_ONFAULT every mapped page would be read in at once, several
-times what a node uses, for code that never runs. Where the limit on locked memory is too small nothing is locked, for
-MCL_FUTURE has every allocation beyond the limit fail.
+**Memory** is locked, both the pages in use and those still to come, each when it is first touched (MCL_ONFAULT). So a
+page that the loop has used is there in its next tick. Without MCL_ONFAULT the kernel would read in every mapped page at
+once, several times what a node uses, for code that never runs. Where the limit on locked memory is too small nothing is
+locked, for under MCL_FUTURE every allocation beyond the limit fails.
 
-**SCHED_FIFO** is for a process that is pinned to one processor, for the loop's thread and ZeroMQ's, which is one above,
-so that a frame leaves when it is sent and not when the loop waits next: a loop that comes before others
-waits for ZeroMQ's thread all the same, and gains nothing while that one does not (docs/decisions/0017-timing.md has
-figures). So it is asked for when frames have gone over the links: that thread then runs; one that is still starting is
-left as it is. Children and later threads do not inherit it. A loop that has gone wild does not take its processor with
-it: RLIMIT_RTTIME ends a process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting once (SIGXCPU).
-
-What a process may ask of Linux about itself: rights, memory, scheduling; the calls and nothing decided.
-
-What to ask for is :mod:`manyhands.nodes.realtime`'s business, which takes any :class:`System`.
+**SCHED_FIFO** is for a process that is pinned to one processor. It is set for the loop's thread and for ZeroMQ's, which
+is one above, so that a frame leaves when it is sent and not when the loop waits next. The loop waits for ZeroMQ's
+thread in any case, so a priority of the loop alone gains nothing (docs/decisions/0017-timing.md has figures). So the
+process asks for it when frames have gone over the links: ZeroMQ's thread then runs. A thread that is still starting is
+left as it is. Children and later threads do not inherit it. A loop that never waits does not keep its processor for
+ever: RLIMIT_RTTIME ends a process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting once
+(SIGXCPU).
 """
 
 from __future__ import annotations
@@ -37,19 +35,19 @@ CAP_SYS_NICE: Final = 23
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # asm-generic/mman.h
 _PR_GET_TIMERSLACK: Final = 30  # linux/prctl.h
-_ZEROMQ_THREAD: Final = "ZMQbg/"  # how libzmq's threads are named
+_ZEROMQ_THREAD: Final = "ZMQbg/"  # libzmq's names of its threads begin with this
 _EVERY_USER: Final = ["0", "0", "4294967295"]  # /proc/self/uid_map of the first user namespace
 
 
 @dataclass(frozen=True)
 class Scheduling:
-    """How the loop's thread and ZeroMQ's are scheduled.
+    """The scheduling of the loop's thread and ZeroMQ's threads.
 
     Attributes:
         policy: their policy, with SCHED_RESET_ON_FORK where that is set.
-        priority: of ZeroMQ's threads.
+        priority: the priority of ZeroMQ's threads.
         runaway: RLIMIT_RTTIME's soft limit, us.
-        below: by how much the loop's thread has less.
+        below: how much lower the priority of the loop's thread is.
     """
 
     policy: int
@@ -59,22 +57,26 @@ class Scheduling:
 
 
 class System(Protocol):
-    """What is asked of the operating system; a test gives answers of its own."""
+    """The calls to the operating system; tests replace it."""
 
     def capable(self, capability: int) -> bool:
-        """Whether the process has this capability over the machine, and not in a user namespace alone."""
+        """Whether the process has this capability over the whole machine, and not only in a user namespace."""
         ...
 
     def memory_limit(self) -> int | None:
-        """How much memory may be locked, bytes; None without a limit."""
+        """The limit of locked memory, bytes; None without a limit."""
         ...
 
     def mapped(self) -> int:
-        """Size of the process's address space, bytes."""
+        """The size of the process's address space, bytes."""
         ...
 
     def lock_memory(self) -> None:
-        """Lock all memory, or raise OSError."""
+        """Lock all memory.
+
+        Raises:
+            OSError: the kernel refuses.
+        """
         ...
 
     def unlock_memory(self) -> None:
@@ -86,11 +88,15 @@ class System(Protocol):
         ...
 
     def scheduling(self) -> Scheduling:
-        """How the calling thread is scheduled, and with it those that it has made."""
+        """The scheduling of the calling thread and of the threads that it has made."""
         ...
 
     def schedule(self, wanted: Scheduling) -> int:
-        """Schedule the calling thread and ZeroMQ's so, or raise OSError; returns how many threads they are."""
+        """Schedule the calling thread and ZeroMQ's threads as ``wanted``; returns the number of these threads.
+
+        Raises:
+            OSError: the kernel refuses.
+        """
         ...
 
     def processors(self) -> set[int]:
@@ -98,12 +104,12 @@ class System(Protocol):
         ...
 
     def timer_slack(self) -> int | None:
-        """The calling thread's timer slack, ns; None where it cannot be had."""
+        """The calling thread's timer slack, ns; None where the kernel does not report it."""
         ...
 
 
 class Linux:
-    """The calls themselves."""
+    """The calls to Linux."""
 
     def __init__(self) -> None:
         self._libc = ctypes.CDLL(None, use_errno=True)
@@ -143,8 +149,8 @@ class Linux:
     def schedule(self, wanted: Scheduling) -> int:
         """See :class:`System`.
 
-        The limit comes first: there is no moment in which a thread has the priority and nothing stops it. The hard
-        limit stays as it is, for one that is lowered cannot be raised again.
+        The limit is set first, so that a thread never has the priority without the limit. The hard limit stays as it
+        is, for a hard limit that was lowered cannot be raised again.
         """
         hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
         soft = wanted.runaway if hard == resource.RLIM_INFINITY or wanted.runaway == hard else min(wanted.runaway, hard)
@@ -171,17 +177,17 @@ class Linux:
 
 
 def _zeromq_threads() -> list[int]:
-    """ZeroMQ's threads that have begun their work, which is when they take their names.
+    """The ids of ZeroMQ's threads that have begun their work, which is when they take their names.
 
-    Before that such a thread reads how it is scheduled and sets it again: were it changed between the two, the kernel
-    could refuse what it sets, and libzmq would abort the process.
+    Before that, such a thread reads its scheduling and sets it again. If the scheduling changed in between, the kernel
+    could refuse the second call, and libzmq would abort the process.
     """
     threads = Path("/proc/self/task").iterdir()
     return [int(thread.name) for thread in threads if (thread / "comm").read_text().startswith(_ZEROMQ_THREAD)]
 
 
 def _status(key: str) -> str:
-    """A line of /proc/self/status."""
+    """The value of a line of /proc/self/status."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(line.split(":", 1)[1].strip() for line in lines if line.startswith(f"{key}:"))
 
@@ -193,13 +199,13 @@ RESERVE: Final = 64 * 2**20  # bytes that a loop may still map: thread stacks, a
 
 @dataclass(frozen=True)
 class RealtimeWishes:
-    """What a process would like.
+    """The rights that a process asks for.
 
     Attributes:
-        memory: have its memory locked.
+        memory: whether its memory is to be locked.
         priority: of SCHED_FIFO, 1 ... 99; 0 for ordinary scheduling.
-        reserve: bytes that it may still map after :func:`prepare`.
-        runaway: for how long it may compute under SCHED_FIFO without waiting.
+        reserve: bytes that the process may still map after :func:`prepare`.
+        runaway: how long a thread may compute under SCHED_FIFO without waiting, ns.
     """
 
     memory: bool = True
@@ -210,7 +216,7 @@ class RealtimeWishes:
 
 @dataclass(frozen=True)
 class Grant:
-    """Whether a wish was granted, and in a sentence: what was, or why not."""
+    """The answer to one wish: whether it was granted, and a sentence that states what was granted or why not."""
 
     granted: bool
     said: str
@@ -218,14 +224,14 @@ class Grant:
 
 @dataclass(frozen=True)
 class Granted:
-    """What :func:`prepare` was granted.
+    """The answers to all wishes of :func:`prepare`.
 
     Attributes:
         memory_locked: pages in use stay in memory.
-        fifo: SCHED_FIFO.
-        timer_slack: the least there is, which :class:`manyhands.protocol.clock.RealtimeClock` asks for.
-        pinned: to one processor, which whoever starts the process does.
-        before: what :func:`restore` goes back to; None where scheduling was not changed.
+        fifo: the scheduling is SCHED_FIFO.
+        timer_slack: the timer slack is the least there is, which :class:`manyhands.protocol.clock.RealtimeClock` sets.
+        pinned: the process is pinned to one processor; the supervisor does that at its start.
+        before: the scheduling that :func:`restore` sets again; None where it was not changed.
     """
 
     memory_locked: Grant
@@ -235,11 +241,11 @@ class Granted:
     before: Scheduling | None = None
 
     def figures(self) -> dict[str, float]:
-        """1 for each that was granted and 0 for the others, under the names of the report."""
+        """1 for each wish that was granted and 0 for the others, under the names of the report."""
         return {f"realtime_{name}": float(grant.granted) for name, grant in self.grants().items()}
 
     def grants(self) -> dict[str, Grant]:
-        """All of them, by name."""
+        """The answers by the names of the report."""
         return {
             "memory_locked": self.memory_locked,
             "fifo": self.fifo,
@@ -249,11 +255,11 @@ class Granted:
 
 
 def prepare(wishes: RealtimeWishes, system: System | None = None) -> Granted:
-    """Ask for all that is wished; to be called in the loop's thread, when frames have gone over its links.
+    """Ask for all ``wishes``; call this in the loop's thread, when frames have gone over its links.
 
     Args:
-        wishes: what to ask for.
-        system: whom to ask; the kernel by default.
+        wishes: the rights to ask for.
+        system: the operating system; None for Linux.
     """
     asked = Linux() if system is None else system
     processors = asked.processors()
@@ -263,10 +269,10 @@ def prepare(wishes: RealtimeWishes, system: System | None = None) -> Granted:
 
 
 def restore(granted: Granted, system: System | None = None) -> None:
-    """Give back what :func:`prepare` was granted: locked memory, priority and its limit; in the same thread.
+    """Give back locked memory, priority and its limit; call this in the thread that called :func:`prepare`.
 
     Raises:
-        OSError: the kernel does not take it back.
+        OSError: the kernel refuses.
     """
     asked = Linux() if system is None else system
     if granted.memory_locked.granted:
@@ -278,16 +284,16 @@ def restore(granted: Granted, system: System | None = None) -> None:
 def _schedule_as_before(before: Scheduling, system: System) -> None:
     try:
         system.schedule(before)
-    except PermissionError:  # only the privileged may have children inherit again
+    except PermissionError:  # only a privileged process may let its children inherit the scheduling again
         system.schedule(Scheduling(before.policy | os.SCHED_RESET_ON_FORK, before.priority, before.runaway))
 
 
 def way_giver() -> Callable[[], None]:
-    """What a loop calls when a tick's signals are sent, before it does what can wait.
+    """The function that a loop calls after it has sent a tick's signals, before the work that can wait.
 
-    Under SCHED_FIFO nobody of the same priority gets the processor before this thread waits: those who have just been
-    sent something, and run on it, come first. Under ordinary scheduling it does nothing: there a thread that gives way
-    may wait for strangers.
+    Under SCHED_FIFO no thread of the same priority gets the processor until this thread waits. So the loop gives way to
+    the processes that it has just sent a signal, which may run on the same processor. Under ordinary scheduling the
+    function does nothing, for a thread that gives way there may wait for processes of other programs.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     return os.sched_yield if policy == os.SCHED_FIFO else _go_on
@@ -298,13 +304,13 @@ def _go_on() -> None:
 
 
 def may_raise(system: System | None = None) -> bool:
-    """Whether a process like this one may have a real-time priority; its control group may refuse it all the same."""
+    """Whether this process may ask for a real-time priority; its control group may still refuse it."""
     asked = Linux() if system is None else system
     return asked.capable(CAP_SYS_NICE) or asked.priority_limit() > 0
 
 
 def memory_needed(wishes: RealtimeWishes, system: System) -> int:
-    """How much memory may have to be locked, bytes: the kernel counts what is mapped, used or not."""
+    """The limit of locked memory that the process needs, bytes: the kernel counts all mapped pages, used or not."""
     return system.mapped() + wishes.reserve
 
 
@@ -324,7 +330,7 @@ def _lock(wishes: RealtimeWishes, system: System) -> Grant:
 
 
 def _raise(wishes: RealtimeWishes, system: System, pinned: bool) -> tuple[Grant, Scheduling | None]:
-    """SCHED_FIFO, and what was before; at the priority that the limit leaves where the wished one is above it."""
+    """Ask for SCHED_FIFO at the wished priority or the greatest permitted; returns also the scheduling before."""
     if wishes.priority == 0:
         return Grant(False, "not asked for"), None
     if not pinned:
@@ -349,7 +355,7 @@ def _raise(wishes: RealtimeWishes, system: System, pinned: bool) -> tuple[Grant,
 def _slack(system: System) -> Grant:
     slack = system.timer_slack()
     if slack is None:
-        return Grant(False, "the kernel does not tell it")
+        return Grant(False, "the kernel does not report it")
     return Grant(slack <= 1, f"{slack} ns")
 
 

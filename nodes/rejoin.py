@@ -1,4 +1,9 @@
-"""What a node in its loop does when the supervisor tells that a peer is lost, or back."""
+"""What a node in its loop does when the supervisor reports that a peer is lost, or that it is back.
+
+The link to a lost peer is closed. Of the two ends of a link one binds: it binds a new link at once and reports the
+endpoint, which the supervisor hands to the peer's new process. The other end connects when the peer is back. Either
+end then begins a handshake, which goes on between the ticks.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,10 @@ from manyhands.protocol.transport import TransportError
 
 
 def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
-    """Do as the supervisor says about a peer; whatever else it may say is not for here.
+    """Follow the supervisor's report of a peer that is lost or back; any other message is ignored here.
 
     Returns:
-        The peer link with a peer that is lost; None if it was not said of one.
+        The peer link to the lost peer; None where the message reports no lost peer of this node.
     """
     match word:
         case Absent():
@@ -25,10 +30,10 @@ def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> 
 
 
 def part(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
-    """Close the link to a peer that is lost; where it is ours to bind, bind a new one and offer it.
+    """Close the link to a lost peer; where this node binds it, bind a new one and report its endpoint.
 
     Returns:
-        The peer link with that peer; None if there is none.
+        The peer link to that peer; None where this node has no such peer.
     """
     peer_link = peer_link_of(peer_links, absent.peer)
     if peer_link is None:
@@ -37,7 +42,7 @@ def part(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -
     if peer_link.peer.binds:
         try:
             link, endpoint = control.bind_anew(peer_link.peer)
-        except TransportError:  # the peer stays away: there is nowhere to come back to
+        except TransportError:  # without a socket the peer cannot come back, and the session goes on without it
             return peer_link
         peer_link.greet(link, handshake_of(peer_link))
         control.offer(peer_link.peer.name, endpoint)
@@ -45,12 +50,12 @@ def part(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -
 
 
 def meet(back: Return, peer_links: Sequence[PeerLink], control: ControlLine) -> None:
-    """Connect to a peer that is back and binds the link to us."""
+    """Connect to a peer that is back, where the peer binds the link."""
     peer_link = peer_link_of(peer_links, back.peer)
     if peer_link is None or peer_link.peer.binds:
         return
     try:
         link = control.connect(back.endpoint, peer_link.peer)
-    except TransportError:  # no endpoint of this transport: it stays away
+    except TransportError:  # the endpoint is none of this transport: the session goes on without the peer
         return
     peer_link.greet(link, handshake_of(peer_link))

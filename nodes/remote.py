@@ -1,7 +1,7 @@
-"""A node that joins a session of another machine by invitation: with its bundle and its key, and nothing else.
+"""A guest: a node that joins a session of a different machine by invitation, with its bundle and its key alone.
 
-The bundle says who it is and whom it may talk to; where the supervisor is, the user says. It has no parent to watch: it
-ends when its connection to the supervisor is lost, when the supervisor says so, or on Ctrl-C.
+The bundle names the node and the peers that it may talk to. The user names the supervisor's endpoint. A guest has no
+parent process to watch: it ends when its connection to the supervisor is lost, at the supervisor's Stop, or on Ctrl-C.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
     """Run one node of a session whose supervisor is at ``endpoint``; returns the exit code (130 on Ctrl-C).
 
     Args:
-        name: the node's name, which must be the bundle's.
+        name: the node's name, which must be the name in the bundle.
         bundle_path: its bundle.
         private: its private key's file; by default the bundle's own name with the suffix ``.key``.
         endpoint: ``tcp://HOST:PORT`` of the supervisor (or an ``ipc://`` path).
@@ -80,7 +80,7 @@ def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoi
 
 
 def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | None) -> Common:
-    """The bundle's common part, with what only the guest knows: where the supervisor is, and where the guest."""
+    """The bundle's common part with the addresses that only the guest knows: the supervisor's and its own."""
     if common.name != name:
         raise BundleError(f"{path}: found the bundle of {common.name}; expected that of {name}")
     scheme, _, place = endpoint.partition("://")
@@ -91,5 +91,5 @@ def _placed(common: Common, name: str, path: Path, endpoint: str, host: str | No
     others = common.peers
     if host is not None:
         others = tuple(dataclasses.replace(p, address=f"{host}:*") if p.binds else p for p in others)
-    # no directory, whatever the bundle says: who made it must not choose where the guest's machine is written to
+    # no directory, whatever the bundle says: its author must not choose where this machine writes files
     return dataclasses.replace(common, transport=scheme, control=endpoint, peers=others, directory="")

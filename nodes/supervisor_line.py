@@ -1,4 +1,9 @@
-"""A node's line to the supervisor: the conversation before the first tick, telemetry, and the last word."""
+"""A node's line to the supervisor: its messages before the first tick, telemetry, events of peers, and its last report.
+
+Before the first tick the node waits for each answer. In its loop it only reads what has come
+(:meth:`ControlLine.listen`), and sends telemetry without waiting (:meth:`ControlLine.publish`). Its last message, a
+report or a fault, is sent until the supervisor confirms it with a Stop.
+"""
 
 from __future__ import annotations
 
@@ -38,44 +43,49 @@ from manyhands.protocol.messages import (
 from manyhands.protocol.transport import Link, Transport, TransportError, Trouble
 
 NOT_AT_ALL = Duration(0)
-_PATIENCE = from_seconds(0.2)
-_LAST_WORD_WAITS = 10
-_JOINING_WAITS = 300  # a minute for a supervisor that is not there yet
-_REPEAT_WAITS = 5
-_PROBES = 32
-_ALIVE_EVERY = from_seconds(1.0)
-_WORDS_AT_ONCE = 8
-_WORDS_KEPT = 64  # not yet obeyed; a supervisor says a few at a fault
+_PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node checks its life and the connection
+_LAST_WORD_WAITS = 10  # waits for the confirmation of the last message
+_JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
+_REPEAT_WAITS = 5  # waits before a guest sends its hello again
+_PROBES = 32  # exchanges for the clock's offset
+_ALIVE_EVERY = from_seconds(1.0)  # between two signs of life of a guest
+_WORDS_AT_ONCE = 8  # messages read in one look, so that a look has a bounded time
+_WORDS_KEPT = 64  # messages that wait for their turn; a supervisor sends a few at a fault
 
 Word = Absent | Return | Shift
-"""What a supervisor may say to a node that runs, besides Stop."""
+"""The supervisor's messages to a node in its loop, besides Stop."""
 
 _M = TypeVar("_M", bound=Message)
 
 
 class Refused(Exception):
-    """The supervisor refused this node; the text is the supervisor's."""
+    """The supervisor refused this node; the message is the supervisor's."""
 
 
 class TelemetryLost(ValueError):
-    """The supervisor does not read fast enough and the session may not lose telemetry."""
+    """The supervisor reads too slowly for a session that may not lose telemetry."""
 
 
 class ControlLine:
-    """The link to the supervisor's hub, and what else there is to do ten times a second.
+    """The link to the supervisor's hub. With each telemetry it also admits peers and writes the log.
 
     Attributes:
         log: the node's log, written when telemetry is sent.
-        absent: peers that are not there at the start; they are among the words of the loop, too.
+        absent: peers that are absent at the start; the loop receives them as messages as well.
         dropped: telemetry messages that could not be queued.
-        malformed: frames from the supervisor that made no sense.
+        malformed: frames of the supervisor that could not be understood, or were not expected.
     """
 
     def __init__(self, transport: Transport, common: Common, log: Log | None = None) -> None:
-        """Join the hub; without a ``log`` nothing is kept.
+        """Join the hub.
+
+        Args:
+            transport: the node's sockets.
+            common: the common part of its bundle.
+            log: the node's log; None for no log.
 
         Raises:
-            TransportError: its endpoint is none.
+            TransportError: the hub's endpoint is none of this transport.
         """
         self._transport, self._common = transport, common
         self.log = log or Log(None, common.session, common.name, RealtimeClock())
@@ -91,18 +101,19 @@ class ControlLine:
         self.malformed = 0
 
     def hello(self, endpoints: Mapping[str, str], pid: int) -> None:
-        """Introduce this node and what it has bound."""
+        """Send the supervisor the node's name, process id and, by peer, the endpoints that it has bound."""
         c = self._common
         hello = NodeHello(PROTOCOL_VERSION, c.certificate, c.session, c.name, c.role, pid, dict(endpoints))
         self._send(hello)
-        if not c.directory:  # a guest's connection may take the place of one that is not yet known to be lost
+        # the hub may still hold a guest's old connection and refuse the new one, so a guest repeats its hello
+        if not c.directory:
             self._introduction = hello
 
     def peers_endpoints(self, life: Life) -> Mapping[str, str]:
-        """Wait to be welcomed and told where the peers are.
+        """Wait for the supervisor's welcome and the endpoints of the peers; returns these by peer.
 
         Raises:
-            Refused: the supervisor does not accept this node.
+            Refused: the supervisor does not accept this node, or cannot be reached.
             Stopped: the node should end.
         """
         self._await(Welcome, life)
@@ -110,21 +121,21 @@ class ControlLine:
         return self._await(Connect, life).endpoints
 
     def ready(self) -> None:
-        """Say that every link is established."""
+        """Report that every link is established."""
         self._send(Ready())
 
     def start(self, life: Life) -> Start:
-        """Wait for the first tick's instant; raises like :meth:`peers_endpoints`."""
+        """Wait for the start: first tick, number of ticks, epoch; raises as :meth:`peers_endpoints`."""
         return self._await(Start, life)
 
     def publish(self, telemetry: Telemetry) -> None:
-        """Send telemetry, or drop and count it when nobody keeps up: it must not disturb the loop.
+        """Send telemetry; where the supervisor reads too slowly, drop and count it, so that the loop is not disturbed.
 
-        Whoever wants to be let in is attended to as well. A simulated clock has all the time in the world; there a
-        recording must be whole.
+        The transport decides here as well on connections that ask to be admitted, and the log is written. Under the
+        simulated clock no telemetry may be dropped, for there a recording must be complete.
 
         Raises:
-            TelemetryLost: it would have been dropped from a recording under the simulated clock.
+            TelemetryLost: the telemetry cannot be queued, under the simulated clock.
         """
         if refused := sum(self._transport.refused().values()):
             total = telemetry.figures.get(names.NOT_ADMITTED, 0.0) + refused
@@ -141,24 +152,25 @@ class ControlLine:
         return self._transport.refused()
 
     def clock_offset(self, clock: Clock, life: Life) -> Duration:
-        """How far the supervisor's clock is ahead of ``clock``; raises like :meth:`peers_endpoints`."""
+        """How far the supervisor's clock is ahead of ``clock``, ns; raises as :meth:`peers_endpoints`."""
         exchanges: list[Exchange] = []
         while len(exchanges) < _PROBES:
             sent = clock.now()
             self._send(Probe(sent))
             while (echo := self._await(Echo, life)).sent != sent:
-                self.malformed += 1  # the answer to nothing
+                self.malformed += 1  # the answer to no probe of this node
             exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
         return offset_of(exchanges)
 
     def connection(self) -> Sight:
-        """Whether the supervisor can still be reached, for a node on another machine that is not in its loop."""
+        """Whether the supervisor can still be reached, for a guest that is not in its loop."""
         return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
 
     def sight(self, now: Instant) -> Sight:
-        """The same within the loop, where a Stop may come at any time; what else is said waits for :meth:`listen`.
+        """As :meth:`connection`, for a guest in its loop, where a Stop may come at any time.
 
-        A Probe now and then tells the supervisor that this node is there, however long its ticks take.
+        Other messages wait for :meth:`listen`. The guest sends a Probe once a second: so the supervisor sees that it
+        lives, however long its ticks take.
         """
         if now >= self._due:
             self._due = Instant(now + _ALIVE_EVERY)
@@ -167,18 +179,18 @@ class ControlLine:
         return Sight.ENDING if self._asked_to_stop else self.connection()
 
     def listen(self, timeout: Duration = NOT_AT_ALL) -> Word | None:
-        """What the supervisor says to a node in its loop; at most ``timeout`` is waited, by default not at all."""
+        """The supervisor's next message to a node in its loop, or None; waits at most ``timeout``, by default 0."""
         if not self._words:
             self._read(timeout)
         return self._words.popleft() if self._words else None
 
     def bind_anew(self, peer: Peer) -> tuple[Link, str]:
-        """A new link for a peer that was lost, and its endpoint; the old one is closed.
+        """Bind a new link for a lost peer, whose old link is closed; returns the link and its endpoint.
 
-        Where its own port is not free again so soon, any port of that address.
+        Where the peer's port is not free again so soon, the link gets any free port of that address.
 
         Raises:
-            TransportError: none can be bound.
+            TransportError: no link can be bound.
         """
         self._generation += 1
         name = f"{self._common.name}-{peer.name}.{self._generation}"
@@ -191,11 +203,15 @@ class ControlLine:
             return self._transport.bind(f"{name}.any", peer.name, f"{host}:*")
 
     def connect(self, endpoint: str, peer: Peer) -> Link:
-        """A link to a peer that was lost and has bound ``endpoint``; raises TransportError."""
+        """Connect to a peer that was lost and has bound ``endpoint``.
+
+        Raises:
+            TransportError: the endpoint is none of this transport.
+        """
         return self._transport.connect(endpoint, peer.name)
 
     def offer(self, peer: str, endpoint: str) -> None:
-        """Tell where the link for ``peer`` is bound anew."""
+        """Report to the supervisor that the link for ``peer`` is bound anew at ``endpoint``."""
         self._send(Offer(peer, endpoint))
 
     def _read(self, timeout: Duration) -> None:
@@ -213,31 +229,31 @@ class ControlLine:
             timeout = NOT_AT_ALL
 
     def report(self, report: Report, life: Life) -> None:
-        """Send the node's last word, and stay until it was heard."""
+        """Send the node's report, and wait for a bounded time until the supervisor confirms it."""
         self._last_word(report, life)
 
     def fault(self, text: str, life: Life) -> None:
-        """Say why this node ends, and stay until it was heard."""
+        """Report why this node ends, and wait for a bounded time until the supervisor confirms it."""
         self._last_word(Fault(presentable(text)), life)
 
     def _last_word(self, message: Message, life: Life) -> None:
         """Send ``message`` and wait, for a bounded time, for the supervisor's Stop.
 
-        A process whose exit is seen before its last word would look like one that crashed.
+        Without the wait the supervisor might see the exit before the message, which looks like a crash.
         """
         frame, queued = encode(message), False
         for _ in range(_LAST_WORD_WAITS):
-            queued = queued or self._link.send(frame)  # behind telemetry that fills the queue, it has to wait
+            queued = queued or self._link.send(frame)  # several tries, for telemetry may still fill the queue
             answer = self._link.recv(_PATIENCE)
             life.check()
             if answer is None:
-                if life.orphaned or self._link.trouble() is not None:  # nobody hears it
+                if life.orphaned or self._link.trouble() is not None:  # no supervisor is left to confirm it
                     return
             elif isinstance(decode(answer, MAX_CONTROL_BYTES), Stop):
                 return
 
     def _send(self, message: Message) -> None:
-        self._link.send(encode(message))  # a supervisor that is gone hears nothing, and life.check finds out
+        self._link.send(encode(message))  # if the supervisor is gone the message is lost, and life.check finds out
 
     def _await(self, kind: type[_M], life: Life) -> _M:
         waits = 0
@@ -266,7 +282,7 @@ class ControlLine:
             self.malformed += 1
 
     def _require_connection(self, waits: int) -> None:
-        """Give up on a supervisor that will not have this node, at once, or that is not there, after a while."""
+        """Give up: at once where the supervisor refuses this node, after a minute where no supervisor answers."""
         trouble = self._link.trouble()
         if trouble is None or trouble is Trouble.LOST:
             return

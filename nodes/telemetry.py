@@ -1,11 +1,10 @@
-"""Figures every node reports, in telemetry and in its last word, under one set of names.
+"""The names and figures of telemetry and reports, the same for all nodes, and percentiles of durations.
 
 Lengths of time are in microseconds, energies in joules, speeds in m/s; traces are in m and N.
 
-Percentiles of a stream of durations, in bounded memory and constant time a value.
-
-A run has no stated end, so values cannot be kept. They are counted in buckets whose widths grow with the
-value, one percent each: a percentile is exact to one percent, the maximum exactly.
+:class:`Distribution` finds the percentiles of a stream of durations in bounded memory and in constant time for each
+value. A run has no stated end, so it cannot keep the values. It counts them in buckets whose widths grow by one percent
+each: a percentile is right to one percent, and the maximum is exact.
 """
 
 from __future__ import annotations
@@ -35,45 +34,45 @@ STALE = "stale"
 PERIOD = "period_us"
 TAU_BREACHES = "tau_breaches"
 CLIPPED = "clipped"  # ticks whose force a device clipped: a coupling misbehaves
-LET_GO = "let_go"  # times that a device was beyond its displacement or speed, and exerted no force any more
-SATURATED = "saturated"  # ticks whose force a coupling clipped: not those of the certificate
-REFUSED = "refused_"  # and why: connections that the process did not admit
-NOT_ADMITTED = "not_admitted"  # connections and frames together, for a glance
-FROZEN = "frozen"  # couplings that are frozen now
-FROZEN_TICKS = "frozen_ticks"  # ticks in which any was
-ABSENCES = "absences"  # times that a coupling was frozen
+LET_GO = "let_go"  # times that a device was beyond its displacement or speed, and let go
+SATURATED = "saturated"  # ticks whose force a coupling clipped, which the certificate does not cover
+REFUSED = "refused_"  # and the reason: connections that the process did not admit
+NOT_ADMITTED = "not_admitted"  # connections and frames that were not admitted, in one sum
+FROZEN = "frozen"  # couplings that are not active now
+FROZEN_TICKS = "frozen_ticks"  # ticks in which any coupling was not active
+ABSENCES = "absences"  # times that a coupling was frozen or lost
 JUMPS = "jumps"  # times that a node went on at a later tick than its own
-RELEASED = "released"  # periods in which a device exerted no force, for it heard of none
-RUNG = "rung"  # of the ladder of couplings
+RELEASED = "released"  # periods in which a device exerted no force, for none came
+RUNG = "rung"  # the present rung of the ladder
 TAU_WORST = "tau_worst_us"  # since the last telemetry
-WAITED_IN = "waited:"  # and which coupling: a trace of those of its telemetry's ticks in which the others waited for it
-WAITED_TICKS = "waited_ticks_"  # and which coupling: ticks in which the others waited for it alone
-WAITED_TIME = "waited_us_"  # and which coupling: what that made the others wait
-FROZEN_LATE = "frozen_late_"  # and which coupling: times that it was frozen for it
-PERIOD_BREACHES = "period_breaches"  # ticks that came another time after the one before than the certificate assumes
+WAITED_IN = "waited:"  # and the coupling: a trace of the telemetry's ticks in which the others waited for it
+WAITED_TICKS = "waited_ticks_"  # and the coupling: ticks in which the others waited for it alone
+WAITED_TIME = "waited_us_"  # and the coupling: how long the others waited in them
+FROZEN_LATE = "frozen_late_"  # and the coupling: times that it was frozen for being late
+PERIOD_BREACHES = "period_breaches"  # ticks whose distance to the tick before is not what the certificate assumes
 DROPPED_TELEMETRY = "dropped_telemetry"
 DROPPED_LOG = "dropped_log"
-LATE_CAUSE = "late_"  # and which
-REALTIME = "realtime_"  # and which wish: 1 where the machine granted it
+LATE_CAUSE = "late_"  # and the cause: late ticks
+REALTIME = "realtime_"  # and the wish: 1 where the machine granted it
 LEDGER_MIN_TICK = "ledger_min_tick"  # of the party's own ticks, from 1 on; 0 where it never fell below its beginning
 LEDGER_MARGIN = "ledger_margin"  # by how much the least total stayed above the bound, J
-GRASPED = "grasped"  # 1 where a person's browser holds the device, else 0
-GRASPS = "grasps"  # positions that it was given, of which were
-GRASPS_CLIPPED = "grasps_clipped"  # beyond what it is drawn to, and
-GRASPS_REFUSED = "grasps_refused"  # besides, what was said there that was no position of this device
-GRASPS_LAPSED = "grasps_lapsed"  # times that a hand fell silent without letting go
-GIVEN = "given_"  # and which coupling: J that the others have received of its energy
-RECEIVED = "received_"  # and which coupling: J that it has received of the others'
+GRASPED = "grasped"  # 1 while a person's browser holds the device, else 0
+GRASPS = "grasps"  # positions that the pointer sent and the device took
+GRASPS_CLIPPED = "grasps_clipped"  # those of them that were beyond the pointer's reach
+GRASPS_REFUSED = "grasps_refused"  # messages of the pointer that were no position of this device
+GRASPS_LAPSED = "grasps_lapsed"  # times that a pointer fell silent without letting go
+GIVEN = "given_"  # and the coupling: J that the others have received of its energy
+RECEIVED = "received_"  # and the coupling: J that it has received of the others' energy
 MOVED = "moved_"  # supplier, "/" and receiver: J
-SCALED = "scaled_"  # and which coupling: ticks in which it was held to less than it did, for its energy budget
-STOPS = "stops_"  # and which coupling: times that nothing was left of it
-UNOWNED = "unowned"  # J that users received of the environment's own
-ENFORCED_TICKS = "enforced_ticks"  # in which a passivity controller kept a force back
-ENFORCED_ENERGY = "enforced_energy"  # that was kept back, J
+SCALED = "scaled_"  # and the coupling: ticks in which its ratio was below 1, for its energy budget
+STOPS = "stops_"  # and the coupling: times that its energy budget stopped it
+UNOWNED = "unowned"  # J that users received of the environment's own energy
+ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
+ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 
 
 def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
-    """The ledger's total, its minimum, where that was, and its margin; nothing where nothing was promised."""
+    """The ledger's total, its minimum and the tick of that, and its margin; empty where no level is promised."""
     if ledger is None:
         return {}
     return {
@@ -85,12 +84,12 @@ def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
 
 
 def ledger_trace(ledger: Ledger | None, totals: Sequence[float]) -> dict[str, NDArray[np.float64]]:
-    """The ledger's totals of so many ticks, J, as a trace of one column; nothing where nothing was promised."""
+    """The ledger's ``totals`` by tick, J, as a trace of one column; empty where no level is promised."""
     return {} if ledger is None else {LEDGER: np.array(totals)[:, None]}
 
 
 def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:
-    """How often a controller acted, and what it kept back; nothing where nothing is enforced."""
+    """How often a controller acted, and the energy that it kept back; empty where no level is enforced."""
     if controller is None:
         return {}
     return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
@@ -98,12 +97,12 @@ def enforcement_figures(controller: PassivityController | None) -> dict[str, flo
 
 @dataclass(frozen=True)
 class CouplingLateness:
-    """What a coupling made the others wait.
+    """How long the others waited for one coupling.
 
     Attributes:
-        ticks: in which it came after the others, or not at all.
-        time: that it cost the others, us.
-        frozen: times that it was frozen for it.
+        ticks: the ticks in which it came after the others, or not at all.
+        time: how long the others waited in them, us.
+        frozen: how often it was frozen for being late.
     """
 
     ticks: int
@@ -111,7 +110,7 @@ class CouplingLateness:
     frozen: int
 
     def sentence(self, name: str) -> str:
-        """The same for a person; ``name``: the coupling's."""
+        """The figures as a sentence; ``name`` is that of the coupling."""
         return (
             f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and it was frozen "
             f"for that {self.frozen} times"
@@ -125,12 +124,12 @@ def lateness_counts(lateness: Mapping[str, CouplingLateness]) -> dict[str, int]:
 
 
 def lateness_times(lateness: Mapping[str, CouplingLateness]) -> dict[str, float]:
-    """What each made the others wait, us."""
+    """How long the others waited for each coupling, us."""
     return {f"{WAITED_TIME}{name}": one.time for name, one in lateness.items()}
 
 
 def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> CouplingLateness | None:
-    """What the environment told of the coupling ``name``; None if nothing, or nothing of sense."""
+    """The environment's figures of the coupling ``name``; None where they are missing or out of range."""
     told = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
     ticks, time, frozen = (math.nan if value is None else value for value in told)
     if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
@@ -139,7 +138,7 @@ def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, fl
 
 
 def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
-    """Who moved whom, and who was held to a budget; of what has not happened nothing is said."""
+    """The energy between the ``parties``, and how often a budget scaled or stopped each; figures of 0 are left out."""
     figures = {UNOWNED: energy.unowned}
     for name, values in (
         (GIVEN, energy.given),
@@ -154,7 +153,7 @@ def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
 
 
 def lateness_by_coupling(counts: Mapping[str, float], figures: Mapping[str, float]) -> dict[str, CouplingLateness]:
-    """What the environment told of all couplings that made the others wait."""
+    """The environment's figures of every coupling that made the others wait, by its name."""
     told = {
         key.removeprefix(WAITED_TICKS): lateness_of(key.removeprefix(WAITED_TICKS), counts, figures)
         for key in counts
@@ -164,7 +163,7 @@ def lateness_by_coupling(counts: Mapping[str, float], figures: Mapping[str, floa
 
 
 def shown(telemetry: Telemetry) -> Telemetry:
-    """What others than the supervisor are shown of a telemetry: without the ticks in which couplings were late."""
+    """A telemetry as observers see it: without the traces of the ticks in which couplings were late."""
     if not any(name.startswith(WAITED_IN) for name in telemetry.traces):
         return telemetry
     traces = {name: trace for name, trace in telemetry.traces.items() if not name.startswith(WAITED_IN)}
@@ -172,12 +171,12 @@ def shown(telemetry: Telemetry) -> Telemetry:
 
 
 def stray_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
-    """How many frames no gate admitted, whatever the reason."""
+    """The number of frames that the gates did not admit, as a figure of telemetry."""
     return {NOT_ADMITTED: float(sum(count for peer_link in peer_links for count in peer_link.gate.dropped.values()))}
 
 
 def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, int]:
-    """Frames that no gate admitted, by reason, over all links."""
+    """The numbers of frames that the gates did not admit, by reason, over all links."""
     out: dict[str, int] = {}
     for peer_link in peer_links:
         for reason, count in peer_link.gate.dropped.items():
@@ -189,17 +188,17 @@ _SMALLEST = 0.1  # us; anything below counts as zero
 _GROWTH = 0.01
 _BUCKETS = 2 + int(math.log(1e10) / math.log1p(_GROWTH))  # up to 1e9 us, a quarter of an hour
 _PER_LOG = 1.0 / math.log1p(_GROWTH)
-_BLOCK = 64  # buckets that are counted together as well, so that a percentile is found in a hundred steps, not 2,000
+_BLOCK = 64  # buckets that have a sum of their own, so that a percentile takes a hundred steps and not 2,000
 
 PERCENTILES = ("p50", "p99", "p999", "max")
-"""What is told of a distribution."""
+"""The figures of a distribution in a report."""
 
 
 class Distribution:
-    """Counts durations, us."""
+    """The distribution of durations, us, by counts in buckets."""
 
     def __init__(self) -> None:
-        self._counts = [0] * _BUCKETS  # a list: to count one there costs a loop a tenth of numpy's, cold
+        self._counts = [0] * _BUCKETS  # a list: with cold caches an increment costs a tenth of numpy's
         self._blocks = [0] * (1 + _BUCKETS // _BLOCK)
         self._maximum = 0.0
 
@@ -229,7 +228,7 @@ class Distribution:
 
 
 def _reach(counts: list[int], first: int, counted: int, target: float) -> tuple[int, int]:
-    """Where, from ``first`` on, a sum that begins at ``counted`` reaches ``target``; and what it was before."""
+    """The index from ``first`` on at which a sum that begins at ``counted`` reaches ``target``, and the sum before."""
     at = first
     while counted + counts[at] < target:
         counted += counts[at]

@@ -1,4 +1,4 @@
-"""What happened to a node between its ticks, told with the tick: figures of its telemetry such as ``released@217``.
+"""Events between the ticks of a node, recorded with their tick: figures of its telemetry such as ``released@217``.
 
 | figure | of a | value |
 |---|---|---|
@@ -9,9 +9,9 @@
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
 
-Rows and events travel in one telemetry, so a recording that has the rows has the events as well. Whoever computes the
-node again from its rows needs nothing else. In a tick in which nothing happens nothing is done for them. An environment
-says when it began and jumped as well.
+Rows and events travel in one telemetry message, so a recording that has the rows has the events as well. An audit
+computes the node again from its rows and events alone. A tick without an event costs nothing. An environment records
+``began@k`` and ``jumped@k`` as well.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 MOST_EVENTS: Final = 512
-"""Events of one telemetry from which on releases are counted only; the count among the figures shows that."""
+"""The most events of one telemetry; further releases are only counted in the figure of all releases, which shows it."""
 
 _FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung)|(frozen|returned):(.+))@([0-9]{1,15})")
 _MOST_VALUE: Final = 2.0**53
 
 
 class Kind(StrEnum):
-    """What can happen; each is explained in the table of this module."""
+    """The kinds of events; the table of this module explains each."""
 
     BEGAN = "began"
     JUMPED = "jumped"
@@ -40,9 +40,9 @@ class Kind(StrEnum):
 
 
 class TickEvent(NamedTuple):
-    """One event: what happened, at which tick, its value by the table of this module, and whom it is about.
+    """One event: its kind, its tick, its value by the table of this module, and the peer that it is about.
 
-    ``peer`` is empty for what happened to the node itself.
+    ``peer`` is empty for an event of the node itself.
     """
 
     kind: Kind
@@ -55,30 +55,30 @@ class TickEvents:
     """The events of one process since its last telemetry."""
 
     def __init__(self) -> None:
-        """The process has told nothing yet."""
+        """No event yet, and no telemetry."""
         self._figures: dict[str, float] = {}
-        self._next: int | None = None  # the tick after the last row that was told
+        self._next: int | None = None  # the tick after the last row of the last telemetry
 
     def release(self, tick: int) -> None:
-        """A period without force, while the forces of ``tick`` were awaited."""
+        """Record a period without force, while the forces of ``tick`` were awaited."""
         name = f"{Kind.RELEASED}@{tick}"
         if name in self._figures or len(self._figures) < MOST_EVENTS:
             self._figures[name] = self._figures.get(name, 0.0) + 1.0
 
     def change_rung(self, tick: int, rung: int) -> None:
-        """The node changed to ``rung`` in ``tick``."""
+        """Record that the node changed to ``rung`` in ``tick``."""
         self._figures[f"{Kind.RUNG}@{tick}"] = float(rung)
 
     def freeze(self, tick: int, coupling: str) -> None:
-        """The environment sends ``coupling`` no force from ``tick`` on."""
+        """Record that the environment sends ``coupling`` no force from ``tick`` on."""
         self._figures[f"{Kind.FROZEN}:{coupling}@{tick}"] = 1.0
 
     def activate(self, tick: int, coupling: str) -> None:
-        """The environment sends ``coupling`` its force again from ``tick`` on."""
+        """Record that the environment sends ``coupling`` its force again from ``tick`` on."""
         self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
 
     def take(self, first: int, end: int) -> dict[str, float]:
-        """The figures of the telemetry whose rows are those of ``first`` to ``end - 1``; they are told once."""
+        """The events as figures of the telemetry whose rows are ``first`` to ``end - 1``; each is returned once."""
         figures, self._figures = self._figures, {}
         if self._next is None:
             figures[f"{Kind.BEGAN}@{first}"] = 1.0
@@ -89,7 +89,7 @@ class TickEvents:
 
 
 def events_in(figures: Mapping[str, float]) -> Iterator[TickEvent]:
-    """The events among the figures of one telemetry; what is written like one and has no whole value is none."""
+    """The events among the figures of one telemetry; a figure with an event's name but no whole value is none."""
     for name, value in figures.items():
         found = _FIGURE.fullmatch(name)
         if found is not None and 0.0 <= value <= _MOST_VALUE and value == int(value):

@@ -1,8 +1,8 @@
 """How long the parties of a session wait for each other: one table, in ticks, for both clocks.
 
-In real time a tick that a party misses is paid by all others, so waiting ends: the environment gives a coupling up,
-a device lets go of a stale force. Under the simulated clock time stands still while somebody is waited for, and
-nobody is given up but on the supervisor's word.
+In real time all parties wait for the one that misses a tick, so every wait has an end: the environment freezes the
+coupling, and a device lets go of a stale force. Under the simulated clock time stands still during a wait. There a
+party is given up only when the supervisor reports that it is lost.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from manyhands.nodes.bundle import SIMULATED, Common
 from manyhands.protocol.clock import Duration, from_seconds
 
 FREEZE_TICKS = 3
-"""Periods that the environment waits for a coupling once another one's signal of the tick is there."""
+"""Periods that the environment waits for a coupling once the signal of any other coupling for the tick is there."""
 
 STALE_TICKS = 5
 """A device that has waited this many periods for its force applies zero force until one comes."""
 
 LISTEN_TICKS = 32
-"""Ticks between two looks at what the supervisor says, while all goes well; who waits in vain looks at once."""
+"""Ticks between two looks at the supervisor's messages, while all signals come; a node that waits looks at once."""
 
 LOOK = from_seconds(0.1)
-"""Between two looks at whether the node should still run, and what the supervisor says."""
+"""The longest time between two looks at whether the node should still run, and at the supervisor's messages."""
 
-_LOST_IN_SIMULATION = from_seconds(20.0)  # real time, far beyond any turn that a busy machine makes a process wait
+_LOST_IN_SIMULATION = from_seconds(20.0)  # real time; a busy machine makes no process wait so long for its turn
 
 
 @dataclass(frozen=True)
 class Timeouts:
-    """How long is waited, ns of real time.
+    """How long a node waits, ns of real time.
 
     Attributes:
-        freeze: for a coupling, by the environment; None: for ever.
-        stale: for a force, by a device; None: for ever.
-        again: for an answer, before the signal is sent once more.
-        look: at once, at most.
-        turn: for one signal of an ordinary tick, before it is seen what else there is.
+        freeze: the environment waits so long for a coupling; None for no end.
+        stale: a device waits so long for a force; None for no end.
+        again: a node waits so long for an answer before it sends its signal once more.
+        look: the longest single wait, after which the node looks at its supervisor.
+        turn: the wait for one signal of an ordinary tick, before the node looks what else it has received.
     """
 
     freeze: Duration | None

@@ -1,12 +1,11 @@
-"""The table of channels: what processes of a session exchange, who may send it to whom, and how often.
+"""The tables of channels and topics: what processes exchange, and what a running session shows.
 
-There is no other list. Sockets, permissions, documentation and displays are derived from this one.
+:data:`CHANNELS` lists the messages of each channel, the roles that may send and receive them, and how often. Sockets,
+permissions, documentation and displays are derived from it; there is no other list.
 
-The table of topics: which quantities a running session shows of itself, of whom, in which letters and units.
-
-A topic is what an onlooker sees of a node, tick by tick: a *trace* of its telemetry. The signals among them bear the
-names of the channels that carry them (:mod:`manyhands.protocol.channels`); the others are findings of the node itself.
-Recordings, live plots, and what is printed of a session are derived from this table; there is no other list.
+:data:`TOPICS` lists the quantities that a node shows tick by tick, with the paper's letters and units. A topic is a
+*trace* of the node's telemetry. Topics that are signals have the names of the channels that carry them; the others are
+findings of the node itself. Recordings, live plots and printed lines are derived from it; there is no other list.
 """
 
 from collections.abc import Mapping
@@ -57,16 +56,16 @@ class Rate(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One row of the table.
+    """One row of the table of channels.
 
     Attributes:
         name: last part of the channel's full name.
-        messages: the message types it carries.
+        messages: the message types that it carries.
         senders: roles that may send on it.
         receivers: roles that receive from it.
-        symbol: the quantity in the paper's letters, empty where it carries none.
-        unit: SI unit of the values (of a translational port), empty where there is none.
-        rate: how often.
+        symbol: the quantity in the paper's letters; empty where it carries none.
+        unit: SI unit of the values (of a translational port); empty where there is none.
+        rate: how often it carries a message.
     """
 
     name: str
@@ -135,14 +134,14 @@ LEDGER: Final = "ledger"
 TAU: Final = "tau_us"
 
 TELEMETRY: Final = "telemetry"
-"""The topic of a node's figures, ten times a second, which every node has besides those of its role."""
+"""The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
 
 CONDITION: Final = "condition"
-"""The topic of the session as a whole, told by the supervisor: phase, states, notices, incidents."""
+"""The topic of the whole session, which the supervisor reports: phase, states, notices, incidents, faults."""
 
 
 class Columns(StrEnum):
-    """What the columns of a trace are of."""
+    """The columns of a trace: one for each port, one for each mass, or a single one."""
 
     PORTS = "ports"
     MASSES = "masses"
@@ -151,14 +150,14 @@ class Columns(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One row of the table.
+    """One row of the table of topics.
 
     Attributes:
         name: last part of its full name, ``/session/node/name``.
-        trace: the trace of the node's telemetry that holds it, a row a tick.
+        trace: the trace of the node's telemetry that holds it, one row for each tick.
         symbol: the quantity in the paper's letters.
-        unit: SI unit (of a translational port), but for delays, which are in microseconds.
-        columns: what the columns of the trace are of.
+        unit: SI unit (of a translational port); delays are in microseconds.
+        columns: the columns of the trace.
     """
 
     name: str
@@ -168,7 +167,7 @@ class Topic:
     columns: Columns
 
     def columns_of(self, ports: tuple[str, ...], masses: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the columns, for a node with these ports; ``masses`` are the environment's."""
+        """The names of the columns for a node with these ports; ``masses`` are those of the environment."""
         return {Columns.PORTS: ports, Columns.MASSES: masses, Columns.ONE: (self.symbol,)}[self.columns]
 
 
@@ -198,7 +197,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
 
 
 def topics_of(role: Role, masses: tuple[str, ...] = ()) -> tuple[Topic, ...]:
-    """The topics of a node; an environment without masses has none of them to show."""
+    """The topics of a node of this role; without ``masses`` the environment's topic of masses is left out."""
     return tuple(topic for topic in TOPICS.get(role, ()) if masses or topic.columns is not Columns.MASSES)
 
 

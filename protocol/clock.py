@@ -1,16 +1,16 @@
-"""Time: instants, durations, and the two clocks a session can run on.
+"""Time: instants, durations, the two clocks of a session, and the offset of a different machine's clock.
 
-A point in time is another type than a length of time, so that a type checker finds a deadline passed where a
-timeout was meant. Both are whole nanoseconds: a float of seconds loses them after a few months of uptime.
-Loops are handed a clock and never ask the system themselves, so a test or a lockstep run can own the time.
+Instants and durations have different types, so that a type checker finds a deadline in the place of a timeout. Both are
+whole nanoseconds: a float of seconds loses single nanoseconds after a few months of uptime. Loops receive a clock and
+never ask the system themselves, so a test or a simulation can control the time.
 
-How far another machine's monotonic clock is ahead of ours, from an exchange of time stamps.
+The offset is how far a different machine's monotonic clock is ahead of ours, from an exchange of time stamps:
 
     ours:    sent ─────────▶                 ◀───────── received
     theirs:             heard ── answered
 
-Half the way there and half the way back are equal but for what queues and schedulers add, so the exchange with
-the shortest way tells most: its error is at most half its own round trip (RFC 5905, section 8, has the same formula).
+The ways there and back take equally long, apart from delays in queues and schedulers. So the exchange with the shortest
+round trip is the best: its error is at most half of that round trip (RFC 5905, section 8, has the same formula).
 """
 
 import ctypes
@@ -38,7 +38,7 @@ def from_seconds(value: float) -> Duration:
     """The duration nearest to ``value`` seconds.
 
     Raises:
-        ValueError: if ``value`` is not finite.
+        ValueError: ``value`` is not finite.
     """
     try:
         return Duration(round(value * _NS_PER_SECOND))
@@ -47,23 +47,25 @@ def from_seconds(value: float) -> Duration:
 
 
 class Clock(Protocol):
-    """What a loop may ask of time."""
+    """The interface of a clock."""
 
     def now(self) -> Instant:
         """The present instant."""
         ...
 
     def sleep_until(self, t: Instant) -> None:
-        """Return when ``now() >= t``, at once if that is so already."""
+        """Return as soon as ``now() >= t``."""
         ...
 
 
 class RealtimeClock:
-    """CLOCK_MONOTONIC, waking as close to the asked instant as an unprivileged process can.
+    """CLOCK_MONOTONIC; it wakes as close to the given instant as an unprivileged process can.
 
-    On construction the calling thread's timer slack is set to 1 ns; the kernel's default of 50 µs is
-    otherwise added to every wake-up. ``timer_slack_set`` says whether the kernel granted it. Timer slack
-    belongs to a thread: construct the clock in the thread that paces itself with it.
+    The constructor sets the calling thread's timer slack to 1 ns; otherwise the kernel's default of 50 µs is added to
+    every wake-up. Timer slack belongs to a thread: construct the clock in the thread that paces itself with it.
+
+    Attributes:
+        timer_slack_set: whether the kernel granted the timer slack.
     """
 
     def __init__(self) -> None:
@@ -74,20 +76,20 @@ class RealtimeClock:
         return Instant(time.monotonic_ns())
 
     def sleep_until(self, t: Instant) -> None:
-        """Return when ``now() >= t``, at once if that is so; a signal handler's exception gets through."""
-        # since 3.11 time.sleep is clock_nanosleep on an absolute deadline; the loop covers its rounding
+        """Return as soon as ``now() >= t``; an exception of a signal handler is raised through this call."""
+        # since Python 3.11 time.sleep is clock_nanosleep on an absolute deadline; the loop covers its rounding
         while (remaining := t - time.monotonic_ns()) > 0:
             time.sleep(remaining / _NS_PER_SECOND)
 
 
 class SimulatedClock:
-    """Time that passes only when somebody waits for it: starts at 0 and never goes back."""
+    """A clock that starts at 0, advances only by :meth:`sleep_until`, and never goes back."""
 
     def __init__(self) -> None:
         self._now = Instant(0)
 
     def now(self) -> Instant:
-        """The latest instant that was waited for."""
+        """The latest instant that was slept until."""
         return self._now
 
     def sleep_until(self, t: Instant) -> None:
@@ -96,7 +98,7 @@ class SimulatedClock:
 
 
 def _set_timer_slack(nanoseconds: int) -> bool:
-    """Ask the kernel for a timer slack of this thread; whether it was granted."""
+    """Ask the kernel for a timer slack of this thread; returns whether it was granted."""
     try:
         prctl = ctypes.CDLL(None, use_errno=True).prctl
     except AttributeError:  # not Linux
@@ -108,7 +110,7 @@ def _set_timer_slack(nanoseconds: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """One question and its answer, monotonic ns: ``sent`` and ``received`` by our clock, the others by theirs."""
+    """A probe and its answer, monotonic ns: ``sent`` and ``received`` by our clock, the others by the other clock."""
 
     sent: int
     heard: int
@@ -117,19 +119,19 @@ class Exchange:
 
     @property
     def round_trip(self) -> Duration:
-        """Time on the way, both ways, ns."""
+        """The time on both ways, ns."""
         return Duration((self.received - self.sent) - (self.answered - self.heard))
 
     @property
     def offset(self) -> Duration:
-        """Their clock minus ours, ns."""
+        """The other clock minus ours, ns."""
         return Duration(((self.heard - self.sent) + (self.answered - self.received)) // 2)
 
 
 def offset_of(exchanges: Iterable[Exchange]) -> Duration:
-    """Their clock minus ours, ns, by the exchange with the shortest way.
+    """The other clock minus ours, ns, by the exchange with the shortest round trip.
 
     Raises:
-        ValueError: there are none.
+        ValueError: there are no exchanges.
     """
     return min(exchanges, key=lambda exchange: exchange.round_trip).offset

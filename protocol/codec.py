@@ -1,26 +1,24 @@
 """Messages to frames and back, in MessagePack.
 
-A frame is one MessagePack array, ``[type id, field, ...]``. What comes in is never trusted and never raises: ``decode``
-returns a message, or a :class:`Malformed` that says what is wrong with the frame. What goes out is read back
-through the very same checks before it leaves, so that the two sides cannot disagree about what is allowed.
+A frame is one MessagePack array, ``[type id, field, ...]``. Incoming bytes are never trusted and never raise:
+:func:`decode` returns a message, or a :class:`Malformed` with the reason. :func:`encode` reads an outgoing message back
+through the same checks before it leaves, so the two sides cannot disagree about what is allowed.
 
-Signals take a direct path in both directions, since they are what a tick is made of: their first 23 bytes
-have a fixed layout (still plain MessagePack; a frame that another encoder wrote with shorter integers is
-read by the general path).
+**Fields.** A :class:`Field` turns a value into plain MessagePack data, and checks plain data on the way back. A reader
+accepts exactly the type that it expects (a bool is not an int, an int is not a float) within the bounds of
+:mod:`manyhands.protocol.limits`. It raises :class:`Unfit` otherwise, which :func:`decode` turns into a value.
 
-The fields of a message: how each becomes plain MessagePack data, and the checks on the way back.
+**Signals** take a direct path in both directions, for a tick consists of them. Their first 23 bytes have a fixed
+layout, :data:`USUAL`, which is still plain MessagePack. A frame that a different encoder wrote with shorter integers
+takes the general path.
 
-A reader accepts exactly the type it expects (a bool is not an int, an int is not a float) within the bounds
-of :mod:`manyhands.protocol.limits`, and raises :class:`Unfit` otherwise, which the codec turns into a value.
-
-The head of a signal's frame: all that stands before its values, read without reading those.
+**Heads.** The head of a signal's frame is everything before its values:
 
     array of 4 | type id | tick | stamp | length of the values | values
 
-Whoever waits for one signal decides by the head what becomes of a frame, so that refusing one costs little and the
-same whatever stands behind. :data:`USUAL` is the layout that this implementation writes; :func:`read_head` reads every
-other encoding that MessagePack has for the same array, too. It agrees with :func:`manyhands.protocol.codec.decode` on
-what a signal is (a test compares them).
+A gate that waits for one signal decides by the head alone. So a refusal costs little, and the same whatever follows the
+head. :func:`read_head` reads every encoding that MessagePack has for this array. It agrees with :func:`decode` on what
+a signal is (a test compares them).
 """
 
 import dataclasses
@@ -90,22 +88,22 @@ _WIRE_FLOAT: Final = np.dtype("<f8")
 
 
 class Unfit(Exception):
-    """What was found in a field, and what would be right. Stays within the codec."""
+    """A field cannot be read; the message states what was found and what was expected. It stays within the codec."""
 
 
 class NotFinite(Unfit):
-    """A number that must be finite is not."""
+    """A number that must be finite is infinite or not a number."""
 
 
 class Field(NamedTuple):
-    """One field: ``pack`` makes plain data of a value, ``read`` a value of plain data or raises ``Unfit``."""
+    """One field: ``pack`` makes plain data of a value; ``read`` makes a value of plain data, or raises ``Unfit``."""
 
     pack: Callable[[Any], object]
     read: Callable[[object], Any]
 
 
 def _describe(value: object) -> str:
-    """A value from outside, short and printable enough to be shown."""
+    """A short and printable text for a value from outside."""
     if isinstance(value, (str, bytes, list, dict, tuple)) and len(value) > 40:
         return f"{type(value).__name__} of length {len(value)}"
     return f"{value!r:.120}"
@@ -125,7 +123,7 @@ def _plain_number(value: object) -> object:
 
 
 def integer(low: int, high: int) -> Field:
-    """An int of ``low`` to ``high``."""
+    """A field of an int from ``low`` to ``high``."""
 
     def read(value: object) -> int:
         if type(value) is not int or not low <= value <= high:
@@ -222,7 +220,7 @@ def _pack_feedthrough(value: Any) -> object:
 
 
 def _read_feedthrough(value: object) -> tuple[tuple[float, ...], ...] | None:
-    """Rows of finite floats; whether they fit the ports is for the handshake, which can say so clearly."""
+    """Rows of finite floats; the handshake checks that they fit the ports, and can name the ports in its refusal."""
     if value is None:
         return None
     if type(value) is not list or len(value) > MAX_PORTS:
@@ -244,7 +242,7 @@ def pack_values(values: Any) -> bytes:
     """The values of a signal as little-endian float64.
 
     Raises:
-        Unfit: if they are anything else than 1 to ``MAX_PORTS`` finite float64 in a row.
+        Unfit: the values are not a 1-D array of 1 to ``MAX_PORTS`` finite float64.
     """
     if not isinstance(values, np.ndarray) or values.dtype != np.float64 or values.ndim != 1:
         raise Unfit(f"found {values!r:.80}; expected a 1-D array of float64")
@@ -254,16 +252,16 @@ def pack_values(values: Any) -> bytes:
 
 
 def read_values(data: object) -> Values:
-    """The values of a signal, read only.
+    """The values of a signal, as a read-only array.
 
     Raises:
-        Unfit: if the data is not 8 bytes each for 1 to ``MAX_PORTS`` values; :class:`NotFinite` if one is
-        not finite.
+        Unfit: the data are not 8 bytes for each of 1 to ``MAX_PORTS`` values.
+        NotFinite: a value is infinite or not a number.
     """
     if type(data) is not bytes or len(data) % 8 or not 8 <= len(data) <= 8 * MAX_PORTS:
         raise Unfit(f"found {_describe(data)}; expected 8 bytes each for 1 to {MAX_PORTS} values")
     values = _doubles(data)
-    # for a few ports six times as fast as numpy's own isfinite().all()
+    # for a few ports this is six times as fast as numpy's isfinite().all()
     if not all(map(math.isfinite, values.tolist())):
         raise NotFinite("found a value that is not finite; expected finite values")
     return values
@@ -321,7 +319,7 @@ UINT64: Final = 0xCF
 BIN16: Final = 0xC5
 
 LONGEST: Final = 5 + 3 * 9 + 5
-"""Bytes of the longest head: array 32, three integers of 64 bits with their tags, bin 32."""
+"""The length of the longest head, bytes: array 32, three integers of 64 bits with their tags, bin 32."""
 
 _INTEGERS: Final = {
     tag: struct.Struct(form)
@@ -334,7 +332,7 @@ _BINARIES: Final = {0xC4: struct.Struct(">B"), 0xC5: struct.Struct(">H"), 0xC6: 
 
 
 class Head(NamedTuple):
-    """A signal's head.
+    """The head of a signal's frame.
 
     Attributes:
         tick: k.
@@ -348,7 +346,7 @@ class Head(NamedTuple):
 
 
 def type_of(frame: bytes) -> int | None:
-    """The type id that a frame states, of whatever message; None if it begins otherwise. Nothing else is read."""
+    """The type id of a frame of any message, without reading the rest; None if the frame begins differently."""
     try:
         _, number, _ = _start(frame)
     except (IndexError, KeyError, struct.error):
@@ -357,7 +355,7 @@ def type_of(frame: bytes) -> int | None:
 
 
 def type_and_next(frame: bytes) -> tuple[int, int] | None:
-    """The type id that a frame states and the integer behind it; None if it begins otherwise."""
+    """The type id of a frame and the integer after it; None if the frame begins differently."""
     try:
         entries, number, at = _start(frame)
         following, _ = _integer(frame, at)
@@ -367,7 +365,7 @@ def type_and_next(frame: bytes) -> tuple[int, int] | None:
 
 
 def read_head(frame: bytes) -> Head | None:
-    """The head of a signal, of whatever type; None if this is no signal's frame. Never raises."""
+    """The head of a signal of any type; None if this is no frame of a signal. Never raises."""
     try:
         entries, _, at = _start(frame)
         tick, at = _integer(frame, at)
@@ -381,27 +379,27 @@ def read_head(frame: bytes) -> Head | None:
 
 
 def _start(frame: bytes) -> tuple[int, int, int]:
-    """Entries of the array, type id, and where the next entry begins."""
+    """The number of entries of the array, the type id, and the offset of the next entry."""
     first = frame[0]
     entries, at = (first & 0x0F, 1) if first & 0xF0 == 0x90 else _tagged(frame, 0, _ARRAYS)
     return entries, *_integer(frame, at)
 
 
 def _integer(frame: bytes, at: int) -> tuple[int, int]:
-    """The integer that begins ``at``, and where the next entry begins."""
+    """The integer at the offset ``at``, and the offset of the next entry."""
     first = frame[at]
     return (first, at + 1) if first < 0x80 else _tagged(frame, at, _INTEGERS)
 
 
 def _tagged(frame: bytes, at: int, forms: Mapping[int, struct.Struct]) -> tuple[int, int]:
-    """The number behind the tag ``at``, in the form that the tag stands for, and where it ends."""
+    """The number after the tag at the offset ``at``, in the tag's form, and the offset after it."""
     form = forms[frame[at]]
     (number,) = form.unpack_from(frame, at + 1)
     return number, at + 1 + form.size
 
 
 class Flaw(StrEnum):
-    """In which way a frame is malformed."""
+    """The kind of a malformed frame's flaw."""
 
     SIZE = "size"  # longer than its limit
     SYNTAX = "syntax"  # not exactly one MessagePack array within the limits
@@ -411,7 +409,7 @@ class Flaw(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Malformed:
-    """What ``decode`` returns for a frame that is no message: what is wrong with it, in words and in kind."""
+    """The result of :func:`decode` for a frame that is no message: the reason in words, and its kind."""
 
     reason: str
     flaw: Flaw = Flaw.SHAPE
@@ -419,13 +417,13 @@ class Malformed:
 
 @dataclass(frozen=True, slots=True)
 class ForeignHello:
-    """A hello of another protocol version, of which nothing else is read."""
+    """A hello of a different protocol version; the rest of its frame is not read."""
 
     version: int
 
 
 Received: TypeAlias = Message | ForeignHello | Malformed
-"""Everything that a frame can turn out to be."""
+"""A result of :func:`decode`."""
 
 _HELLOS: Final[dict[int, type[Message]]] = {1: LinkHello, 2: NodeHello}
 _SIGNALS: Final[dict[int, type[SignalMessage]]] = {
@@ -439,8 +437,7 @@ _SIGNAL_IDS: Final[dict[type[Signal], int]] = {kind: number for number, kind in 
 
 _Layout: TypeAlias = tuple[int, tuple[Field, ...]]
 
-# type id and fields, in the order in which the dataclass declares them; ids are never given to another type
-# again
+# type id and fields, in the order in which the dataclass declares them; an id is never used for a second type
 _HELLO_START: Final = (integer(0, MAX_VERSION), NAME, NAME, NAME, ROLE)
 LAYOUTS: Final[dict[type[Message], _Layout]] = {
     LinkHello: (1, (*_HELLO_START, PORTS, FEEDTHROUGH)),
@@ -475,11 +472,11 @@ def encode(message: Message) -> bytes:
     """The frame of a message.
 
     Raises:
-        ValueError: if a field is not what the protocol allows, naming it; nothing has been sent then.
+        ValueError: the protocol does not allow the value of a field, which the message names.
     """
     if isinstance(message, Signal) and (number := _SIGNAL_IDS.get(type(message))) is not None:
         tick, stamp, values = message.tick, message.stamp, message.values
-        # the checks of the fields, in one condition: what does not fit is refused below, where it can be said why
+        # all checks of the fields in one condition; a signal that does not fit is refused below, with the reason
         if (
             type(tick) is type(stamp) is int
             and 0 <= tick <= MAX_COUNT
@@ -495,16 +492,16 @@ def encode(message: Message) -> bytes:
 
 
 class SignalWriter:
-    """Frames of the signals that one end of a link sends tick after tick, without a message made for each.
+    """Makes the frames of the signals that one end of a link sends tick after tick, without a message for each.
 
     Attributes:
-        kind: the signal.
+        kind: the type of the signals.
     """
 
     __slots__ = ("_length", "_number", "_values", "_width", "kind")
 
     def __init__(self, kind: type[SignalMessage], width: int) -> None:
-        """``width``: ports of the link."""
+        """Make frames of ``kind`` with ``width`` values, one for each port of the link."""
         self.kind = kind
         self._number, self._width = _SIGNAL_IDS[kind], width
         self._values = struct.Struct(f"<{width}d")
@@ -524,15 +521,15 @@ class SignalWriter:
         ):
             head = USUAL.pack(ARRAY_OF_4, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
             return head + self._values.pack(*values)
-        return encode(self.kind(tick, stamp, np.array(values, dtype=np.float64)))  # which says what is wrong
+        return encode(self.kind(tick, stamp, np.array(values, dtype=np.float64)))  # raises, and names the field
 
 
 def decode(frame: bytes, limit: int) -> Received:
-    """What a frame of at most ``limit`` bytes says. Never raises, whatever the bytes.
+    """Read a frame of at most ``limit`` bytes. Never raises, whatever the bytes.
 
     Returns:
-        A message; a :class:`ForeignHello` for a hello of another protocol version, whatever follows the
-        version; or :class:`Malformed`.
+        A message; a :class:`ForeignHello` for a hello of a different protocol version, whatever follows the version;
+        or a :class:`Malformed`.
     """
     if len(frame) > limit:
         return Malformed(f"found {len(frame)} bytes; expected at most {limit}", Flaw.SIZE)
@@ -551,7 +548,7 @@ def decode(frame: bytes, limit: int) -> Received:
                     read_values(frame[USUAL.size :]),
                 )
             except Unfit:
-                return _decode_any(frame)  # which refuses it too, and can say where
+                return _decode_any(frame)  # refuses it as well, and names the field
     return _decode_any(frame)
 
 
@@ -575,7 +572,7 @@ def _encode_any(message: Message) -> bytes:
 
 
 def _decode_any(frame: bytes) -> Received:
-    """Every frame that is not a signal in its usual layout."""
+    """Read a frame that is not a valid signal in the usual layout."""
     version = _version_of_hello(frame)
     if version is not None and version != PROTOCOL_VERSION:
         return ForeignHello(version)
@@ -606,7 +603,7 @@ def _decode_any(frame: bytes) -> Received:
 
 
 def _version_of_hello(frame: bytes) -> int | None:
-    """The version that a hello states, read without reading on; None if the frame begins otherwise."""
+    """The version of a hello, without reading the rest; None if the frame begins differently."""
     number, version = type_and_next(frame) or (0, -1)
     return version if number in _HELLOS and 0 <= version <= MAX_VERSION else None
 
@@ -636,8 +633,8 @@ class _Containers:
             raise ValueError(f"more than {MAX_CONTAINERS} arrays and maps")
 
 
-# msgpack gives memory to an array as soon as its length is read, at every level of nesting: hence the small
-# bounds. Only str keys, no extension types.
+# msgpack allocates memory for an array as soon as it has read its length, at every level of nesting, so the bounds are
+# small; only str keys, no extension types
 _UNPACKING: Final[dict[str, Any]] = {
     "raw": False,
     "strict_map_key": True,

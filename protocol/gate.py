@@ -1,8 +1,8 @@
-"""Between a link and a core: admits the one signal that a tick is waiting for, and counts the rest.
+"""The gate between a link and a core: it admits the one signal that a tick waits for, and counts all other frames.
 
-A loop reads frames until its gate admits one or its time is up. Nothing that a peer sends can raise through it, and
-nothing is lost in silence: every frame is either admitted or counted under the reason why not. What is refused is
-refused by as little of the frame as will do, for a peer may send many.
+A loop reads frames until its gate admits one or its time is over. No frame of a peer can raise an exception, and none
+is lost in silence: every frame is either admitted, or counted under the reason why not. The gate refuses a frame by as
+few of its bytes as possible, for a peer may send many.
 """
 
 import math
@@ -17,27 +17,27 @@ from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import SignalMessage
 
 DROP_REASONS: Final = (
-    "malformed",  # no message's type at the start, a signal that breaks off, or longer than this link's can be
-    "wrong_kind",  # begins as a message, but not as the signal of this channel; no more of it is looked at
-    "wrong_width",  # not one value for each port of the link
-    "old_tick",  # of a tick before the one awaited: came too late, or twice
-    "future_tick",  # of a tick after the one awaited
-    "not_finite",  # of the tick awaited, but a value is infinite or not a number
-    "out_of_range",  # of the tick awaited, but a value, or its change since the last tick, is beyond its bound
+    "malformed",  # it begins as no message, breaks off, or is longer than any signal of this link
+    "wrong_kind",  # it begins as a message, but not as the signal of this channel; the rest is not read
+    "wrong_width",  # it has not one value for each port of the link
+    "old_tick",  # it is of a tick before the one awaited: it came too late, or twice
+    "future_tick",  # it is of a tick after the one awaited
+    "not_finite",  # it is of the tick awaited, but a value is infinite or not a number
+    "out_of_range",  # it is of the tick awaited, but a value, or its change since the last tick, is beyond its bound
 )
-"""Why a frame is not admitted; where several apply, the first."""
+"""The reasons why a frame is not admitted; where several apply, the first counts."""
 
 ROUNDING: Final = 1e-9
-"""What bounds yield to rounding, relative: to the magnitude, and to step and magnitude together for a step."""
+"""The relative tolerance of bounds for rounding: of the magnitude, and of step and magnitude together for a step."""
 
 MOST_PERIODS: Final = 6
-"""Periods that a step may take at most, and that a peer's steps may be ahead of the receiver's clock.
+"""The most periods that a step may take, and by which a peer's steps may be ahead of the receiver's clock.
 
-A device waits no longer for its force, so that an honest signal is late by no more.
+A device waits no longer for its force, so an honest signal is late by no more.
 """
 
 DRIFT: Final = 1e-3
-"""By how much a peer's clock may be faster than the receiver's, relative."""
+"""The relative rate by which a peer's clock may be faster than the receiver's."""
 
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
@@ -45,15 +45,15 @@ _TYPES: Final = {number for number, _ in LAYOUTS.values()}
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What an honest peer's values keep within, by port of the link and in the values' unit; ``inf`` for no bound.
+    """The bounds of an honest peer's values, by port of the link and in the values' unit; ``inf`` for no bound.
 
     Attributes:
-        magnitude: greatest absolute value.
-        step: greatest absolute change from one tick to the next; None for no bound.
-        period: T, ns, where ticks last as long as they do by a clock; None where each is exactly one period. A tick
-            that was late is longer: with a period, a step may be as many times as great as periods have passed between
-            the two stamps, up to :data:`MOST_PERIODS`. What stamps claim is the peer's word, so all steps together are
-            held against the receiver's clock: over any time t that passes there, for each port,
+        magnitude: the greatest absolute value.
+        step: the greatest absolute change from one tick to the next; None for no bound.
+        period: T, ns, where ticks take the time that a clock shows; None where each tick is exactly one period. A late
+            tick is longer: with a period, the bound of a step is multiplied by the number of periods between the two
+            stamps, up to :data:`MOST_PERIODS`. A peer could claim any stamps, so all steps together are compared with
+            the receiver's clock: over any time t that passes there, for each port,
 
                 sum |step| <= bound ((1 + DRIFT) t / T + MOST_PERIODS).
 
@@ -78,8 +78,8 @@ class Gate:
     """Admits the signals of one channel on one link.
 
     Attributes:
-        dropped: frames not admitted, by reason; the keys are :data:`DROP_REASONS`, always all of them.
-        stamp: the stamp of the signal admitted last, ns; 0 before the first.
+        dropped: frames not admitted, by reason; the keys are always all of :data:`DROP_REASONS`.
+        stamp: the stamp of the latest signal admitted, ns; 0 before the first.
     """
 
     __slots__ = (
@@ -106,16 +106,16 @@ class Gate:
     def __init__(
         self, kind: type[SignalMessage], width: int, bounds: Bounds | None = None, clock: Clock | None = None
     ) -> None:
-        """Wait for signals of ``kind`` with ``width`` values, ``bounds`` one for each of them.
+        """Wait for the signals of one end of a link.
 
         Args:
-            kind: of signals.
-            width: values of a signal.
-            bounds: what they keep within; None for finite values.
-            clock: the receiver's, needed for bounds with a period.
+            kind: the type of the signals.
+            width: the number of values of a signal.
+            bounds: the bounds of the values; None where they need only be finite.
+            clock: the receiver's clock, which bounds with a period need.
 
         Raises:
-            ValueError: ``bounds`` are for another width, or have a period where there is no clock.
+            ValueError: ``bounds`` have a different width, or a period without a clock.
         """
         if bounds is not None and len(bounds.magnitude) != width:
             raise ValueError(f"found bounds of {len(bounds.magnitude)} values; expected {width}")
@@ -130,32 +130,32 @@ class Gate:
         self._bounded = bounds is not None
         magnitude = (math.inf,) * width if bounds is None else bounds.magnitude
         step = (math.inf,) * width if bounds is None or bounds.step is None else bounds.step
-        # a finite number at most, so that an infinite value is never within
+        # at most a finite number, so that an infinite value is never within the bound
         self._magnitude = tuple(min(m * (1.0 + ROUNDING), sys.float_info.max) for m in magnitude)
         self._step = tuple(
             s * (1.0 + ROUNDING) + (ROUNDING * m if math.isfinite(m) else 0.0)
             for s, m in zip(step, magnitude, strict=True)
         )
-        # of a port without a bound, or with 0, no step takes any time
+        # at a port without a bound, or with the bound 0, a step takes no time
         self._periods_a_step = tuple(min(1.0 / s, sys.float_info.max) if s > 0.0 else 0.0 for s in self._step)
         self._before: tuple[float, ...] | None = None  # the values admitted last
         self._period = None if bounds is None else bounds.period
         self._clock = clock if self._period else None
-        self._rate = (1.0 + DRIFT) / self._period if self._period else 0.0  # periods a ns
-        self._balance = float(MOST_PERIODS)  # periods of steps that the peer may yet be ahead
-        self._seen = Instant(0)  # when the last signal was admitted
+        self._rate = (1.0 + DRIFT) / self._period if self._period else 0.0  # periods per ns
+        self._balance = float(MOST_PERIODS)  # periods by which the peer's steps may still get ahead
+        self._seen = Instant(0)  # when the latest signal was admitted
         self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
         self.stamp: int = 0
 
     def forget(self) -> None:
-        """Take the next signal as the first: so much time has passed that its step says nothing."""
+        """Take the next signal as the first one, whose step has no bound, after a time in which no bound holds."""
         self._before = None
 
     def admitted(self, frame: bytes, tick: int) -> tuple[float, ...] | None:
-        """The values of the signal in ``frame`` if it is that of ``tick``; otherwise None, and it is counted.
+        """The values of the signal of ``tick`` in ``frame``; None for any other frame, which is counted.
 
         Returns:
-            One value for each port of the link, finite, within the bounds.
+            One finite value for each port of the link, within the bounds.
         """
         usual = False
         if len(frame) == self._length:
@@ -173,8 +173,8 @@ class Gate:
             return None
         values = self._floats.unpack_from(frame, size)
         if self._bounded:
-            before = self._before or values  # the first has nothing to be compared with
-            taken = 0.0  # periods that the greatest of the steps takes within its bound
+            before = self._before or values  # the first signal has no step
+            taken = 0.0  # periods that the greatest of the steps needs within its bound
             for value, last, most, step, periods in zip(
                 values, before, self._magnitude, self._step, self._periods_a_step, strict=True
             ):
@@ -195,7 +195,7 @@ class Gate:
         return values
 
     def _affords(self, taken: float, now: Instant) -> bool:
-        """Whether a step of so many periods keeps within the time that has passed here; it is charged if it does."""
+        """Whether the time that has passed here allows a step of so many periods; if so, the step is charged."""
         left = self._balance + (now - self._seen) * self._rate - taken
         if left < 0.0:
             return False
@@ -203,15 +203,15 @@ class Gate:
         return True
 
     def _periods(self, stamp: int) -> int:
-        """How many periods have passed since the signal admitted last, by the stamps: what the peer claims."""
+        """The periods since the latest signal admitted, by the stamps, which the peer claims."""
         if self._period is None:
             return 1
         return min(max(round((stamp - self.stamp) / self._period), 1), MOST_PERIODS)
 
     def of_other_tick(self, frame: bytes) -> tuple[int, bool] | None:
-        """Of a frame not admitted: its tick, and whether all its values are zero; None if it is no such signal.
+        """The tick of a signal that was not admitted, and whether all its values are zero; None for any other frame.
 
-        For who has lost the thread, and for who has to tell a peer that has; nothing is counted here.
+        By these a node notices that it is behind, or that its peer is. This method counts nothing.
         """
         if type_of(frame) != self._number or len(frame) > self._longest:
             return None
@@ -222,7 +222,7 @@ class Gate:
         return (head.tick, not any(values)) if all(map(math.isfinite, values)) else None
 
     def _other(self, frame: bytes) -> tuple[str | None, int, int, int]:
-        """Why a frame in another layout than the usual is not the signal of this link; or tick, stamp, size of head."""
+        """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, stamp, size of head."""
         if len(frame) > self._longest:
             return "malformed", 0, 0, 0
         number = type_of(frame)

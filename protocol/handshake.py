@@ -1,15 +1,15 @@
-"""How two processes make sure, before the first tick, that they belong together.
+"""The handshake of two processes: it makes sure, before the first tick, that they belong to one session.
 
-On a link the connecting side sends its hello; the binding side checks it and answers with its own; the
-connecting side checks that and sends a welcome. Whoever finds something wrong says so to the other before it
-ends, so that both ends can name the cause. :class:`LinkHandshake` is pure: messages go in, messages to send
-come out, and what leads to what stands in :data:`TRANSITIONS`. :func:`shake_hands` runs one over a link. The
-supervisor's side of a node's hello needs no states: :func:`check_node_hello`.
+On a link the connecting side sends its hello. The binding side checks it and answers with its own hello. The connecting
+side checks that and sends a welcome. A side that finds a mistake sends a refusal before it ends, so that both ends can
+report the cause.
 
-Whether a process that says hello belongs to this session: the checks of a handshake, and the words for a refusal.
+:class:`LinkHandshake` is pure: messages go in, messages to send come out, by the table :data:`TRANSITIONS`.
+:func:`shake_hands` runs it over a link. The checks of a hello are pure functions (:func:`check_link_hello`). The
+supervisor's check of a node's hello needs no states (:func:`check_node_hello`).
 
-Pure functions. A refusal is one sentence that says who refused whom, what was found, what would be right and
-what to do; it is sent to the other side as it is, so that both ends tell the same story.
+A refusal is one sentence: which process refused which, what was found, what was expected and what to do. It is sent to
+the other side as it is, so both ends report the same.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -36,7 +36,7 @@ from manyhands.protocol.transport import Link
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Who must be at the other end of a link: its name, its role, and the ports of the link in their order."""
+    """The peer that must be at the other end of a link: its name, its role, and the ports of the link in order."""
 
     name: str
     role: Role
@@ -44,7 +44,13 @@ class Expected:
 
 
 def check_link_hello(hello: LinkHello | ForeignHello, own: LinkHello, expects: Expected) -> Refusal | None:
-    """The first thing that is wrong with a hello, from the most fundamental on; None if nothing is."""
+    """The refusal of a hello for its most fundamental mistake; None for a hello without a mistake.
+
+    Args:
+        hello: the peer's hello.
+        own: the hello of this side.
+        expects: the peer that must be at the other end.
+    """
     me, peer = own.name, expects.name
     if hello.version != own.version or isinstance(hello, ForeignHello):
         return _refuse_version(me, peer, hello.version, own.version)
@@ -73,15 +79,15 @@ def check_node_hello(
     sender: str,
     binds: Collection[str] = (),
 ) -> Refusal | None:
-    """The supervisor's answer to the first message of a node: None if it may join, otherwise why not.
+    """The supervisor's refusal of a node's first message; None if the node may join.
 
     Args:
-        hello: what the node's first frame turned out to be.
-        certificate: id of the certificate the session runs under.
+        hello: the node's first frame, decoded.
+        certificate: id of the certificate that the session runs under.
         session: name of the session.
-        expected: the session's nodes (and observers) and their roles.
-        sender: who sent it, as the transport knows it: by key, where there are keys.
-        binds: the peers for which the sender binds a link, and must have an endpoint.
+        expected: the session's nodes and observers, and their roles.
+        sender: the name by which the transport knows the sender; with keys, the name of its key.
+        binds: the peers for which the sender binds a link, so that it must name an endpoint.
     """
     own = Role.SUPERVISOR.value
     match hello:
@@ -134,7 +140,7 @@ def _check_role(me: str, peer: str, found: Role, expected: Role) -> Refusal | No
 
 
 def _check_feedthrough(hello: LinkHello, own: LinkHello, expects: Expected) -> Refusal | None:
-    """D_V goes from a coupling to the environment, which solves the algebraic loop with it, and nowhere else."""
+    """Check D_V, which only a coupling sends, and only to the environment, which solves the algebraic loop with it."""
     rows = hello.feedthrough
     if own.role is not Role.ENVIRONMENT or hello.role is not Role.COUPLING:
         if rows is None:
@@ -155,28 +161,25 @@ def _refuse_version(me: str, peer: str, found: int, expected: int) -> Refusal:
 
 
 def refuse(me: str, peer: str, code: RefusalCode, text: str) -> Refusal:
-    """The refusal of ``peer`` by ``me``; ``text`` says what was found, what would be right and what to do."""
+    """The refusal of ``peer`` by ``me``; ``text`` states what was found, what was expected and what to do."""
     return Refusal(code, presentable(f"{me} refused {peer}: {text}"))
 
 
 def describe(received: Received) -> str:
-    """What was received, in a few words."""
+    """A frame that was received, in a few words."""
     if isinstance(received, Malformed):
         return f"a malformed frame ({received.reason})"
     return f"a {type(received).__name__}"
 
 
 def _list(names: Sequence[str]) -> str:
-    """A few names, and how many more."""
+    """At most 8 names, and the number of the others."""
     shown = ", ".join(names[:8]) or "none"
     return shown if len(names) <= 8 else f"{shown} and {len(names) - 8} more"
 
 
-# the checks of hellos live next door; who shakes hands need not know that
-
-
 class HandshakeRefused(Exception):
-    """One side refused the other; the text says which, what was found, what would be right and what to do."""
+    """One side refused the other; the message states which, what was found, what was expected and what to do."""
 
 
 class HandshakeTimeout(Exception):
@@ -184,9 +187,9 @@ class HandshakeTimeout(Exception):
 
 
 class State(StrEnum):
-    """Where a side of the handshake stands."""
+    """The state of one side of a handshake."""
 
-    AWAITING_HELLO = "awaiting hello"  # binding side, nothing heard yet
+    AWAITING_HELLO = "awaiting hello"  # binding side, no frame received yet
     AWAITING_ANSWER = "awaiting answer"  # connecting side, own hello sent
     AWAITING_WELCOME = "awaiting welcome"  # binding side, own hello sent
     ESTABLISHED = "established"
@@ -195,17 +198,17 @@ class State(StrEnum):
 
 
 class HandshakeEvent(StrEnum):
-    """What a frame from the other side amounts to."""
+    """The meaning of a frame from the other side."""
 
     GOOD_HELLO = "good hello"
-    BAD_HELLO = "bad hello"  # of another version, certificate, session, ... than expected
+    BAD_HELLO = "bad hello"  # its version, certificate, session, ... is not the expected one
     WELCOME = "welcome"
     REFUSAL = "refusal"
-    OTHER = "anything else"  # malformed frames among it
+    OTHER = "anything else"  # malformed frames included
 
 
 class Answer(StrEnum):
-    """What is sent in return."""
+    """The message that a side sends in return."""
 
     HELLO = "hello"
     WELCOME = "welcome"
@@ -230,10 +233,10 @@ TRANSITIONS: Final[Mapping[tuple[State, HandshakeEvent], tuple[State, Answer]]] 
     (State.AWAITING_WELCOME, HandshakeEvent.REFUSAL): (State.REFUSED_BY_PEER, Answer.NOTHING),
     (State.AWAITING_WELCOME, HandshakeEvent.OTHER): (State.REFUSED, Answer.REFUSAL),
 }
-"""The whole handshake. States without a row are final: whatever comes then changes nothing and is not answered."""
+"""The whole handshake. States without a row are final: a frame that comes then changes nothing and gets no answer."""
 
 _SLICE: Final = 200_000_000
-"""At most so long is waited at once, ns: a signal that comes just before a wait is heard only after it."""
+"""The longest single wait, ns: a process signal that comes just before a wait is handled only after it."""
 
 _FINAL: Final = frozenset(State) - {state for state, _ in TRANSITIONS}
 
@@ -242,11 +245,11 @@ class LinkHandshake:
     """One side of a link's handshake.
 
     Attributes:
-        own: the hello this side sends.
-        expects: who must be at the other end.
-        state: where it stands.
-        peer: the other side's hello, once it was accepted.
-        refusal: who refused whom and why, in one sentence; None unless the handshake ended so.
+        own: the hello that this side sends.
+        expects: the peer that must be at the other end.
+        state: the state of this side.
+        peer: the other side's hello, once it is accepted; None before, and after a refusal.
+        refusal: which side refused and why, in one sentence; None unless the handshake was refused.
     """
 
     def __init__(self, own: LinkHello, expects: Expected, opens: bool) -> None:
@@ -259,15 +262,15 @@ class LinkHandshake:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more can happen."""
+        """Whether the state is final."""
         return self.state in _FINAL
 
     def start(self) -> list[Message]:
-        """What to send first: the hello of the side that opens."""
+        """The messages to send first: the hello, on the side that opens."""
         return [self.own] if self._opens else []
 
     def receive(self, received: Received) -> list[Message]:
-        """What to send in return for ``received``; the state moves on as :data:`TRANSITIONS` says."""
+        """Change the state by :data:`TRANSITIONS`; returns the messages to send in return for ``received``."""
         if self.finished:
             return []
         event, found = self._judge(received)
@@ -290,7 +293,7 @@ class LinkHandshake:
                 return []
 
     def _judge(self, received: Received) -> tuple[HandshakeEvent, Refusal]:
-        """What ``received`` amounts to, and the refusal to send should it be out of place."""
+        """The event that ``received`` is, and the refusal to send if :data:`TRANSITIONS` asks for one."""
         unexpected = refuse(
             self.own.name,
             self.expects.name,
@@ -315,10 +318,10 @@ class LinkHandshake:
 
 
 def shake_hands(link: Link, handshake: LinkHandshake, clock: Clock, deadline: Instant) -> LinkHello:
-    """Run a handshake over a link and return the other side's hello.
+    """Run a handshake over a link; returns the other side's hello.
 
-    A refusal is on its way when this raises; close the link and the transport in the ordinary manner, which lets it
-    leave (see ``LINGER_MS``).
+    When this raises, a refusal may still be on its way. An ordinary close of link and transport lets it leave (see
+    ``LINGER_MS``).
 
     Raises:
         HandshakeRefused: one side refused the other.
@@ -345,7 +348,7 @@ def shake_hands(link: Link, handshake: LinkHandshake, clock: Clock, deadline: In
 
 def _send_all(link: Link, handshake: LinkHandshake, messages: list[Message]) -> None:
     for message in messages:
-        # a refusal that cannot leave is not worth a second error
+        # a refusal that cannot be sent raises nothing here: the caller reports its reason anyway
         if not link.send(encode(message)) and not isinstance(message, Refusal):
             raise HandshakeTimeout(
                 f"{handshake.own.name}: {handshake.expects.name} left before the handshake was over; "

@@ -1,12 +1,11 @@
-"""The keys by which processes know each other: CURVE pairs, the ring that one process holds, and their files.
+"""The keys by which processes recognise each other: CURVE pairs, the key ring of one process, and their files.
 
-A link is as trustworthy as the way its keys are kept, so this module is about what must not happen: a secret that is
-printed, pickled or copied by accident, a private file that others can read or that a link replaced, a public key that
-is not the one its owner has. Keys are the 40 characters of Z85 in which ZeroMQ writes 32 bytes.
+A link is as trustworthy as the storage of its keys. So this module prevents three mistakes: a secret that is printed,
+pickled or copied by accident; a private file that others can read, or that a link replaced; a public key that is not
+its owner's. A key is the 40 characters of Z85 in which ZeroMQ writes 32 bytes.
 
-How files of keys are made and read, as ssh does it: exact modes, no links, nothing half-written, nothing quoted.
-
-A key file is one JSON object with its kind, its version and the members of that kind.
+Key files follow the rules of ssh: exact modes, no links, no half-written files, and no content in messages. A key file
+is one JSON object with its kind, its version and the members of that kind.
 """
 
 from __future__ import annotations
@@ -33,21 +32,27 @@ _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 
 
 class KeyFileError(Exception):
-    """A key cannot be used; names the file or whose key it is, never what a private key's file holds."""
+    """A key cannot be used; the message names the file or the key's owner, and never quotes a private key's file."""
 
 
 def create(path: Path, kind: str, members: Mapping[str, Any], mode: int) -> None:
-    """Write a new file of exactly this mode, on the disk when this returns, and never through a link.
+    """Write a new key file of exactly this mode, never through a link; it is on the disk when this returns.
+
+    Args:
+        path: the file.
+        kind: its kind, which the file states.
+        members: its members besides kind and version.
+        mode: its permissions, whatever the umask.
 
     Raises:
-        FileExistsError: there is something of that name, be it a link.
-        OSError: it cannot be written; nothing is left of it.
+        FileExistsError: the path exists, possibly as a link.
+        OSError: the file cannot be written; no part of it is left.
     """
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(path, flags, mode)
     try:
         with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(descriptor, mode)  # the umask may have taken from it, and never adds
+            os.fchmod(descriptor, mode)  # the umask may have removed permissions
             file.write(json.dumps({"format": kind, "version": _VERSION, **members}, indent=2).encode() + b"\n")
             file.flush()
             os.fsync(descriptor)
@@ -58,7 +63,7 @@ def create(path: Path, kind: str, members: Mapping[str, Any], mode: int) -> None
 
 
 def sync_folder(folder: Path) -> None:
-    """See to it that the names in a folder are on the disk, too."""
+    """Write the names in a folder to the disk (fsync)."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -67,17 +72,18 @@ def sync_folder(folder: Path) -> None:
 
 
 def read(path: Path, kind: str, members: Set[str], limit: int, *, private: bool) -> dict[str, Any]:
-    """The members of a file of this kind, of any types.
+    """Read a key file; returns its members, whose types are not checked.
 
     Args:
         path: the file.
-        kind: what it says that it is.
-        members: exactly those that it must have, besides its kind and version.
-        limit: bytes it may have.
-        private: it must be ours, not open to others, and no link; otherwise others may not write it.
+        kind: the kind that the file must state.
+        members: exactly the members that it must have, besides its kind and version.
+        limit: its greatest length, bytes.
+        private: whether the file must belong to the user, be closed to others, and be no link; a file that is not
+            private must only be closed to writing by others.
 
     Raises:
-        KeyFileError: not readable, not to be trusted, or not such a file.
+        KeyFileError: the file cannot be read, cannot be trusted, or is no such file.
     """
     data = _object(_content(path, limit, private=private))
     problem = None
@@ -94,8 +100,8 @@ def read(path: Path, kind: str, members: Set[str], limit: int, *, private: bool)
 
 
 def _content(path: Path, limit: int, *, private: bool) -> bytes:
-    """All of a file, once it is seen to be one that can be trusted."""
-    # not to wait for the other end of a pipe; the descriptor is looked at, not the name, which may change meanwhile
+    """The content of a file, after a check that it can be trusted."""
+    # O_NONBLOCK: a pipe of that name must not block. The check is of the descriptor, for the name may change meanwhile
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_NOFOLLOW if private else 0)
     try:
         descriptor = os.open(path, flags)
@@ -124,7 +130,7 @@ def _content(path: Path, limit: int, *, private: bool) -> bytes:
 
 
 def problem_of_file(status: os.stat_result, user: int, *, private: bool) -> str | None:
-    """Why a key's file is not to be trusted by a user (an effective user id); None where it is."""
+    """The reason why a user (an effective user id) cannot trust a key's file; None if the user can."""
     mode = stat.S_IMODE(status.st_mode)
     if not stat.S_ISREG(status.st_mode):
         return "found something other than a file; expected a file"
@@ -138,7 +144,7 @@ def problem_of_file(status: os.stat_result, user: int, *, private: bool) -> str 
 
 
 def problem_of_folder(status: os.stat_result, user: int, *, private: bool) -> str | None:
-    """Why a folder of keys, or of ``private`` ones, is not to be trusted by a user; None where it is."""
+    """The reason why a user cannot trust a folder of keys, or of ``private`` keys; None if the user can."""
     mode = stat.S_IMODE(status.st_mode)
     if not stat.S_ISDIR(status.st_mode):
         return "found something other than a folder; expected a folder"
@@ -152,7 +158,7 @@ def problem_of_folder(status: os.stat_result, user: int, *, private: bool) -> st
 
 
 def _object(content: bytes) -> Any:
-    """What a file's JSON says; None where it is none, without the error, which would carry the content along."""
+    """The JSON value of ``content``; None where it is no JSON. The error is dropped, for it would quote the content."""
     try:
         return json.loads(content, object_pairs_hook=_without_duplicates)
     except (ValueError, RecursionError):
@@ -160,7 +166,7 @@ def _object(content: bytes) -> Any:
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; a name given twice would show a reader another key than the one that is used."""
+    """A JSON object; a name given twice is refused, for a person might then read a key that is not in use."""
     found = dict(pairs)
     if len(found) != len(pairs):
         raise ValueError("a name is given twice")
@@ -168,16 +174,16 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 KEY_LENGTH: Final = 40
-"""Characters of a key."""
+"""The number of characters of a key."""
 
 MAX_KEYS: Final = 4096
-"""Most public keys of one session: every node, observer and supervisor, and some that it no longer has."""
+"""The most public keys of one session: those of nodes, observers and supervisor, and some of former nodes."""
 
 MAX_PRIVATE_BYTES: Final = 4096
-"""Longest file of a private key."""
+"""The greatest length of a private key's file."""
 
 MAX_PUBLIC_BYTES: Final = 8 * 2**20
-"""Longest file of public keys; :data:`MAX_KEYS` names of the greatest length need 5 MiB."""
+"""The greatest length of a file of public keys; :data:`MAX_KEYS` names of the greatest length need 5 MiB."""
 
 _PRIVATE_KIND: Final = "manyhands private key"
 _PUBLIC_KIND: Final = "manyhands public keys"
@@ -186,12 +192,12 @@ _PUBLIC_KIND: Final = "manyhands public keys"
 class KeyPair:
     """A public key and the secret that belongs to it.
 
-    A pair that exists is a pair: the constructor computes the public key from the secret. It cannot be printed with its
-    secret, pickled or copied, and it is equal to another where their public keys are.
+    The constructor computes the public key from the secret, so the two always fit. A pair cannot be printed with its
+    secret, pickled or copied. Two pairs are equal if their public keys are.
 
     Attributes:
-        public: what others know this process by.
-        secret: what nobody else may have.
+        public: the key by which others recognise this process.
+        secret: the key that no other process may have.
     """
 
     __slots__ = ("_public", "_secret")
@@ -200,7 +206,7 @@ class KeyPair:
         """Take a pair.
 
         Raises:
-            ValueError: not two keys, or the public key does not belong to the secret.
+            ValueError: a value is no key, or the public key does not belong to the secret.
         """
         for value, what in ((public, "public"), (secret, "secret")):
             if not is_key(value):
@@ -211,12 +217,12 @@ class KeyPair:
 
     @property
     def public(self) -> str:
-        """What others know this process by."""
+        """The key by which others recognise this process."""
         return self._public
 
     @property
     def secret(self) -> str:
-        """What nobody else may have: for a socket's option, and for nothing else."""
+        """The key that no other process may have; use it for a socket's option, and for nothing else."""
         return self._secret
 
     def __repr__(self) -> str:
@@ -228,7 +234,7 @@ class KeyPair:
     def __hash__(self) -> int:
         return hash(self._public)
 
-    # pickle, copy and dataclasses.asdict all come here
+    # pickle, copy and dataclasses.asdict all call this
     def __reduce__(self) -> NoReturn:
         raise TypeError("found a key pair to be pickled or copied; expected it to stay in its process")
 
@@ -238,15 +244,15 @@ class KeyPair:
 
 @dataclass(frozen=True)
 class KeyRing:
-    """What one process holds: its own pair, and the public keys of those it may talk to.
+    """The keys of one process: its own pair, and the public keys of the peers that it may talk to.
 
     Attributes:
-        name: the process.
-        pair: its own.
-        peers: public key of each peer.
+        name: the name of the process.
+        pair: its own pair.
+        peers: by peer, its public key.
 
     Raises:
-        ValueError: a peer's key is no key, or two of them are the same.
+        ValueError: a name or a key is not valid, two keys are the same, or the process is among its own peers.
     """
 
     name: str
@@ -268,10 +274,10 @@ class PublicKeys:
 
     Attributes:
         session: the session's name.
-        keys: public key of each process; no two are the same.
+        keys: by process, its public key; no two are the same.
 
     Raises:
-        ValueError: a name or a key is none, there are too many, or two names have the same key.
+        ValueError: a name or a key is not valid, there are too many, or two names have the same key.
     """
 
     session: str
@@ -286,13 +292,13 @@ class PublicKeys:
         object.__setattr__(self, "keys", MappingProxyType(dict(self.keys)))
 
     def save(self, path: Path) -> None:
-        """Write them to a file that all may read (mode 0644), whole or not at all.
+        """Write the keys as a whole to a file that all may read (mode 0644).
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         partial = path.with_name(f".{path.name}.part")
-        partial.unlink(missing_ok=True)  # of a run that was killed
+        partial.unlink(missing_ok=True)  # it may be left from a process that was killed
         try:
             create(partial, _PUBLIC_KIND, {"session": self.session, "keys": dict(self.keys)}, 0o644)
             os.replace(partial, path)
@@ -302,10 +308,10 @@ class PublicKeys:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read them.
+        """Read the keys of a file.
 
         Raises:
-            KeyFileError: not readable, writable by others, or not such a file.
+            KeyFileError: the file cannot be read, others may write it, or it is no such file.
         """
         data = read(path, _PUBLIC_KIND, {"session", "keys"}, MAX_PUBLIC_BYTES, private=False)
         try:
@@ -315,7 +321,7 @@ class PublicKeys:
 
 
 def new_pair() -> KeyPair:
-    """A pair that nobody has had before, from the system's source of randomness.
+    """A new pair, from the system's source of randomness.
 
     Raises:
         KeyFileError: the installed libzmq has no CURVE.
@@ -326,12 +332,12 @@ def new_pair() -> KeyPair:
 
 
 def is_key(value: object) -> bool:
-    """Whether this is a key's text: 40 characters of Z85 that are 32 bytes."""
+    """Whether ``value`` is the text of a key: 40 characters of Z85, which are 32 bytes."""
     if type(value) is not str or len(value) != KEY_LENGTH or not value.isascii():
         return False
     try:
         return len(z85.decode(value)) == 32
-    except (KeyError, struct.error):  # a character of no digit; five digits beyond 32 bits
+    except (KeyError, struct.error):  # a character that is no digit of Z85; five digits beyond 32 bits
         return False
 
 
@@ -339,13 +345,13 @@ def ring_of(name: str, pair: KeyPair, public: PublicKeys, peers: Iterable[str]) 
     """The ring of a process.
 
     Args:
-        name: the process.
-        pair: its own.
+        name: the name of the process.
+        pair: its own pair.
         public: the session's public keys, as far as this process knows them.
-        peers: those that it may talk to.
+        peers: the peers that it may talk to.
 
     Raises:
-        KeyFileError: a peer's key is missing, or its own is known under another public key.
+        KeyFileError: a peer's key is missing, or ``public`` has a key of ``name`` that is not that of ``pair``.
     """
     peers = tuple(peers)
     for peer in peers:
@@ -366,12 +372,12 @@ def ring_of(name: str, pair: KeyPair, public: PublicKeys, peers: Iterable[str]) 
 
 
 def save_private(pair: KeyPair, session: str, name: str, path: Path) -> None:
-    """Write a private key's file: new, mode 0600 whatever the umask, on the disk when this returns.
+    """Write a new file of a private key, of mode 0600 whatever the umask; it is on the disk when this returns.
 
     Raises:
-        FileExistsError: there is something of that name, be it a link.
-        OSError: it cannot be written; nothing is left of it.
-        ValueError: the session or the process has no proper name.
+        FileExistsError: the path exists, possibly as a link.
+        OSError: the file cannot be written; no part of it is left.
+        ValueError: the name of the session or the process is not valid.
     """
     if not (_is_name(session) and _is_name(name)):
         raise ValueError(f"found no proper name of session or process; expected 1 to {MAX_NAME} printable characters")
@@ -383,13 +389,13 @@ def load_private(path: Path, session: str, name: str) -> KeyPair:
     """Read the private key of a process of a session.
 
     Raises:
-        KeyFileError: not readable, not ours, open to others, a link, not such a file, another's key, or no pair; or the
-            installed libzmq has no CURVE.
+        KeyFileError: the file cannot be read, belongs to a different user, is open to others, is a link, or is no such
+            file; its keys are no pair, or of a different process; or the installed libzmq has no CURVE.
     """
     _require_curve()
     members = {"session", "name", "public", "secret"}
     data = read(path, _PRIVATE_KIND, members, MAX_PRIVATE_BYTES, private=True)
-    # what the file says is never quoted: whatever stands there may be the secret, in the wrong place
+    # the messages quote nothing of the file, for any member may hold the secret by mistake
     if data["session"] != session:
         raise KeyFileError(f"{path}: found a key of another session; expected one of {session!r}")
     if data["name"] != name:
@@ -406,7 +412,7 @@ def _require_curve() -> None:
 
 
 def _problem_of_keys(keys: Any) -> str | None:
-    """Why these are not public keys by name."""
+    """The reason why ``keys`` are not public keys by name; None if they are."""
     if not isinstance(keys, Mapping):
         return "found no mapping of keys; expected public keys by name"
     if len(keys) > MAX_KEYS:

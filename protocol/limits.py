@@ -1,8 +1,8 @@
-"""The size of everything that crosses a process border, in one place.
+"""The limits of everything that crosses a process border, in one place.
 
-Whatever comes in from outside is bounded before memory is given to it. The bounds are generous for a
-session and small for a machine; the sender checks them too, so that a frame which the other side would
-drop is an error where it is made. SPEC.md states them, and a test compares the two.
+A process checks the size of incoming data before it allocates memory for them. The limits are generous for a session
+and small for a machine. The sender checks them as well, so a frame that the other side would drop is an error at the
+sender. SPEC.md states the limits, and a test compares the two.
 """
 
 from typing import Final
@@ -10,8 +10,9 @@ from typing import Final
 MAX_CONTROL_BYTES: Final = 1024 * 1024
 """Longest frame of any kind, bytes.
 
-A hello with the feedthrough of :data:`MAX_PORTS` ports needs about 0.6 MiB,
-which is why sockets admit this size; a gate admits no more than the signals of its link need."""
+A hello with the feedthrough of :data:`MAX_PORTS` ports needs about 0.6 MiB, so sockets must admit this size. A gate
+admits no more than the signals of its link need.
+"""
 
 MAX_PORTS: Final = 256
 """Most ports that one link carries (those of one device in one coupling block, or of one block)."""
@@ -32,7 +33,7 @@ MAX_SENTENCES: Final = 128
 """Most sentences of one kind in a Condition."""
 
 MAX_CONTAINERS: Final = 5000
-"""Most arrays and maps in one frame: empty ones cost a hundred times their length. A report of all maps needs 4100."""
+"""Most arrays and maps in one frame: an empty one needs a hundred times its length. A report of all maps needs 4100."""
 
 MAX_TRACE_SIDE: Final = MAX_CONTROL_BYTES // 8
 """Most rows, and most columns, of one trace; the frame's length bounds their product."""
@@ -55,28 +56,30 @@ MAX_SOCKET_PATH: Final = 107
 LINK_QUEUE_FRAMES: Final = 256
 """Frames that wait in one direction of a link (a quarter of a second at 1 kHz) before ``send`` declines.
 
-ZeroMQ learns of what was read only now and then: half as many are sure to find room."""
+ZeroMQ updates its count of frames that were read only now and then, so room is sure for half as many.
+"""
 
 HUB_QUEUE_FRAMES: Final = 1000
-"""The same at a node, towards the supervisor, where the reader is a slower one."""
+"""The same limit at a node towards the supervisor, which reads more slowly."""
 
 HUB_INBOX_FRAMES: Final = 64
-"""The same at the hub, from one member: of those it may have thousands, and a frame may be a mebibyte."""
+"""The same limit at the hub for one member: a hub may have thousands of members, and a frame may have a mebibyte."""
 
 DEAF_BYTES: Final = 1024
-"""Longest frame that an end takes which only speaks, bytes: room for the handshake; it reads none, and keeps one."""
+"""Longest frame that a send-only end takes, bytes: room for the handshake. Such an end reads none, and keeps one."""
 
 MAX_STRAY_FRAMES: Final = 512
 """Frames that a loop reads from one link without admitting one, while it waits for the signal of one tick.
 
-Twice what a link's queue holds, so that no honest peer comes near it; reading as many takes a millisecond or two. A
-peer that sends more is no part of the session any more, and the node ends rather than read on."""
+This is twice the length of a link's queue, so no honest peer comes near it; it takes a millisecond or two to read as
+many. A peer that sends more is no part of the session any more, and the node ends rather than read on.
+"""
 
 LINGER_MS: Final = 500
-"""How long closing a transport may wait for frames that are on their way, such as a refusal, ms."""
+"""The longest wait of a closing transport for frames that are on their way, such as a refusal, ms."""
 
 HANDSHAKE_MS: Final = 5000
-"""How long a connection may take to prove its key before it is closed, ms."""
+"""The longest time of a connection to prove its key, after which it is closed, ms."""
 
 DOOR_BURST: Final = 64
 """Connections opened at a door within a tenth of a second, beyond those it is meant for, before it is shut."""
@@ -85,13 +88,13 @@ DOOR_FAILURES: Final = 16
 """Handshakes in a second that may fail for their key before a door is shut: each costs some tenths of a ms."""
 
 DOOR_SHUT_MS: Final = 1000
-"""How long a door stays shut, ms: the kernel then drops whoever knocks, and connections that exist go on."""
+"""How long a door stays shut, ms: the kernel then drops new connections, and existing connections go on."""
 
 HUB_FRAMES_PER_S: Final = 200
 """Frames a second that a hub reads beyond what its members need; the rest wait in their senders' queues."""
 
 HEARTBEAT_MS: Final = 1000
-"""How often both ends of a hub's TCP connection make sure that the other is there, ms."""
+"""The time between two checks of each end of a hub's TCP connection that the other end is there, ms."""
 
 SILENCE_MS: Final = 3000
-"""After how long without an answer such a connection counts as lost, ms."""
+"""The time without an answer after which such a connection counts as lost, ms."""

@@ -1,8 +1,8 @@
-"""Everything that processes of a session say to each other, as types.
+"""The messages between the processes of a session, as types.
 
-Messages are values: frozen, compared by content, without behaviour. What a frame of each looks like is the
-codec's business (:mod:`manyhands.protocol.codec`), who may send it to whom is the channel table's
-(:mod:`manyhands.protocol.channels`), and SPEC.md tells both to other implementations.
+Messages are values: frozen, compared by content, without behaviour. The codec (:mod:`manyhands.protocol.codec`) defines
+their frames, and the channel table (:mod:`manyhands.protocol.channels`) the roles that may send and receive them.
+SPEC.md describes both for other implementations.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ Values: TypeAlias = NDArray[np.float64]
 
 
 class Role(StrEnum):
-    """What a process is in the session."""
+    """The role of a process in the session."""
 
     DEVICE = "device"
     COUPLING = "coupling"
@@ -33,7 +33,7 @@ class Role(StrEnum):
 
 
 class RefusalCode(StrEnum):
-    """What about a hello was not accepted."""
+    """The part of a hello for which it was refused."""
 
     VERSION = "version"
     CERTIFICATE = "certificate"
@@ -48,15 +48,15 @@ class RefusalCode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LinkHello:
-    """First message on a link between two nodes.
+    """The first message on a link between two nodes.
 
     Attributes:
         version: protocol version of the sender.
-        certificate: id of the certificate it runs under.
+        certificate: id of the certificate that the sender runs under.
         session: name of the session.
-        name: name of the sending node.
-        role: what the sending node is.
-        ports: the ports this link carries, in the order of the values in its signals.
+        name: name of the sender.
+        role: role of the sender.
+        ports: the ports that this link carries, in the order of the values in its signals.
         feedthrough: D_V of the block, m/N, ``len(ports)`` square; only from a coupling to the environment.
     """
 
@@ -71,7 +71,7 @@ class LinkHello:
 
 @dataclass(frozen=True, slots=True)
 class NodeHello:
-    """First message of a node to the supervisor; ``endpoints``: a peer's name to what was bound for it."""
+    """The first message of a node to the supervisor; ``endpoints`` has, by peer, the endpoint that is bound for it."""
 
     version: int
     certificate: str
@@ -89,7 +89,7 @@ class Welcome:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """The hello was not accepted: ``code`` (a :class:`RefusalCode`) says what about it, ``text`` tells a person."""
+    """The hello was not accepted, because of the part ``code`` (a :class:`RefusalCode`); ``text`` is for a person."""
 
     code: str
     text: str
@@ -97,21 +97,25 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """From the supervisor: a peer's name to the endpoint to connect to."""
+    """From the supervisor: by peer, the endpoint to connect to."""
 
     endpoints: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """To the supervisor: all my links are established."""
+    """To the supervisor: all links of the sender are established."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """From the supervisor: tick 0 is at ``epoch`` (monotonic ns); run ``ticks`` ticks (0: until stopped).
+    """From the supervisor: begin the ticks.
 
-    ``tick``: one that the session has reached already; 0 at its beginning. Who is started later finds its peers there.
+    Attributes:
+        epoch: the instant of tick 0, monotonic ns.
+        ticks: the number of ticks of the session; 0 for no end.
+        tick: a tick that the session has reached already, where a node that is started later finds its peers; 0 at
+            the beginning.
     """
 
     epoch: int
@@ -121,21 +125,21 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """From the supervisor: end now, and why."""
+    """From the supervisor: end now, for ``reason``."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """To the supervisor: what does your clock say? ``sent``: the sender's own, monotonic ns."""
+    """To the supervisor: a request for the time of its clock; ``sent`` is the sender's own time, monotonic ns."""
 
     sent: int
 
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """The supervisor's answer to a probe: its own clock (monotonic ns) when it ``heard`` and when it ``answered``."""
+    """The supervisor's answer to a probe: its own time when it ``heard`` the probe and ``answered``, monotonic ns."""
 
     sent: int
     heard: int
@@ -144,14 +148,17 @@ class Echo:
 
 @dataclass(frozen=True, slots=True)
 class Absent:
-    """From the supervisor: ``peer`` is gone; close the link to it, and where it is yours to bind, bind a new one."""
+    """From the supervisor: ``peer`` is gone. The receiver closes the link, and binds a new one where it bound the old.
+
+    On a link, from a device or a coupling: samples of the device ``peer`` are missing, and the sender is silent.
+    """
 
     peer: str
 
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """To the supervisor: here ``peer``, who was absent, finds the link that this node has bound for it anew."""
+    """To the supervisor: the sender has bound a new link for ``peer``, which was absent, at ``endpoint``."""
 
     peer: str
     endpoint: str
@@ -159,7 +166,7 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class Return:
-    """From the supervisor: ``peer``, who was absent, is back, and binds its link to this node there."""
+    """From the supervisor: ``peer``, which was absent, is back, and binds its link to the receiver at ``endpoint``."""
 
     peer: str
     endpoint: str
@@ -167,7 +174,7 @@ class Return:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """From the supervisor to the environment: have the coupling ``node`` change to this ``rung`` of the ladder."""
+    """From the supervisor to the environment: change the coupling ``node`` to this ``rung`` of the ladder."""
 
     node: str
     rung: int
@@ -175,9 +182,9 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """In band, from the environment to a coupling and on to its devices: from this tick on, this ``rung``.
+    """On the links, from the environment to a coupling and on to its devices: this ``rung`` holds from this tick on.
 
-    It is sent before a signal of zero force, at a tick at which the block exerts none.
+    It is sent before a signal of zero force, in a tick in which the block exerts no force.
     """
 
     rung: int
@@ -185,12 +192,12 @@ class Rung:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
-    """What the four signal messages share; only those four are sent.
+    """The base of the four signal messages; only those four are sent.
 
     Attributes:
         tick: k, at least 0.
-        stamp: when x(tick) was sampled, monotonic ns of the device; handed on along the chain.
-        values: one per port of the link, in the handshake's order; 1-D float64, finite.
+        stamp: when x(tick) was sampled, monotonic ns of the device; each node copies it into its own signal.
+        values: one value for each port of the link, in the handshake's order; 1-D float64, finite.
     """
 
     tick: int
@@ -225,14 +232,14 @@ class Force(Signal):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
-    """What a node observed lately, to the supervisor about ten times a second.
+    """To the supervisor, about ten times a second: a node's figures, and its traces of the latest ticks.
 
-    Figures and traces are findings, so unlike signals they may be infinite or not a number.
+    Unlike signals, figures and traces are findings, which may be infinite or not a number.
 
     Attributes:
-        tick: the latest tick it covers.
-        figures: name to value.
-        traces: name to a float64 array, ticks × ports.
+        tick: the tick after the latest that it covers.
+        figures: values by name.
+        traces: float64 arrays by name, ticks × ports.
     """
 
     tick: int
@@ -252,7 +259,7 @@ class Telemetry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """From the supervisor to an observer: as much of ``node``'s telemetry as that observer may read."""
+    """From the supervisor to an observer: the part of ``node``'s telemetry that the observer may read."""
 
     node: str
     tick: int
@@ -269,16 +276,16 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """From the supervisor to whoever looks on: how the session is.
+    """From the supervisor to observers: the condition of the session.
 
     Attributes:
-        phase: where it stands.
-        elapsed: since the first tick, s.
-        states: where each node stands.
-        silent: nodes that run, and whose telemetry has not come for a while.
-        notices: assumptions of the certificate that were found broken, a sentence each.
-        incidents: what the session withstood, likewise, the latest.
-        faults: what went wrong, likewise.
+        phase: the phase of the session.
+        elapsed: the time since the first tick, s.
+        states: by node, its state.
+        silent: the nodes that run, but whose telemetry has not come for a while.
+        notices: a sentence for each assumption of the certificate that was found broken.
+        incidents: a sentence for each of the latest incidents that the session withstood.
+        faults: a sentence for each failure.
     """
 
     phase: str
@@ -292,7 +299,7 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """From a person's hand elsewhere: there it wants the device to be, m, one entry an axis."""
+    """From a person's pointer to a device: hold the device at ``position``, m, one entry for each axis."""
 
     position: Values
 
@@ -302,12 +309,12 @@ class Grasp:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """From the same: it has let go."""
+    """From a person's pointer to a device: let go of the device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A node's last word on a run: ticks done, figures, counts, and per quantity its percentiles."""
+    """A node's report on the whole run: ticks, figures, counts, and by quantity its percentiles."""
 
     ticks: int
     figures: Mapping[str, float]
@@ -317,13 +324,13 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """To the supervisor: why I end."""
+    """To the supervisor: the reason for which the sender ends."""
 
     text: str
 
 
 SignalMessage: TypeAlias = Sample | Tool | Reaction | Force
-"""What is exchanged once a tick."""
+"""A message that a link carries once in each tick."""
 
 Message: TypeAlias = (
     LinkHello
@@ -350,14 +357,14 @@ Message: TypeAlias = (
     | Report
     | Fault
 )
-"""Everything that can be sent."""
+"""Every message of the protocol."""
 
 
 def presentable(text: str) -> str:
-    """``text`` made fit to be sent and shown: unprintable characters replaced, at most ``MAX_TEXT`` long.
+    """``text`` in a form that can be sent and shown: unprintable characters are replaced, at most ``MAX_TEXT`` long.
 
-    For the texts of :class:`Fault`, :class:`Stop` and :class:`Refusal`, which may quote anything (an
-    exception, a peer), so that telling what went wrong does not itself go wrong. Line ends and tabs stay.
+    The texts of :class:`Fault`, :class:`Stop` and :class:`Refusal` may quote anything, such as an exception or a peer.
+    With this function such a quotation cannot make the message itself fail. Line ends and tabs stay.
     """
     if len(text) > MAX_TEXT:
         text = text[: MAX_TEXT - 1] + "…"
@@ -365,5 +372,5 @@ def presentable(text: str) -> str:
 
 
 def is_presentable(text: str) -> bool:
-    """Whether a terminal can be shown ``text``: every character printable, a line end or a tab."""
+    """Whether a terminal can show ``text``: every character is printable, a line end or a tab."""
     return text.replace("\n", " ").replace("\t", " ").isprintable()

@@ -1,7 +1,7 @@
-"""One block of V towards the environment, and what it tells of itself; whoever brings it the samples of its devices.
+"""One block of V in its loop: its link to the environment, its rung, its telemetry and its report.
 
-That is the coupling's own process (:mod:`manyhands.nodes.coupling.node`), or its device's, where a session has both
-in one (:mod:`manyhands.nodes.device.colocated`).
+The samples of its devices come from the coupling's own process (:mod:`manyhands.nodes.coupling.node`). Where a session
+runs coupling and device in one process, the device's loop brings them (:mod:`manyhands.nodes.device.colocated`).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Block:
     Attributes:
         core: the block at its present rung.
         environment: the link to the environment.
-        rung: of the ladder of couplings.
-        jumps: times that it did.
+        rung: the present rung of the ladder.
+        jumps: how often the session had gone on to a later tick without this block.
         ticks: the tick after the latest.
         applied: the force of the latest tick, within its limits, N.
-        said: the tick of which p was said last; -1 before the first.
+        said: the tick of the latest p that was sent; -1 before the first.
     """
 
     def __init__(self, bundle: CouplingBundle, environment: PeerLink) -> None:
@@ -44,10 +44,10 @@ class Block:
         self._life: Life | None = None  # until the loop begins
         m = len(self._common.ports)
         self._p: Floats = [0.0] * m
-        self._f: Floats = [0.0] * m  # from the environment, filled in place
+        self._f: Floats = [0.0] * m  # the environment's force, filled in place
         self.applied = self._f
         self._rows = self._common.telemetry_first
-        # nothing of telemetry's size is allocated in a tick
+        # allocated here, so that a tick allocates nothing of the telemetry's size
         rows = self._common.telemetry_ticks
         self._trace_p: list[Floats] = [self._p] * rows
         self._trace_f: list[Floats] = [self._p] * rows
@@ -60,27 +60,27 @@ class Block:
         return CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
 
     def begin(self, life: Life) -> None:
-        """The loop begins; ``life`` fails when the environment floods the link."""
+        """Begin the loop; ``life`` fails when the environment floods the link."""
         self._life = life
 
     def say(self, x: Floats, tick: int, stamp: int) -> None:
-        """Tell the environment p(k) for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
+        """Send the environment p(k), m, for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
         self.said = tick
-        self._stamp = stamp  # the chain's age is counted from the sample
+        self._stamp = stamp  # the age of the force is counted from the sample
         self._p = p = self.core.free_position(x)
         self.environment.send(Tool, tick, stamp, p)
 
     def say_again(self, tick: int) -> None:
-        """The same once more: it, or its answer, may have been lost, or the session has gone on."""
+        """Send the last p once more: the signal or its answer may have been lost, or the session has gone on."""
         self.environment.send(Tool, tick, self._stamp, self._p)
 
     def hear(self, tick: int, timeout: Duration) -> Received:
-        """Listen for f_v(k).
+        """Listen for f_v(k), at most ``timeout``.
 
         Returns:
-            SIGNAL when :attr:`applied` is the force of ``tick``; DECLINED when it is zero, and the one of a later tick,
-            ``environment.other_tick``; NOTHING; RECONNECTED when the environment is back, and was told p(k) if that was
-            said before.
+            SIGNAL when :attr:`applied` is the force of ``tick``. DECLINED when :attr:`applied` is zero, and belongs to
+            the later tick ``environment.other_tick``. RECONNECTED when the environment is back; p(k) is then sent
+            again, if it was sent before. NOTHING otherwise.
         """
         environment = self.environment
         received = environment.hear(self._f, tick, timeout, self)
@@ -90,13 +90,13 @@ class Block:
             self.applied = [0.0] * len(self._f)
             self.jumps += 1
         elif received is Received.RECONNECTED:
-            self._next_rung = 0  # the one that this environment reckons with, until it is told of another
+            self._next_rung = 0  # an environment that greets the block has put D_V of rung 0 into its loop
             if self.said == tick:
                 self.say_again(tick)
         return received
 
     def climb(self, tick: int) -> int | None:
-        """The rung to go on at from ``tick``, at rest, where the environment has just changed it; None otherwise."""
+        """Change to the rung that the environment has just chosen, at rest; returns it, or None without a change."""
         if self._next_rung == self.rung:
             return None
         before, self.rung = self.core, self._next_rung
@@ -106,7 +106,7 @@ class Block:
         return self.rung
 
     def settle(self, tick: int) -> None:
-        """Step past ``tick``: what can wait until the forces are on their way."""
+        """Step past ``tick``, and keep its row; all this can wait until the forces are on their way."""
         self.core.absorb(self.applied)
         self.ticks = tick + 1
         row, ledger = self._filled, self.core.ledger
@@ -115,27 +115,27 @@ class Block:
         self._filled += 1
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """The environment is at another tick: zero force of a later one says that this block was left behind."""
+        """Stop waiting at a zero force of a later tick: the session has gone on without this block."""
         return told > awaited and peer_link.other_zero
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """The environment has changed to another rung: the zero force that follows is its first."""
+        """Note the environment's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
             self._next_rung = message.rung
         return False
 
     def flooded(self, text: str) -> None:
-        """The environment floods the link: there is no telling its forces from the rest in time."""
+        """End the node: the environment floods the link, and its forces cannot be told from other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
     def publish(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
-        """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
+        """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, devices)
 
     def publish_rest(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
-        """Telemetry of the ticks since the last, if there are any."""
+        """Send the telemetry of the ticks since the last one, if there are any."""
         rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
         if rows == 0:
             return
@@ -155,7 +155,7 @@ class Block:
         control.publish(Telemetry(self.ticks, figures, traces))
 
     def report(self, devices: tuple[PeerLink, ...] = ()) -> Report:
-        """Ticks, ledger, how often the force was clipped, and what was not admitted."""
+        """Ticks, ledger, ticks with a clipped force, and the frames that were not admitted."""
         return Report(
             self.ticks,
             names.ledger_figures(self.core.ledger),

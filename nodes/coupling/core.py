@@ -1,13 +1,13 @@
 """A coupling block's tick without its I/O: V_i, seen from x and f_v of its own ports.
 
-    p(k) = x(k) + C_V xi(k)                       the tool's position were there no force
+    p(k) = x(k) + C_V xi(k)                       the tool's position without force
     xi(k+1) = A_V xi(k) + B_V f_v(k)
 
 The environment, which knows D_V, completes x_e = p + D_V f_v. The block promises that V_hat,i is
 Delta_V,i-OSP, from f_v to the backward difference of (V_i - K_i) f_v ((7) of [Bianchini2010]_).
 
-A force beyond its devices' limits is clipped before it is handed on and absorbed, so that xi follows what is applied.
-In such a tick the environment's force is not the device's, and the certificate does not speak of it.
+A force beyond the limits of its devices is clipped before it is sent on and absorbed, so that xi follows the force that
+is applied. In such a tick the environment's force differs from the device's, and the certificate does not cover it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class CouplingCore:
     """The state of one coupling block between ticks.
 
     Attributes:
-        ledger: its energy ledger; None when the session is not certified, so that nothing was promised.
+        ledger: its energy ledger; None when the session is not certified, so that the block promises nothing.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class CouplingCore:
         return [at + ahead for at, ahead in zip(x, self._offset, strict=True)]
 
     def succeed(self, before: CouplingCore) -> None:
-        """Go on with the account of the block before: both are at rest, and without force."""
+        """Continue the ledger and the counts of the block at the rung before; both are at rest, and without force."""
         self._saturation = before._saturation
         if self.ledger is not None and before.ledger is not None:
             self.ledger = before.ledger
@@ -70,7 +70,7 @@ class CouplingCore:
         return self._saturation.ticks
 
     def limited(self, f: Floats) -> Floats:
-        """The force to hand on and to absorb for f_v(k), N, as it came from the environment."""
+        """f_v(k) of the environment, N, clipped to the limits: the force to send on and to absorb."""
         return self._saturation.clip(f)
 
     def absorb(self, f: Floats) -> None:

@@ -1,7 +1,9 @@
-"""The coupling block's process: x of its own ports in, p out; f_v in, f_v of its own ports out.
+"""The coupling block's process, between its devices and the environment.
 
-It keeps no time of its own: devices pace it on one side, the environment answers on the other. When the environment has
-gone on without it, it is told by a zero force of a later tick, hands that on, and goes on at the tick after.
+It receives x of its own ports from the devices and sends p to the environment. It then receives f_v of its own ports
+and sends it to the devices. It keeps no time of its own: the devices pace it. Where the environment has gone on without
+this coupling, it sends a zero force of a later tick. The coupling sends that force to its devices, and goes on at the
+tick after.
 """
 
 from __future__ import annotations
@@ -38,11 +40,11 @@ class CouplingNode:
         self._devices: tuple[PeerLink, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
-        self._resumes = False  # its own tick is nobody's yet
-        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # of a peer link that only shakes hands
+        self._resumes = False  # whether the session ran before this process, whose first tick may be behind or ahead
+        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # takes the values of links that only shake hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
-        """Shake hands with the environment, which is told D_V, and with the block's devices."""
+        """Shake hands with the block's devices and with the environment, which receives D_V."""
         admits: dict[str, type[SignalMessage]] = {
             peer.name: Reaction if peer.role is Role.ENVIRONMENT else Sample for peer in self._common.peers
         }
@@ -55,7 +57,16 @@ class CouplingNode:
         self._block = Block(self._bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks, paced by the devices' samples."""
+        """Run the ticks, paced by the devices' samples.
+
+        Args:
+            start: first tick, number of ticks and epoch.
+            life: whether the node should still run.
+            control: the line to the supervisor.
+
+        Raises:
+            ValueError: :meth:`establish` was not called before.
+        """
         block, devices = self._block, self._devices
         if block is None:
             raise ValueError("the coupling was started before its handshakes")
@@ -98,50 +109,58 @@ class CouplingNode:
             block.settle(tick)
             self._resumes = False
             for peer_link in devices:
-                # one who has come back since the samples is not heard yet
+                # a device that came back after its sample was read has sent no signal on the new link yet
                 peer_link.new = peer_link.new and peer_link.tick < 0
             tick += 1
             block.publish(control, devices)
         block.publish_rest(control, devices)
 
     def report(self) -> Report:
-        """The block's."""
+        """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshakes."""
         return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """A device is at another tick: who is behind is told so; after a return, who is ahead is followed."""
+        """Handle the sample of a different tick.
+
+        A device that is behind receives its last force again, or a zero force that sends it on. A device that is ahead
+        is followed only where this coupling resumes or the device came back: then the device's tick is the true one.
+        """
         if told > awaited:
             return self._resumes or peer_link.new
-        if told == awaited - 1 and peer_link.tick == told:  # it was answered, by this very process
+        if told == awaited - 1 and peer_link.tick == told:  # this process has answered it, and the answer was lost
             peer_link.send_again()
         else:
             peer_link.send_zero(Force, awaited - 1)
         return False
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """A device of several blocks was told by another one that the session is further on: it is followed there."""
+        """Follow a device of several blocks to a later tick, where a different block has sent it on."""
         peer_link.new = peer_link.new or isinstance(message, Absent)
         return False
 
     def flooded(self, text: str) -> None:
-        """A device floods its link: there is no telling its samples from the rest in time."""
+        """End the node: a device floods its link, and its samples cannot be told from other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
     def _await_samples(
         self, last: PeerLink, received: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
     ) -> int | None:
-        """Wait for the sample of every device, after ``received`` came of ``last`` in place of its sample.
+        """Wait for the sample of every device, after listening to ``last`` gave ``received`` in place of its sample.
+
+        The wait has no end of its own: without its devices a coupling has nothing to send. The environment freezes the
+        coupling meanwhile. What must go on in every round is the handshake with an environment that comes back, for it
+        may be what the devices wait for.
 
         Returns:
-            The tick that they are of: for a coupling that resumes, the devices' own. None if the node should end.
+            The tick of the samples; for a coupling that resumes it is that of the devices. None if the node should end.
         """
         began = self._clock.now()
 
         def react(peer_link: PeerLink, received: Received, tick: int) -> int:
-            # the device knows better; nobody will ever send the tick that was awaited
+            # the device's tick is the true one: no device will ever send the tick that was awaited
             if received is Received.DECLINED:
-                if block.environment.tick == tick - 1:  # the device answered last is waited for in between
+                if block.environment.tick == tick - 1:  # the environment awaits this block's ticks in between
                     block.environment.say(Absent(peer_link.peer.name))
                 self._forget()
                 block.publish_rest(control, self._devices)  # rows follow each other
@@ -158,7 +177,8 @@ class CouplingNode:
             self._forget_after(began)
             self._pause(block, life, control, idle=not any(peer_link.link for peer_link in self._devices))
             if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.RECONNECTED:
-                # not heard is as good as not here: the device may wait for another block, and that one for this one
+                # report every device without a sample as absent, even one that is connected: it may wait for a
+                # different block, which waits for this environment in turn, and no sample would ever come
                 self._tell_absences(block, [peer_link for peer_link in self._devices if peer_link.tick == tick])
             return None if life.stopping else self._timeouts.look
 
@@ -168,9 +188,17 @@ class CouplingNode:
     def _await_reaction(
         self, received: Received, tick: int, block: Block, life: Life, control: ControlLine
     ) -> int | None:
-        """Wait for the environment's answer; ask again after a while, for who was lost or late may be behind.
+        """Wait for the environment's answer, and send p again after a while without one.
 
-        ``received`` is what it was heard to say so far.
+        The signal or its answer may have been lost, and only a repeated signal shows the environment that this coupling
+        is behind. Devices that come back are greeted in every round: the environment may wait for exactly them.
+
+        Args:
+            received: the outcome of listening to the environment so far.
+            tick: k.
+            block: the block.
+            life: whether the node should still run.
+            control: the line to the supervisor.
 
         Returns:
             The tick answered: ``tick``, or a later one with zero force. None if the node should end.
@@ -197,23 +225,26 @@ class CouplingNode:
             received = block.hear(tick, self._timeouts.look)
 
     def _forget_after(self, began: Instant) -> None:
-        """After so long a wait the devices have let go, and have moved on unheard."""
+        """Forget the last samples after a wait in which the devices have let go, and have moved without signals."""
         if self._timeouts.stale is not None and self._clock.now() - began > self._timeouts.stale:
             self._forget()
 
     def _forget(self) -> None:
-        """The next samples are first ones: the environment lets the block in from where its devices are."""
+        """Take the next samples as first ones, without a bound on their step: the block joins from there by a ramp."""
         for peer_link in self._devices:
             peer_link.gate.forget()
 
     def _tell_absences(self, block: Block, present: Collection[PeerLink]) -> None:
-        """An environment that is back does not know whose samples are missing."""
+        """Report to an environment that is back which devices are missing; it would wait for their samples."""
         for peer_link in self._devices:
             if peer_link not in present:
                 block.environment.say(Absent(peer_link.peer.name))
 
     def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:
-        """Where the node has waited in vain: look after the supervisor, and do as it says."""
+        """After a wait without a signal: check the node's life and follow the supervisor's messages.
+
+        Where ``idle``, no peer is connected, and the wait for the supervisor replaces the wait for a peer.
+        """
         life.check()
         word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:

@@ -1,4 +1,4 @@
-"""``python -m manyhands.nodes.device BUNDLE SUPERVISOR_PID [COUPLING_BUNDLE ...]``: couplings that it carries."""
+"""``python -m manyhands.nodes.device BUNDLE SUPERVISOR_PID [COUPLING_BUNDLE ...]``; the couplings run in its loop."""
 
 import sys
 from contextlib import ExitStack
@@ -12,7 +12,7 @@ from manyhands.nodes.process import main, main_together
 
 
 def run(carried: list[Path]) -> int:
-    """Run the device, with the couplings that it carries; however it ends, its driver is closed.
+    """Run the device and the couplings in its process, and close its driver however that ends; returns the exit code.
 
     Args:
         carried: the bundles of the couplings.

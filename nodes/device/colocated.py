@@ -1,8 +1,8 @@
 """A device and the couplings of its own ports in one process (Remark 2 of [Bianchini2010]_): two messages less a tick.
 
-Each stays a node of its own, with its own bundle, keys, line to the supervisor, ledger and report; what falls away is
-the link between them. The device's loop carries the couplings along: where it would send x(k) to a coupling's process
-and wait for f_v(k), a :class:`Within` has the block say p(k) to the environment and waits for its answer.
+Each stays a node of its own, with its own bundle, keys, line to the supervisor, ledger and report; only the link
+between them falls away. The device's loop runs the couplings as well. Where it would send x(k) to a coupling's process
+and wait for f_v(k), a :class:`Within` makes the block send p(k) to the environment and waits for the answer.
 """
 
 from __future__ import annotations
@@ -26,46 +26,50 @@ from manyhands.protocol.transport import Link
 
 
 class CarriedBlock:
-    """A :class:`manyhands.nodes.process.Node` for a coupling whose loop is its device's."""
+    """A :class:`manyhands.nodes.process.Node` for a coupling that runs in the loop of its device."""
 
     def __init__(self, bundle: CouplingBundle) -> None:
-        """Make the node; its block waits for the link to the environment."""
+        """Take the coupling's part of the session; :meth:`establish` makes the block."""
         self.bundle = bundle
         self.control: ControlLine | None = None
         self.block: Block | None = None
 
     def establish(self, links: Mapping[str, Link]) -> None:
-        """Shake hands with the environment, which is told D_V."""
+        """Shake hands with the environment, which receives D_V."""
         admits: dict[str, type[SignalMessage]] = {peer.name: Reaction for peer in self.bundle.common.peers}
         (environment,), _ = establish(self.bundle.common, links, admits, RealtimeClock(), self.bundle.block.D)
         self.block = Block(self.bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Begin: what there is to do in a tick the device does. ``control`` is the coupling's own line."""
+        """Begin, and return: the device's loop runs the ticks. ``control`` is the coupling's own line.
+
+        Raises:
+            ValueError: :meth:`establish` was not called before.
+        """
         if self.block is None:
             raise ValueError("the coupling was started before its handshake")
         self.control = control
         self.block.begin(life)
 
     def listen(self) -> None:
-        """Do as the supervisor says."""
+        """Follow the supervisor's messages to this coupling."""
         if self.block is None or self.control is None:
             return
         while (word := self.control.listen()) is not None:
             follow(word, [self.block.environment], self.control)
 
     def publish_rest(self) -> None:
-        """Tell of the ticks since the last telemetry: the loop is over, or goes on at a later tick."""
+        """Send the telemetry of the ticks since the last one; the loop is over, or goes on at a later tick."""
         if self.block is not None and self.control is not None:
             self.block.publish_rest(self.control)
 
     def report(self) -> Report:
-        """The block's."""
+        """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshake."""
         return Report(0, {}, {}, {}) if self.block is None else self.block.report()
 
 
 class Within(PeerLink):
-    """What stands in the device for the link to a coupling in its own process."""
+    """The device's link to a coupling in the same process: it calls the coupling's block in place of messages."""
 
     def __init__(self, carried: CarriedBlock, device: DeviceBundle, block: Block) -> None:
         """Join a device to ``block``, at those of its ports that the block couples."""
@@ -77,11 +81,11 @@ class Within(PeerLink):
 
     @property
     def reachable(self) -> bool:
-        """Whether the environment is there."""
+        """Whether there is a link to the environment, without which the block has no answer."""
         return self._block.environment.reachable
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
-        """Have the block say p(k) for x(k); for the same tick a second time, say again what it said."""
+        """Make the block send p(k) for x(k); a second call for the same tick sends the same p(k) again."""
         if tick == self._block.said:
             self._block.say_again(tick)
         else:
@@ -89,7 +93,7 @@ class Within(PeerLink):
         return True
 
     def send_again(self) -> None:
-        """Say p(k) again."""
+        """Send the last p again."""
         self._block.say_again(self._block.said)
 
     def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
@@ -107,29 +111,29 @@ class Within(PeerLink):
         return result
 
     def settle(self, tick: int) -> None:
-        """The force is applied: step the block, and tell of it when it is time."""
+        """Step the block once the force is applied, and send its telemetry when the rows are full."""
         self._block.settle(tick)
         if self._carried.control is not None:
             self._block.publish(self._carried.control)
 
 
 class ColocatedNode(DeviceNode):
-    """A device that carries couplings."""
+    """A device with couplings in the same process."""
 
     def __init__(self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock]) -> None:
-        """Make the node; ``carried`` shake hands before it does."""
+        """The couplings ``carried`` must shake hands before the device does."""
         super().__init__(bundle, driver)
         self._bundle, self._carried = bundle, tuple(carried)
 
     def establish(self, links: Mapping[str, Link]) -> None:
-        """Shake hands with the couplings in other processes, and take up those in this one."""
+        """Shake hands with the couplings in other processes, and join those in this process."""
         super().establish(links)
         for carried in self._carried:
             if carried.block is not None:
                 self.peer_links.append(Within(carried, self._bundle, carried.block))
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """The device's loop."""
+        """Run the device's loop, and send the couplings' last telemetry after it."""
         try:
             super().loop(start, life, control)
         finally:
@@ -150,12 +154,12 @@ class ColocatedNode(DeviceNode):
 def colocated(
     device: DeviceBundle, driver: Driver, couplings: Sequence[Path]
 ) -> list[tuple[DeviceBundle | CouplingBundle, Node]]:
-    """The nodes of a process: the device, and what it carries, in the order of ``couplings``, which is the session's.
+    """The nodes of a process with their bundles: the device, then its couplings.
 
     Args:
-        device: its bundle.
+        device: the bundle of the device.
         driver: the device itself.
-        couplings: the bundles of those that it carries.
+        couplings: the bundles of the couplings, in the order of the session.
 
     Raises:
         BundleError: a coupling's bundle cannot be read.

@@ -1,29 +1,28 @@
-"""A device's tick without its I/O: what it knows of x and f_v, and its energy ledger.
+"""A device's tick without its I/O: its energy ledger (:class:`DeviceCore`) and its limits (:class:`Guard`).
 
-The device with its hand promises that G_hat is (share Delta_D)-OSP, from force F to
+**The promise.** The device with its hand promises that G_hat is (share Delta_D)-OSP, from force F to
 
     y(k) = (x(k) - x(k-1))/T + K (F(k) - F(k-1))/T,    K = kappa T Delta_D^{-1}    ((7)-(9) of [Bianchini2010]_),
 
 with share = 1 and kappa = 1/2 without delay, and what :mod:`manyhands.design.levels.device` gives for a delay inside
 the tick.
 
-What the hand *intends* is no part of that promise; where it is known, as for a simulated hand, the work
-that it did is added to the ledger.
+The *intention* of the hand is no part of that promise. Where it is known, as for a simulated hand, the work that it did
+is added to the ledger.
 
-What a device may exert and reach, checked by the device itself: nobody else need be trusted for it.
-
-A force beyond its limit is clipped, last before the actuator. The couplings clip to the same limits already, so that a
-force to be clipped here means that a coupling misbehaves.
+**The limits.** The device itself checks what it exerts and where it is, so its safety needs no trust in another
+process. A force beyond its limit is clipped, last before the actuator. The couplings clip to the same limits already,
+so a force that is clipped here means that a coupling misbehaves.
 
 A device beyond its displacement or its speed **lets go**: between it and its couplings stands an ideal transformer like
 the environment's clutch (:mod:`manyhands.nodes.environment.clutch`), whose ratio s falls to 0 at once,
 
     x'(k) - x'(k-1) = s(k-1) (x(k) - x(k-1)),      f_applied(k) = s(k) f(k),
 
-with x the device's own displacement, x' what its couplings are told, and f the force that they ask for. So the device
-exerts no force, its tool stays where it is, and the tick goes on for everybody. Once it has been within its limits for
-:data:`RETURN` periods, s rises by the ramp of every return. The force that x(k) moved against was applied with s(k-1),
-so that the work that the couplings are told of is the work that was done: with v'(k) = s(k-1) v(k),
+with x the device's own displacement, x' the displacement sent to its couplings, and f the force that they ask for. So
+the device exerts no force, its tool stays where it is, and the session goes on. Once the device has been within its
+limits for :data:`RETURN` periods, s rises by the same ramp as after every return. The force that x(k) moved against was
+applied with s(k-1), so the work that the couplings compute is the work that was done: with v'(k) = s(k-1) v(k),
 
     f(k-1)^T T v'(k) = f_applied(k-1)^T T v(k)  >=  storage difference + T v(k)^T Delta_D v(k),      |v'| <= |v|,
 
@@ -72,11 +71,16 @@ class DeviceCore:
         self.peak_speed = 0.0
 
     def change(self, level: Vector, K: Vector) -> None:
-        """From now on another promise; to be called where no force is applied, for there both begin at rest."""
+        """Promise a different level from now on; call this only where no force is applied, for there both are at rest.
+
+        Args:
+            level: share Delta_D of this device, m_i x m_i, N*s/m.
+            K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
+        """
         self._level, self._K_over_T = linear_map(level), linear_map(K / self._T)
 
     def sample(self, x: Floats) -> None:
-        """Take the displacement x(k), m; the list is kept until the next."""
+        """Take the displacement x(k), m; the list is kept until the next call."""
         T = self._T
         self._velocity = [(at - last) / T for at, last in zip(x, self._x, strict=True)]
         self._x = x
@@ -88,8 +92,8 @@ class DeviceCore:
         """Take the force f_v(k) that is applied from now on, N.
 
         Args:
-            f: f_v(k); the list is kept until the next.
-            intended_work: what the hand's intention did since the last sample, J; 0 where it is unknown.
+            f: f_v(k); the list is kept until the next call.
+            intended_work: the work of the hand's intention since the last sample, J; 0 where it is unknown.
         """
         change = self._K_over_T([force - last for force, last in zip(f, self._f, strict=True)])
         y = [v + part for v, part in zip(self._velocity, change, strict=True)]
@@ -98,22 +102,22 @@ class DeviceCore:
 
 
 RETURN: Final = 100
-"""Periods that a device must be within its limits before it takes hold again; and as many until s = 1."""
+"""Periods that a device must be within its limits before it takes hold again; the ramp to s = 1 has as many."""
 
 
 class Guard:
-    """Watches over one device.
+    """The limits of one device, and the ratio s by which it lets go.
 
     Attributes:
-        let_go: how often it has let go.
-        why: what was beyond its limit when it last did, in one sentence; empty for never.
+        let_go: how often the device has let go.
+        why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
     """
 
     def __init__(self, limits: Limits, T: float, axes: Sequence[str]) -> None:
         """Watch from the first sample on.
 
         Args:
-            limits: one entry an axis.
+            limits: displacement, speed and force, one entry for each axis.
             T: period, s.
             axes: the device's ports, for the sentences.
         """
@@ -132,13 +136,15 @@ class Guard:
 
     @property
     def holds(self) -> bool:
-        """Whether the device exerts force."""
+        """Whether s > 0: the device exerts a force."""
         return self._ratio > 0.0
 
     def tell(self, x: Floats, periods: int = 1) -> Floats:
         """x'(k), m, for the displacement x(k), m: ``x`` itself as long as the device has never let go.
 
-        ``periods`` have passed since the sample before: more than one where a tick was late.
+        Args:
+            x: the device's own displacement, m.
+            periods: the periods since the sample before; more than one where a tick was late.
         """
         before = self._before or x
         breach = self.breach(x, periods)
@@ -153,9 +159,10 @@ class Guard:
         return kept
 
     def breach(self, x: Floats, periods: int = 1) -> str | None:
-        """What is wrong with the displacement x(k), m, in one sentence; None if it is within its limits.
+        """Which limit the displacement x(k), m, exceeds, in one sentence; None if it is within its limits.
 
-        The first sample has no speed: a device may be switched on anywhere within its reach. ``x`` is kept for then.
+        The first sample has no speed: a device may be switched on anywhere within its reach. ``x`` is kept until the
+        next call, for its speed.
         """
         before, self._before = self._before or x, x
         T = self._T * periods
@@ -167,19 +174,19 @@ class Guard:
         return None
 
     def clip(self, f: Floats) -> Floats:
-        """The force to apply for f_v(k), N: within the limits of every axis, and counted if it was not."""
+        """The force to apply for f_v(k), N: s times the force within every axis' limit; a clipped tick is counted."""
         held = self._saturation.clip(f)
         return held if self._ratio == 1.0 else [self._ratio * force for force in held]
 
     def _within_limits(self, moved: Floats, told: Floats, T: float) -> Floats:
-        """``moved``, or as much of the way there from ``told`` as is within the limits."""
+        """``moved``, m, or as much of the way there from ``told``, m, as the limits of reach and speed allow."""
         kept = []
         for to, at, reach, speed in zip(moved, told, self._displacement, self._speed, strict=True):
             kept.append(max(-reach, min(reach, max(at - T * speed, min(at + T * speed, to)))))
         return kept
 
     def _follow(self, breach: str | None) -> None:
-        """Choose s(k)."""
+        """Choose s(k): 0 at a breach; after :data:`RETURN` periods without one it rises by the ramp."""
         if breach is not None:
             if self._ratio > 0.0:
                 self.let_go += 1

@@ -1,10 +1,9 @@
-"""Which driver a device's bundle asks for.
+"""The interface of a force-feedback device (:class:`Driver`), the driver of each bundle, and that of a recorded hand.
 
-The driver of a recorded hand: it moves the device as it once moved, whatever force acts on it.
-
-A hand that does not yield is a passive hand all the same: seen from the frame of the recorded motion r, the device
-stays where it is. It is the limit of the simulated hand (:mod:`manyhands.design.models.device`) for a stiffness k_h
-without bound, on a device without mass, and so is the work of its intention, v_m = dx/T:
+:class:`TraceDriver` moves the device as it was recorded, whatever force acts on it. Such a hand does not yield, and is
+passive all the same: in a frame that moves with the recorded motion r, the device stays where it is. The hand is the
+limit of the simulated hand (:mod:`manyhands.design.models.device`) for a stiffness k_h without bound, on a device
+without mass. The work of its intention is the limit as well, with v_m = dx/T:
 
     W(k) = -f_v(k-1)^T dx + dx^T Delta_D dx / T,    dx = r(k) - r(k-1), r(-1) = 0.
 
@@ -14,8 +13,6 @@ With it the ledger of G_hat, which is (share Delta_D)-OSP with K = kappa T Delta
 
 a = 1/2 - share kappa, g = f_v(k) - f_v(k-1), and is never below 0 (docs/decisions/0023-trace-driver.md). Without a
 delay inside the tick the sum is 0, and what is left is the ledger of a device that does not move in its frame.
-
-What the loop asks of a force-feedback device, whichever it is.
 """
 
 from __future__ import annotations
@@ -30,6 +27,43 @@ from manyhands.nodes.device.pointer import BrowserDriver, pointer_of
 from manyhands.nodes.device.simulated import simulated_driver
 
 
+class Driver(Protocol):
+    """A force-feedback device: displacement out, force in, one of each a tick."""
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        ...
+
+    def sample(self, tick: int) -> Sequence[float]:
+        """The displacement x(k), m, at this moment, one entry for each axis; ``tick`` counts the calls from 0."""
+        ...
+
+    def apply(self, f: Sequence[float]) -> None:
+        """Exert the force f (N) and hold it until the next call."""
+        ...
+
+    def release(self) -> None:
+        """Exert no force until the next :meth:`apply`; the loop calls this when it has no force in time."""
+        ...
+
+    def idle(self) -> None:
+        """Do the work that was put off: the tick's force is applied, and the next sample is not yet due."""
+        ...
+
+    def intended_work(self) -> float:
+        """The work of the hand's intention between the last two samples, J; 0 where it is unknown."""
+        ...
+
+    def figures(self) -> Mapping[str, float]:
+        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
+        ...
+
+    def close(self) -> None:
+        """Exert no force, and release the device's files and sockets. A second call does nothing."""
+        ...
+
+
 class TraceDriver:
     """A :class:`manyhands.nodes.device.drivers.Driver` that plays a motion; at its end it stays there."""
 
@@ -37,11 +71,11 @@ class TraceDriver:
         """Be at rest in 0 before the first sample.
 
         Args:
-            motion: what was recorded, linear between its samples.
+            motion: the recorded motion, linear between its samples.
             T: period, s.
 
         Raises:
-            ValueError: the motion is none.
+            ValueError: the motion has no samples, or its times or values cannot be used.
         """
         self._traces = [SampledSignal(motion.times, axis) for axis in motion.values]
         self._friction = linear_map(motion.damping / T)  # Delta_D / T
@@ -64,78 +98,41 @@ class TraceDriver:
         return x.copy()
 
     def apply(self, f: Sequence[float]) -> None:
-        """Bear f (N) over the period that begins."""
+        """Take f (N) as the force over the period that begins; the motion does not yield to it."""
         self._f = list(map(float, f))
 
     def release(self) -> None:
-        """Bear no force."""
+        """Take zero force."""
         self._f = [0.0] * len(self._traces)
 
     def idle(self) -> None:
-        """Look up where the motion goes next."""
+        """Compute the next sample of the motion, before it is due."""
         if self._next is self._x:
             self._tick += 1
             self._next = self._at(self._tick)
 
     def intended_work(self) -> float:
-        """Work of the hand between the last two samples, J; see above."""
+        """The work W(k) of the hand's intention between the last two samples, J."""
         return self._work
 
     def figures(self) -> Mapping[str, float]:
-        """Nothing to tell."""
+        """No figures."""
         return {}
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: the driver holds no files or sockets."""
 
     def _at(self, tick: int) -> Floats:
         t = tick * self._T
         return [trace(t) for trace in self._traces]
 
 
-class Driver(Protocol):
-    """A force-feedback device: displacement out, force in, one of each a tick."""
-
-    @property
-    def axes(self) -> int:
-        """Number of axes."""
-        ...
-
-    def sample(self, tick: int) -> Sequence[float]:
-        """The displacement x(k), m, one entry an axis, at this moment."""
-        ...
-
-    def apply(self, f: Sequence[float]) -> None:
-        """Exert the force f (N) and hold it until the next call."""
-        ...
-
-    def release(self) -> None:
-        """Exert no force: what a device does that hears nothing."""
-        ...
-
-    def idle(self) -> None:
-        """The tick's force is applied and the next sample is not yet due: do what has been put off."""
-        ...
-
-    def intended_work(self) -> float:
-        """Work done by the hand's intention between the last two samples, J; 0 where that is unknown."""
-        ...
-
-    def figures(self) -> Mapping[str, float]:
-        """What is to be told of the device with its telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
-        ...
-
-    def close(self) -> None:
-        """Exert no force, and give back what is held of the machine. A second time does nothing."""
-        ...
-
-
 def driver_of(bundle: DeviceBundle) -> Driver:
-    """The device itself; whoever asked for it closes it.
+    """The driver of the source that the bundle names; the caller closes it.
 
     Raises:
         ValueError: the bundle's numbers make no device.
-        TransportError: its pointer cannot be opened.
+        TransportError: the socket of its pointer cannot be opened.
     """
     T = bundle.common.period
     match bundle.source:

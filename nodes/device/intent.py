@@ -1,14 +1,12 @@
-"""What a simulated hand intends: a force or a motion as a pure function of time.
+"""The intent of a simulated hand: a force or a motion as a pure function of time.
 
-A session file says it as a number, as a formula in ``t`` or as a recorded trace; :func:`intent_from` turns
-each into a callable. All three are deterministic, so that two runs of a session intend the same.
+A session file gives it as a number, as a formula in ``t`` or as a recorded trace; :func:`intent_from` turns each into a
+callable. All three are deterministic, so two runs of a session have the same intent.
 
-Formulas in time, as a session file writes them for a simulated hand.
-
-A formula comes from outside, so it is never given to ``eval``: its syntax tree is checked against a short
-list of what is allowed and turned into nested closures over ``float``. Everything is evaluated in double
-precision, so that no input can grow an integer without bound, and a result that is not a finite number is an
-error that names the time, never a number that travels on into a force.
+A formula comes from outside, so it is never given to ``eval``. :class:`Formula` checks its syntax tree against a short
+list of what is allowed, and turns it into nested closures over ``float``. All is evaluated in double precision, so no
+input can grow an integer without bound. A result that is not a finite number is an error that names the time; it never
+becomes a force.
 """
 
 import ast
@@ -34,8 +32,10 @@ Evaluate: TypeAlias = Callable[[float], float]
 class FormulaError(ValueError):
     """A formula that is not allowed, or has no finite value at some time.
 
-    ``position`` counts characters from 1 and is ``None`` for an error met while evaluating; ``problem`` says
-    what is wrong there.
+    Attributes:
+        text: the formula.
+        problem: what is wrong, without the formula.
+        position: the character where, counted from 1; None for an error of the evaluation.
     """
 
     def __init__(self, text: str, problem: str, position: int | None = None) -> None:
@@ -90,14 +90,14 @@ _COMPARISONS: Final[Mapping[type[ast.cmpop], Callable[[float, float], bool]]] = 
 
 
 class Formula:
-    """A formula in ``t`` (s), checked when built and evaluated by calling it.
+    """A formula in ``t`` (s), which is checked when it is made; a call evaluates it.
 
-    Comparisons and ``and``/``or``/``not`` give 1 or 0; ``a if c else b`` evaluates only the branch that it
-    takes; ``step(x)`` is 1 for x >= 0, ``pulse(t, a, b)`` is 1 for a <= t < b, and both are 0 otherwise.
+    Comparisons and ``and``/``or``/``not`` give 1 or 0; ``a if c else b`` evaluates only the branch that it takes.
+    ``step(x)`` is 1 for x >= 0, ``pulse(t, a, b)`` is 1 for a <= t < b, and both are 0 otherwise.
 
     Raises:
-        FormulaError: when built, for anything that is not allowed; when called, for a value that is not a
-            finite number.
+        FormulaError: at construction, for anything that is not allowed; in a call, for a value that is not a finite
+            number.
     """
 
     __slots__ = ("_evaluate", "text")
@@ -127,7 +127,7 @@ class Formula:
 
 
 class _Compiler:
-    """Turns the text of one formula into nested closures, refusing what is not on the list."""
+    """Turns the text of one formula into nested closures, and refuses everything that is not on the list."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -261,7 +261,7 @@ class _Compiler:
 
 
 def _literal_size(node: ast.expr) -> float:
-    """Magnitude of a number as written, signs included; 0 for what is not a plain number."""
+    """The absolute value of a number in the formula, whatever its signs; 0 for anything but a plain number."""
     while isinstance(node, ast.UnaryOp):
         node = node.operand
     return abs(float(node.value)) if isinstance(node, ast.Constant) and isinstance(node.value, int | float) else 0.0
@@ -274,7 +274,7 @@ IntentData: TypeAlias = float | str | Mapping[str, Sequence[float]]
 
 
 class IntentError(ValueError):
-    """A number or a recorded trace that cannot be an intent; the text says why."""
+    """A number or a recorded trace that cannot be an intent; the message gives the reason."""
 
 
 class SampledSignal:
@@ -282,11 +282,11 @@ class SampledSignal:
 
     Args:
         times: sample times (s), strictly increasing from 0; at most ``MAX_TRACE_SAMPLES``.
-        values: the signal at those times, one each.
+        values: the signal at those times, one value for each.
 
     Raises:
-        IntentError: nothing is there, lengths differ, a number is not finite, or times do not increase
-            strictly from 0; samples are counted from 1.
+        IntentError: there are no samples or too many, the lengths differ, a number is not finite, or the times do not
+            increase strictly from 0. The message counts samples from 1.
     """
 
     __slots__ = ("_times", "_values")
@@ -310,7 +310,7 @@ class SampledSignal:
             raise IntentError(f"sample {i + 1} is at {after:g} s, after {before:g} s; expected increasing times")
 
     def __call__(self, t: float) -> float:
-        """The value at time ``t`` (s); the first value before 0."""
+        """The value at time ``t`` (s); for t < 0 the first value."""
         return float(np.interp(t, self._times, self._values))
 
 

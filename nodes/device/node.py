@@ -1,14 +1,15 @@
 """The device's process: it paces the loop, samples x, and applies f_v.
 
-In a tick: wait for kT on an absolute schedule, sample, send x(k) to every coupling that holds one of its
-ports, wait for their f_v(k), apply. A tick is late when its force is applied after the next tick was due;
-the schedule then goes on at the next multiple of T, so that devices stay in phase.
+In each tick the node waits for kT on an absolute schedule, samples, and sends x(k) to every coupling that holds one of
+its ports. It then waits for their f_v(k), and applies it. A tick is late when its force is applied after the next tick
+was due. The schedule then goes on at the next multiple of T, so that devices stay in phase.
 
-A device whose force is stale lets go and runs free: it samples, guards and keeps its ledger in every period, without
-force, and says its x(k) again and again until it is answered, or told that the session is further on.
+A device whose force is stale lets go and runs free: in every period it samples, guards and keeps its ledger, without
+force. It sends its x(k) again in every period until a coupling answers, or sends a zero force of a later tick, with
+which the device goes on.
 
-The guard looks at a sample before anyone else does, and clips the force last before the driver: a device beyond its
-limits of displacement or speed lets go, and takes hold again once it is back within them.
+The guard (:mod:`manyhands.nodes.device.core`) checks a sample before it is sent, and clips the force last before the
+driver. A device beyond its limits of displacement or speed lets go. It takes hold again once it is back within them.
 """
 
 from __future__ import annotations
@@ -62,7 +63,13 @@ class DeviceNode:
         self.peer_links, _ = establish(self._common, links, admits, self._realtime)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks; however they end, the device exerts no force any more."""
+        """Run the ticks; however they end, the device exerts no force afterwards.
+
+        Args:
+            start: first tick, number of ticks and epoch.
+            life: whether the node should still run.
+            control: the line to the supervisor.
+        """
         try:
             self._run(start, life, control)
         finally:
@@ -77,7 +84,7 @@ class DeviceNode:
         f = self._zero.copy()
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
-        if tick > 0:  # the session goes on already
+        if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
@@ -87,7 +94,7 @@ class DeviceNode:
             ready = clock.now()
             clock.sleep_until(due)
             sampled = clock.now()
-            x = list(map(float, driver.sample(turns)))  # a driver may fill the same list, or array, every time
+            x = list(map(float, driver.sample(turns)))  # a copy: a driver may fill the same list or array every time
             let_go = guard.let_go
             told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
@@ -100,7 +107,7 @@ class DeviceNode:
             turns += 1
             told: int | None = tick
             for peer_link in peer_links:
-                # who runs free waits once, to the end of the period
+                # a device that runs free waits once, to the end of the period
                 result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if result is not Received.SIGNAL:
                     told = self._await_forces(peer_link, result, f, told_x, tick, sampled, life, control)
@@ -108,7 +115,7 @@ class DeviceNode:
             if life.stopping:
                 return
             received = clock.now()
-            if told is None:
+            if told is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.apply(self._zero)
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
@@ -119,11 +126,11 @@ class DeviceNode:
             if told > tick:
                 self._jump(control)
                 tick = told
-            held = guard.clip(f.copy())  # f is written again in the next tick
+            held = guard.clip(f.copy())  # a copy, for telemetry keeps it and f is written again in the next tick
             driver.apply(held)
             applied = clock.now()
             give_way()
-            core.sample(x)  # here, for ZeroMQ's thread may only send x(k) once this one waits
+            core.sample(x)  # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
             core.apply(held, driver.intended_work())
             for peer_link in peer_links:
                 peer_link.settle(tick)
@@ -131,6 +138,7 @@ class DeviceNode:
             if self._next_rung != self._rung:
                 self._change_rung(tick)
             account.tick(tick, x, held, core, (due, ready, sampled, sent, received, applied))
+            # after a late tick the next multiple of T, by a division that rounds up
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
@@ -141,22 +149,22 @@ class DeviceNode:
         return self._account.report(self._core, self._guard, self.peer_links, self._rung)
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """Zero force of a later tick: the session has gone on without this device."""
+        """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
         return told > awaited and peer_link.other_zero
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """The coupling has changed to another rung: the zero force that follows is its first."""
+        """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._rungs):
             self._next_rung = message.rung
         return False
 
     def flooded(self, text: str) -> None:
-        """A coupling floods its link: there is no telling its forces from the rest in time."""
+        """End the node: a coupling floods its link, and its forces cannot be told from other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
     def close(self) -> None:
-        """Give back what the device holds of the machine."""
+        """Release the driver's files and sockets."""
         self._driver.close()
 
     def _await_forces(
@@ -170,11 +178,15 @@ class DeviceNode:
         life: Life,
         control: ControlLine,
     ) -> int | None:
-        """Wait for the force of every coupling, after ``result`` came of ``last`` in place of its force.
+        """Wait for the force of every coupling, after listening to ``last`` gave ``result`` in place of its force.
+
+        In real time the wait ends when the force is stale, for an old force may do harm. Where several couplings hold
+        ports of this device, one may send it on to a later tick. The others must then come to that tick as well, so
+        the device sends them its sample of it, with a message why the ticks in between are missing.
 
         Returns:
-            The tick that they answer: ``tick``, or a later one with zero force. None if there is none in time, and
-            the device has let go, or if the node should end.
+            The tick that the couplings answer: ``tick``, or a later one with zero force. None where no force came in
+            time and the device has let go, and where the node should end.
         """
         timeouts, peer_links = self._timeouts, self.peer_links
         asked = self._realtime.now()
@@ -184,9 +196,9 @@ class DeviceNode:
             if result is Received.DECLINED:
                 tick = peer_link.tick = peer_link.other_tick
                 peer_link.put(f, [0.0] * len(peer_link.peer.ports))
-                for other in peer_links:  # a coupling that has answered the earlier tick is asked about this one
+                for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
-                        other.say(Absent(self._common.name))  # from the ticks in between
+                        other.say(Absent(self._common.name))  # no sample comes for the ticks in between
                         other.send(Sample, tick, sampled, x)
             elif result is Received.RECONNECTED:
                 peer_link.send(Sample, tick, sampled, x)
@@ -217,25 +229,25 @@ class DeviceNode:
         return any(peer_link.reachable for peer_link in self.peer_links)
 
     def _let_go(self) -> None:
-        """The force is stale: better none than an old one."""
+        """Exert no force: the last one is stale, and no force is safer than an old one."""
         if not self._free:
             self._driver.release()
             self._account.stale += 1
         self._free = True
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
-        """Do as the supervisor says."""
+        """Follow the supervisor's messages; where ``idle``, wait a moment for one."""
         word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:
             follow(word, self.peer_links, control)
             word = control.listen()
 
     def _jump(self, control: ControlLine) -> None:
-        """The session is at a later tick."""
+        """Send the telemetry so far: the session is at a later tick."""
         self._account.jump(control, self._core, self._guard, self.peer_links)
 
     def _change_rung(self, tick: int) -> None:
-        """Another promise from now on: the force is zero."""
+        """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""
         self._rung = self._next_rung
         rung = self._rungs[self._rung]
         self._core.change(rung.level, rung.K)

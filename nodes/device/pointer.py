@@ -1,33 +1,31 @@
-"""The browser driver: a simulated device that a person with a browser holds and drags. No haptic loop: nothing is felt.
+"""The browser driver: a person with a browser drags a simulated device by a pointer. The person feels no force.
 
-The person gives a trajectory, as the intended motion of a simulated hand: a spring and a damper between the device and
-the pointer, which is smoothed (:mod:`manyhands.nodes.device.pointer`). What the coupling does to that hand is that of
-every simulated device, and the work that the motion does is in the ledger.
+The pointer gives a trajectory, which is smoothed and becomes the intended motion of a simulated hand: a spring and a
+damper join the device to it (:class:`BrowserDriver`). The coupling acts on that hand as on every simulated device, and
+the work of the motion is in the ledger.
 
-Held by nobody the hand is open: the device is a mass with its damping. An opening hand forgets its spring's tension and
-its operator's state, and a closing one begins at rest on the device, its spring slack. So either way the energy that is
-stored in it is lost or 0, and the hand, whose parameters change with time, is passive all the same. Its mass stays.
+While no person holds the device, the hand is open: the device is a mass with its damping. A hand that opens forgets the
+tension of its spring and the state of its operator. A hand that closes begins at rest on the device, its spring slack.
+Either way the energy stored in the hand is lost or 0, so the hand is passive although its parameters change with time.
+Its mass stays.
 
-Whether a person holds a device, and where to: what was said at its pointer, tick by tick. Pure.
+**The grasp** (:class:`Pointer`, pure) is what the browser's page sends. A page may end without a message, for example
+with its computer. So a grasp that is not sent again ends after :data:`PATIENCE`, in ticks of the device's own time.
 
-A page may go without a word, with the computer it is shown on: a grasp that is not said again is over after
-:data:`PATIENCE`, in ticks of the device's own time.
-
-From where a pointer is to a motion that a hand could make: bounded in reach, speed and acceleration. Pure.
-
-A pointer comes in steps, a few dozen a second; what holds a device must not. Axis by axis, with the way of one tick
-s(k) = r(k) - r(k-1) and the goal g clipped to the reach,
+**The smoothed motion** (:class:`Follower`, pure) is one that a hand could make, bounded in reach, speed and
+acceleration. A pointer moves in steps, a few dozen a second, and the motion that holds a device must not. Axis by axis,
+with the way of one tick s(k) = r(k) - r(k-1) and the goal g clipped to the reach,
 
     s(k+1) = q^2 s(k) + (1 - q)^2 (g - r(k)),    r(k+1) = r(k) + s(k+1),    q = exp(-omega T),
 
 is the critically damped follower: both its poles are q, whatever the period. Then |s(k+1) - s(k)| <= A T^2 is imposed,
 and |s| <= S T.
 
-**It does not overshoot.** Where (1 - q)(g - r) >= q s at one tick, the follower has it at the next, and g - r >= 0:
-without bounds the difference shrinks to q of itself, and whatever makes s(k+1) smaller makes it greater. The one
-bound that makes s(k+1) greater is A, on braking; the law brakes by at most (1 - q) s there, so that A never acts on it
-if S <= A T/(1 - q), and S is taken no greater. From rest that holds on the way to every goal. It holds for the reach in
-place of g whatever the goals were, as the law grows with g: so the reach is never left.
+**It does not overshoot.** Where (1 - q)(g - r) >= q s holds at one tick, it holds at the next, and g - r >= 0: without
+bounds the difference of the two sides shrinks to q of itself, and a smaller s(k+1) makes it greater. The one bound that
+makes s(k+1) greater is A, on braking. The law brakes by at most (1 - q) s there, so A never acts on it if
+S <= A T/(1 - q), and S is taken no greater. From rest the condition holds on the way to every goal. With the reach in
+place of g it holds whatever the goals were, as the law grows with g: so the motion never leaves the reach.
 """
 
 from __future__ import annotations
@@ -45,32 +43,35 @@ from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
 
 PATIENCE: Final = 2.0
-"""s, after which a grasp of which nothing more is heard is over."""
+"""The time after which a grasp that is not sent again ends, s."""
 
 
 class Pointer:
-    """What is known of a person's hand.
+    """The grasp of a person's hand, by the messages of the pointer.
 
     Attributes:
-        goal: where it wants the device to be, m; None while it does not hold it.
+        goal: where the person wants the device to be, m; None while no person holds it.
     """
 
     def __init__(self, axes: int, within: Callable[[Sequence[float]], Floats], T: float) -> None:
-        """Held by nobody.
+        """No grasp yet.
 
         Args:
-            axes: of the device.
-            within: the point of the device's reach that is nearest to another.
+            axes: number of axes of the device.
+            within: returns the point of the device's reach, m, that is nearest to a given point, m.
             T: period, s.
         """
         self._axes, self._within = axes, within
         self._most_ticks = max(1, round(PATIENCE / T))
-        self._ticks = 0  # since the last grasp was said
+        self._ticks = 0  # since the last message of the grasp
         self.goal: Floats | None = None
         self._said = self._clipped = self._refused = self._lapsed = 0
 
     def tick(self, said: Grasp | Release | None) -> None:
-        """A tick, and what was said last since the one before; what makes no sense is counted, and changes nothing."""
+        """Step by one tick; ``said`` is the latest message since the tick before, None for none.
+
+        A grasp with the wrong number of axes or a number that is not finite is counted, and changes nothing.
+        """
         match said:
             case Grasp(position):
                 self._grasp(position.tolist())
@@ -96,7 +97,7 @@ class Pointer:
         self._said += 1
 
     def figures(self, malformed: int) -> Mapping[str, float]:
-        """Whether it is held, and what was said; ``malformed``: datagrams that were nothing of a pointer's."""
+        """Whether the device is held, and counts of grasps; ``malformed`` counts datagrams that were no message."""
         return {
             names.GRASPED: 0.0 if self.goal is None else 1.0,
             names.GRASPS: float(self._said),
@@ -107,21 +108,21 @@ class Pointer:
 
 
 class Follower:
-    """Follows a goal on m axes, a step a tick.
+    """The critically damped follower of a goal on m axes, one step a tick.
 
     Attributes:
-        position: r, m; beyond its reach only where it was begun there.
-        reach: of each axis, either way, m.
-        speed: S, m/s, as it is kept to.
+        position: r, m; beyond the reach only where it began there.
+        reach: of each axis, in either direction, m.
+        speed: S of each axis, m/s; no greater than A T/(1 - q).
     """
 
     def __init__(self, reach: Sequence[float], speed: Sequence[float], acceleration: float, rate: float, T: float):
         """Be at rest in 0.
 
         Args:
-            reach: of each axis, m.
-            speed: the most of each axis, m/s.
-            acceleration: A, the most of any axis, m/s^2.
+            reach: of each axis, in either direction, m.
+            speed: the greatest speed of each axis, m/s.
+            acceleration: A, the greatest of any axis, m/s^2.
             rate: omega, rad/s.
             T: period, s.
         """
@@ -144,7 +145,7 @@ class Follower:
         return [min(max(at, -most), most) for at, most in zip(goal, self.reach, strict=True)]
 
     def step(self, goal: Sequence[float]) -> Floats:
-        """Go on for a tick towards ``goal`` (m), or the point of the reach that is nearest to it; returns r', m/s."""
+        """Move for one tick towards ``goal`` (m), or the point of the reach nearest to it; returns r', m/s."""
         ways: Floats = []
         for at, before, wanted, most in zip(self.position, self._way, self.within(goal), self._most, strict=True):
             way = self._carried * before + self._drawn * (wanted - at)
@@ -156,32 +157,32 @@ class Follower:
 
 
 REACH: Final = 0.8
-"""Of the device's limit of displacement: how far the pointer draws it; the rest is for what others do to it."""
+"""Part of the device's limit of displacement to which the pointer draws it; the rest is for the others' forces."""
 
 SPEED: Final = 0.5
-"""m/s, and also of the device's limit of speed: how fast the pointer draws it; likewise."""
+"""The greatest speed of the pointer's motion, m/s, and also as part of the device's limit of speed; likewise."""
 
 ACCELERATION: Final = 20.0
-"""m/s^2, the most."""
+"""The greatest acceleration of the pointer's motion, m/s^2."""
 
 RATE: Final = 30.0
-"""rad/s, of the follower: some 0.1 s behind a hand that moves steadily."""
+"""omega of the follower, rad/s: it is some 0.1 s behind a hand that moves steadily."""
 
 
 class BrowserDriver(PlantDriver):
-    """A :class:`manyhands.nodes.device.drivers.Driver` around a device that is held, or not."""
+    """A :class:`manyhands.nodes.device.drivers.Driver` of a simulated device that a person may hold by a pointer."""
 
     def __init__(self, hand: SimulatedHand, limits: Limits, T: float, inlet: PointerInlet | None) -> None:
-        """Start at rest in x = 0, held by nobody.
+        """Start at rest in x = 0, with an open hand.
 
         Args:
-            hand: the device, and the hand that holds it to the pointer.
-            limits: the device's own.
+            hand: the device, and the hand that joins it to the pointer.
+            limits: the limits of the device.
             T: period, s.
-            inlet: where a person's hand is heard, closed by the driver; None where nobody can be.
+            inlet: receives the pointer's messages, and is closed by the driver; None where no pointer can connect.
 
         Raises:
-            ValueError: no device can be made of it.
+            ValueError: a mass of the device is not positive.
         """
         self._inlet = inlet
         self._held, self._bare = Plant(device_of(hand), T), Plant(bare_device_of(hand), T)
@@ -192,11 +193,11 @@ class BrowserDriver(PlantDriver):
         self._at_rest = Intention(self._zero, self._zero)
 
     def figures(self) -> Mapping[str, float]:
-        """Whether it is held, and what was said at its pointer."""
+        """Whether the device is held, and counts of the pointer's messages."""
         return self._pointer.figures(0 if self._inlet is None else self._inlet.malformed)
 
     def close(self) -> None:
-        """Close the pointer. A second time does nothing."""
+        """Close the pointer's socket. A second call does nothing."""
         if self._inlet is not None:
             self._inlet.close()
 
@@ -213,17 +214,17 @@ class BrowserDriver(PlantDriver):
         return Intention(self._zero, self._follower.step(goal))
 
     def _become(self, plant: Plant) -> None:
-        """The hand opens, or closes: the device's motion goes on, and what the hand stored does not."""
+        """Open or close the hand: position and velocity of the device stay, and the state of the hand begins at 0."""
         if self._plant is not plant:
             m = self._m
             self._plant, self._state = plant, plant.holding(self._state[:m], self._state[m : 2 * m])
 
 
 def pointer_of(common: Common) -> PointerInlet | None:
-    """Where the device of a bundle can be held; None under the simulated clock, and without a session's directory.
+    """The inlet of the device's pointer; None under the simulated clock, and without a session's directory.
 
     Raises:
-        TransportError: it cannot be opened.
+        TransportError: its socket cannot be opened.
     """
     if common.clock == SIMULATED or not common.directory:
         return None

@@ -1,10 +1,10 @@
-"""A held device in its own time, one exactly discretised period after the other, and a driver around it.
+"""Simulated devices: a mass held by a hand, discretised exactly, in its own time (:class:`Plant`), and drivers for it.
 
-One call of :meth:`PlantDriver.sample` is one period of the device's own time, however long the tick took by the clock:
-a run in real time then has the very numbers of the simulation, and lateness is a figure in the report rather than a
-disturbance of the experiment.
+One call of :meth:`PlantDriver.sample` is one period of the device's own time, however long the tick took by the clock.
+So a run in real time has exactly the numbers of the simulation. A late tick is then a figure in the report, and does
+not disturb the experiment.
 
-The simulated driver: a mass held by a simulated hand, whose intention is a function of time.
+The hand of a :class:`SimulatedDriver` has an intention that is a function of time.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from manyhands.nodes.device.intent import Intent, intent_from
 
 
 class Intention(NamedTuple):
-    """What the hand intends over one period: a force (N) and a velocity (m/s), one entry an axis, both held."""
+    """The hand's intended force (N) and velocity (m/s), one entry for each axis, both constant over one period."""
 
     force: Floats
     velocity: Floats
 
 
 class Plant:
-    """A :class:`HeldDevice`, sampled; it keeps no state of its own."""
+    """A sampled :class:`HeldDevice`: the step of its state over one period. It keeps no state of its own."""
 
     def __init__(self, device: HeldDevice, T: float) -> None:
-        """``T``: period, s."""
+        """Sample ``device`` with the period ``T``, s."""
         sampled = device.sampled(T)
         self.axes, self.order = device.axes, sampled.order
         self._step = linear_map(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
@@ -42,11 +42,20 @@ class Plant:
         self._T = T
 
     def holding(self, x: Floats, v: Floats) -> Floats:
-        """The state in which the device is at x (m) with v (m/s), and the hand at rest on it, its spring slack."""
+        """The state of a device at x (m) with the velocity v (m/s), whose hand is at rest on it, its spring slack."""
         return [*x, *v, *[0.0] * (self.order - 2 * self.axes)]
 
     def after(self, before: Floats, f: Floats, intention: Intention) -> tuple[Floats, float]:
-        """The state a period after ``before`` under the force f (N), and the intention's work over it (J)."""
+        """Step over one period.
+
+        Args:
+            before: the state at its beginning.
+            f: the coupling's force over it, N.
+            intention: the hand's intention over it.
+
+        Returns:
+            The state at its end, and the intention's work over it, J.
+        """
         m, T = self.axes, self._T
         total = [held + own for held, own in zip(f, intention.force, strict=True)]
         goal = intention.velocity
@@ -61,7 +70,7 @@ class Plant:
 
 
 class PlantDriver(ABC):
-    """A :class:`manyhands.nodes.device.drivers.Driver` around a plant; what the hand intends, its kinds say."""
+    """A :class:`manyhands.nodes.device.drivers.Driver` of a plant; subclasses give the hand's intention."""
 
     def __init__(self, plant: Plant) -> None:
         """Start at rest in x = 0."""
@@ -81,7 +90,7 @@ class PlantDriver(ABC):
         return self._m
 
     def sample(self, tick: int) -> Floats:
-        """The displacement at the instant kT, m: where the force applied last has brought the device."""
+        """The displacement at the instant kT, m: where the force of the last period has moved the device."""
         self._state, self._work = self._next if self._next is not None else self._advanced()
         self._tick, self._next, self._intention = tick, None, None
         return self._state[: self._m]
@@ -95,7 +104,7 @@ class PlantDriver(ABC):
         self.apply(self._zero)
 
     def idle(self) -> None:
-        """Compute where the force leads, before the next sample is due: there it costs the loop no latency."""
+        """Compute the next state before its sample is due, when this costs the loop no latency."""
         self._next = self._advanced()
 
     def intended_work(self) -> float:
@@ -103,26 +112,26 @@ class PlantDriver(ABC):
         return self._work
 
     def figures(self) -> Mapping[str, float]:
-        """Nothing to tell."""
+        """No figures."""
         return {}
 
     def close(self) -> None:
-        """Hold zero force; nothing else is held."""
+        """Hold zero force; there are no files or sockets to close."""
         self.release()
 
     def _advanced(self) -> tuple[Floats, float]:
-        """State and work of the intention at the end of the period, under the force that is held."""
+        """The state at the end of the period under the present force, and the work of the intention."""
         if self._intention is None:
             self._intention = self._intend(self._tick)
         return self._plant.after(self._state, self._f, self._intention)
 
     @abstractmethod
     def _intend(self, tick: int) -> Intention:
-        """What the hand intends over the period from ``tick`` on; asked once a period."""
+        """The hand's intention over the period from ``tick`` on; called once a period."""
 
 
 def device_of(hand: SimulatedHand) -> HeldDevice:
-    """The device that a bundle describes, in its hand.
+    """The device with its hand that a bundle describes.
 
     Raises:
         ValueError: a mass is not positive.
@@ -133,7 +142,7 @@ def device_of(hand: SimulatedHand) -> HeldDevice:
 
 
 def bare_device_of(hand: SimulatedHand) -> HeldDevice:
-    """The same device when the hand is open: the mass of both, and the device's own damping.
+    """The same device with an open hand: the mass of both, and the device's own damping.
 
     Raises:
         ValueError: a mass is not positive.
@@ -143,7 +152,7 @@ def bare_device_of(hand: SimulatedHand) -> HeldDevice:
 
 
 class SimulatedDriver(PlantDriver):
-    """A :class:`manyhands.nodes.device.drivers.Driver` around a :class:`HeldDevice`."""
+    """A :class:`manyhands.nodes.device.drivers.Driver` whose hand has an intention that is a function of time."""
 
     def __init__(self, device: HeldDevice, force: Sequence[Intent], motion: Sequence[Intent], T: float) -> None:
         """Start at rest in x = 0.
@@ -165,10 +174,10 @@ class SimulatedDriver(PlantDriver):
 
 
 def simulated_driver(hand: SimulatedHand, T: float) -> SimulatedDriver:
-    """The simulated device and hand that a bundle describes; ``T``: period, s.
+    """The driver of the simulated device and hand that a bundle describes; ``T``: period, s.
 
     Raises:
-        ValueError: no device, or no intention, can be made of it.
+        ValueError: a mass is not positive, or an intention is not usable.
     """
     forces, motions = ([intent_from(data) for data in every] for every in (hand.force, hand.motion))
     return SimulatedDriver(device_of(hand), forces, motions, T)

@@ -1,13 +1,12 @@
-"""What a device keeps of its ticks: times, breaches of what the certificate assumes, traces, and what it tells of them.
+"""A device's figures and traces: times, breaches of what the certificate assumes, and the causes of late ticks.
 
-All is filled in place: nothing of telemetry's size is allocated in a tick.
+All rows are filled in place: a tick allocates nothing of the telemetry's size.
 
-Why a tick was late: the device's own work, a partner's answer, or a processor that was not to be had.
+A tick is late when its force is applied after the next tick was due. The reason is the device's own work, a partner's
+late answer, or a processor that was not available. The time from kT, when the tick was due, until the force is applied
+is divided among these three accounts, by stamps that the loop takes anyway:
 
-A tick is late when its force is applied after the next tick was due. The time from kT, when it was due, to then is
-all spent on one of three accounts, known from stamps that the loop takes anyway:
-
-    kT ... ready      own          what the tick before left to do (telemetry, mostly) went on beyond kT
+    kT ... ready      own          the work left from the tick before (telemetry, mostly) went on beyond kT
        ... sampled    descheduled  the alarm had rung, and the thread did not run
        ... sent       own          sampling and sending
        ... received   partner      waiting for the forces
@@ -16,9 +15,9 @@ all spent on one of three accounts, known from stamps that the loop takes anyway
 **The cause is the greatest of the three accounts**; of equal ones the first of own, descheduled, partner. It is the
 cause that a remedy should begin with, not the only one: a tick can be late by three small delays.
 
-What cannot be told apart from within: an answer that came in time while this thread was not woken is the partner's;
-a partner that was itself descheduled, or waits for another, is a partner (its own report tells more); a processor that
-the kernel or a hypervisor took while the thread did its own work counts as that work.
+The stamps cannot separate some cases. An answer that came in time while this thread was not woken counts as the
+partner's. A partner that was itself descheduled, or waits for a third process, counts as partner; its own report has
+the details. A processor that the kernel or a hypervisor took during the thread's own work counts as that work.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from manyhands.protocol.messages import Report, Telemetry
 
 
 class LateCause(StrEnum):
-    """On what the greatest part of a late tick was spent."""
+    """The account on which the greatest part of a late tick was spent."""
 
     OWN = "own"
     DESCHEDULED = "descheduled"
@@ -51,11 +50,11 @@ class LateCause(StrEnum):
 def cause(
     due: Instant, ready: Instant, sampled: Instant, sent: Instant, received: Instant, applied: Instant
 ) -> LateCause:
-    """The cause of one late tick; its instants are in this order, only ``ready`` may come before ``due``.
+    """The cause of one late tick. Its instants are in the order of the arguments; only ``ready`` may precede ``due``.
 
     Args:
         due: kT.
-        ready: when the loop had nothing left to do but to wait for kT.
+        ready: when the loop had nothing more to do before kT.
         sampled: when it had woken and sampled x(k).
         sent: when x(k) was sent to every coupling.
         received: when the last force was there.
@@ -80,7 +79,7 @@ class LatenessCounter:
     __slots__ = ("_period", "counts")
 
     def __init__(self, period: Duration) -> None:
-        """No tick has been late yet; ``period``: T."""
+        """No tick has been late yet; ``period`` is T, ns."""
         self.counts = dict.fromkeys(LateCause, 0)
         self._period = period
 
@@ -104,24 +103,30 @@ class LatenessCounter:
 
 
 PERIOD_TOLERANCE = 0.25
-"""Part of a period by which two samples may be more or less than a period apart before that is told as a breach."""
+"""Part of a period by which the time between two samples may differ from T; beyond it counts as a breach."""
 
 Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
-"""Of a tick: when it was due, when the loop was ready, and when it had sampled, sent, received and applied."""
+"""The instants of a tick: due, ready, sampled, sent, received and applied, as in :func:`cause`."""
 
 
 class DeviceTelemetry:
-    """The figures of one device.
+    """The figures and traces of one device.
 
     Attributes:
-        ticks: done.
-        stale: times that the force was stale.
+        ticks: the tick after the latest.
+        stale: how often the device let go because its force was stale.
         released: periods without force for that reason.
-        jumps: times that the session had gone on without the device.
+        jumps: how often the session had gone on to a later tick without the device.
     """
 
     def __init__(self, common: Common, tau: Duration, told: Callable[[], Mapping[str, float]] = dict) -> None:
-        """``tau``: what the certificate assumes; ``told``: what the driver has to tell with the telemetry."""
+        """No tick yet.
+
+        Args:
+            common: the device's bundle.
+            tau: the delay inside the tick that the certificate assumes, ns.
+            told: returns the driver's own figures for each telemetry.
+        """
         self._common, self._told = common, told
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
@@ -143,12 +148,12 @@ class DeviceTelemetry:
         self._events = TickEvents()
 
     def change_rung(self, tick: int, rung: int, tau: Duration) -> None:
-        """Another rung from ``tick`` on, whose certificate assumes another tau."""
+        """Record the change to ``rung`` at ``tick``; from now on the certificate assumes ``tau``, ns."""
         self._events.change_rung(tick, rung)
         self._assumed_tau = tau
 
     def tick(self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times) -> None:
-        """A tick that was answered; x (m) and f (N) are kept until they are told."""
+        """Keep the row of a tick that was answered; the lists x (m) and f (N) are kept until the next telemetry."""
         due, _, sampled, _, _, applied = times
         tau = applied - sampled
         self._tau.add(tau / 1e3)
@@ -173,26 +178,26 @@ class DeviceTelemetry:
         self.ticks = tick + 1
 
     def release(self, tick: int) -> None:
-        """A period without force, for none of ``tick`` was heard of."""
+        """Count a period without force, in which no force of ``tick`` came."""
         self.released += 1
         self._events.release(tick)
         self._sampled = None
 
     def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
-        """The session is at a later tick: what was kept is told first, for rows follow each other."""
+        """Count a jump to a later tick; the rows so far are sent first, as the ticks of a telemetry are consecutive."""
         self.publish_rest(control, core, guard, peer_links)
         self.jumps += 1
         self._sampled = None
 
     def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
-        """Telemetry when it is time; its encoding is paid once in ``telemetry_ticks`` ticks."""
+        """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, core, guard, peer_links)
 
     def publish_rest(
         self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]
     ) -> None:
-        """Telemetry of the ticks since the last, if there are any."""
+        """Send the telemetry of the ticks since the last one, if there are any."""
         rows = self._filled
         if rows == 0:
             return
@@ -226,7 +231,7 @@ class DeviceTelemetry:
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
 
     def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink], rung: int) -> Report:
-        """The device's last word."""
+        """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
         return Report(
             self.ticks,
             {

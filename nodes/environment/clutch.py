@@ -11,20 +11,22 @@ session's certificate (docs/decisions/0015-the-clutch.md).
 **Ramps.** s = sin^2(pi j/(2 RAMP)), where j moves by at most one a tick, so that s moves by at most pi/(2 RAMP).
 
 **The offset.** While s < 1 the tool and the coupling's end drift apart. Afterwards the tool lags (s down to SLOWEST)
-whenever the end moves towards where the tool already is; since
+whenever the end moves towards where the tool already is. Since
 
     o(k) = o(k-1) - (1 - s(k)) (x_c(k) - x_c(k-1)),      o = x_e - x_c,
 
-this shortens o. s is chosen by p(k) - p(k-1) alone, which the forces of the tick do not move: no algebraic loop is
-closed through s, and any s is lossless. 1 - s fades as o does, over WORK_OFF of motion. What is left at last, at most
-LET_GO, is let go in one tick in which the force on the tool pushes that way: the clutch then gives up -f_e^T o >= 0,
-and never gains. So that such a tick comes, the lag aims at an end of half LET_GO on that side of zero.
+this shortens o. The clutch chooses s by p(k) - p(k-1) alone, which the forces of the tick do not change. So no
+algebraic loop closes through s, and any s is lossless. 1 - s fades as o does, over WORK_OFF of motion. The rest of the
+offset, at most LET_GO, is let go in one tick in which the force on the tool pushes in that direction. The clutch then
+gives up -f_e^T o >= 0, and never gains. So that such a tick comes, the lag aims at an offset of half LET_GO on that
+side of zero.
 
 **A restraint** (:meth:`Clutch.restrain`) is a greatest s for a party that is beyond its energy budget
-(:mod:`manyhands.nodes.environment.energy`): s falls to it at once, and rises with it by no more than the ramp does.
+(:mod:`manyhands.nodes.environment.energy`): s falls to it at once, and rises with it no faster than the ramp.
 
-:class:`Clutches` are those of all blocks. Both environment cores use it: a core solves for the forces at given ratios,
-and the clutches choose the ratios, let one offset go a tick, and halt a party that would overdraw its budget.
+:class:`Clutches` holds the clutches of all blocks, for both environment cores. A core solves for the forces at given
+ratios. The clutches choose the ratios, let go one offset in a tick at most, and halt a party that would overdraw its
+budget.
 """
 
 from __future__ import annotations
@@ -55,20 +57,20 @@ WORK_OFF: Final = 5e-3
 """Motion over which an offset shrinks by e, once it is below (1 - SLOWEST) of this; m."""
 
 LET_GO: Final = 1e-6
-"""Euclidean norm of the offset that may be given up in one tick, m: less than a hand or a sensor tells."""
+"""Euclidean norm of the offset that may be given up in one tick, m: less than a hand feels or a sensor resolves."""
 
 
 class ClutchPhase(Enum):
-    """Where a clutch is."""
+    """The phase of a clutch."""
 
-    COUPLED = "coupled"  # s = 1, rises to it, or lags to work an offset off
+    COUPLED = "coupled"  # s is 1, rises to 1, or is below 1 to work an offset off
     LEAVING = "leaving"  # s falls to 0
     FROZEN = "frozen"  # s = 0; the block's p is not looked at
     JOINING = "joining"  # s = 0, and the p of the next tick becomes the reference
 
 
 class ClutchEvent(Enum):
-    """What happens to a clutch."""
+    """The events that change a clutch's phase."""
 
     FREEZE = "freeze"
     ENGAGE = "engage"
@@ -95,25 +97,25 @@ NEXT: Final[Mapping[tuple[ClutchPhase, ClutchEvent], ClutchPhase]] = MappingProx
         (ClutchPhase.JOINING, ClutchEvent.REFERRED): ClutchPhase.COUPLED,
     }
 )
-"""Every transition; the pairs that are missing cannot occur."""
+"""Every transition; the pairs without an entry cannot occur."""
 
 
 class Clutch:
-    """The clutch of one block between ticks; it decides s, and the core solves for the forces.
+    """The clutch of one block between ticks: it chooses s, and the core solves for the forces.
 
     A tick is :meth:`advance`, perhaps :meth:`let_go` and :meth:`keep`, and :meth:`conclude`. A clutch that is
     ``settled`` (s = 1 and no offset) needs none of them, for x_e = x_c.
 
     Attributes:
         ports: indices of the block's ports.
-        phase: where it is.
+        phase: coupled, leaving, frozen or joining.
         ratio: s of the last tick; 0 from the moment it is frozen.
-        settled: s = 1 and x_e = x_c.
-        fresh: no longer settled, and :meth:`seize` has not told it the tool's position yet.
+        settled: whether s = 1 and x_e = x_c.
+        fresh: whether it is no longer settled, and :meth:`seize` has not set the tool's position yet.
         reference: r = x_e(k-1) - s x_c(k-1) + s p(k), m, so that x_e(k) = r + s D_V f_c(k).
         ready: whether the offset of this tick may be let go.
-        rests: whether s was 0 in the last two ticks. Then the step of the force is 0, too, and with it all that a
-            device's storage holds of the block's rung, so that the block may change to any other
+        rests: whether s was 0 in the last two ticks. Then the step of the force is 0 as well, and so is everything in a
+            device's storage that depends on the block's rung: the block may change to any other rung
             (docs/decisions/0016-the-ladder.md).
     """
 
@@ -136,7 +138,7 @@ class Clutch:
     )
 
     def __init__(self, ports: Sequence[int], ramp: int) -> None:
-        """Coupled and settled, everything at 0.
+        """Coupled and settled, with all positions at 0.
 
         Args:
             ports: indices of the block's ports.
@@ -144,7 +146,7 @@ class Clutch:
         """
         self.ports, self._ramp = list(ports), ramp
         self.phase, self.ratio, self.settled = ClutchPhase.COUPLED, 1.0, True
-        self._at = self._most = float(ramp)  # j and the greatest one allowed, ticks
+        self._at = self._most = float(ramp)  # j and its greatest permitted value, ticks
         self._p: Floats = [0.0] * len(ports)
         self._x_c = self._x_e = self.reference = self._p
         self.fresh = self.ready = self.rests = False
@@ -152,7 +154,7 @@ class Clutch:
 
     @property
     def offset(self) -> Floats:
-        """x_e - x_c, m; what it was when the block was frozen, while it is."""
+        """x_e - x_c, m; while the block is frozen, its value from before that."""
         return _difference(self._x_e, self._x_c)
 
     def seize(self, x_e: Floats) -> None:
@@ -161,7 +163,7 @@ class Clutch:
         self._last, self.fresh = 1.0, False
 
     def handle(self, event: ClutchEvent) -> None:
-        """Change the phase; a settled clutch that is to leave 1 is settled no more."""
+        """Change the phase by :data:`NEXT`; a settled clutch whose s may leave 1 ceases to be settled."""
         self.phase = NEXT[self.phase, event]
         if self.phase is ClutchPhase.FROZEN:
             self._at = self.ratio = 0.0
@@ -170,7 +172,7 @@ class Clutch:
             self.settled, self.fresh = False, True
 
     def restrain(self, ratio: float) -> None:
-        """From the next tick on s is at most ``ratio``; a settled clutch that is held below 1 is settled no more."""
+        """Limit s to ``ratio`` from the next tick on; a settled clutch that is limited below 1 ceases to be settled."""
         self._most = self._ramp * (1.0 if ratio >= 1.0 else 2.0 / math.pi * math.asin(math.sqrt(ratio)))
         if self.settled and ratio < 1.0:
             self.settled, self.fresh = False, True
@@ -179,7 +181,7 @@ class Clutch:
         """Choose s(k).
 
         Args:
-            p: the block's p(k), m; anything while frozen.
+            p: the block's p(k), m; ignored while frozen.
             f_e: the force at the tool of the tick before, N.
         """
         self.ready = False
@@ -203,17 +205,17 @@ class Clutch:
             self.ready = dot(offset, offset) <= LET_GO**2 and dot(offset, f_e) <= 0.0
 
     def halt(self) -> None:
-        """Take s(k) = 0 after all: the tool rests in this tick, and s rises again from 0."""
+        """Set s(k) = 0 after :meth:`advance`: the tool rests in this tick, and s rises again from 0."""
         self._at = self.ratio = 0.0
         self.reference, self.ready = self._x_e, False
 
     def supply(self, f_e: Floats, deflection: Floats) -> float:
-        """What the tool would put into the environment in this tick, J, under f_e(k), N, with D_V f_c(k), m."""
+        """The energy that the tool would put into the environment in this tick, J, for f_e(k), N, and D_V f_c(k), m."""
         ends = zip(f_e, self._x_e, self.reference, deflection, strict=True)
         return sum(force * (last - at - self.ratio * by) for force, last, at, by in ends)
 
     def _goal(self, offset: Floats, moved: Floats, f_e: Floats) -> float:
-        """Where j should go: RAMP, or less where lagging behind p's motion ``moved`` (m) shortens the offset."""
+        """The goal of j: the ramp's end, or less where a lag behind p's motion ``moved`` (m) shortens the offset."""
         force, path = math.hypot(*f_e), math.hypot(*moved)
         towards = dot(offset, moved) + (dot(f_e, moved) * (0.5 * LET_GO / force) if force > 0.0 else 0.0)
         if not (towards > 0.0 and path > 0.0):
@@ -222,15 +224,15 @@ class Clutch:
         return self._ramp * 2.0 / math.pi * math.asin(math.sqrt(1.0 - lag))
 
     def let_go(self) -> None:
-        """Try s = 1 and x_e = x_c in this tick; s is a step of the ramp away at most."""
+        """Try s = 1 and x_e = x_c in this tick; s is at most one step of the ramp away from 1."""
         self._at, self.ratio, self.reference = float(self._ramp), 1.0, self._p
 
     def gains(self, f_e: Floats) -> bool:
-        """Whether energy would be made by letting the offset go under f_e(k), N."""
+        """Whether the clutch would make energy if it let the offset go under f_e(k), N."""
         return dot(self.offset, f_e) > 0.0
 
     def keep(self) -> None:
-        """Do not let go after all: s = 1 with the offset."""
+        """Take back :meth:`let_go`: s = 1 with the offset."""
         self.reference = [e + (to - c) for e, to, c in zip(self._x_e, self._p, self._x_c, strict=True)]
         self.ready = False
 
@@ -254,24 +256,24 @@ class Clutch:
 
 
 class Clutches:
-    """The clutches of all blocks, in front of one environment.
+    """The clutches between all blocks and one environment.
 
-    Between ticks blocks are frozen, engaged and disengaged, by their index. A tick in which some block is not settled
-    is :meth:`choose` and :meth:`conclude`, and the core calls :meth:`Clutch.conclude` of these blocks in between.
+    Between ticks blocks are frozen, engaged and disengaged by their index. A tick in which any block is not settled
+    is :meth:`choose` and :meth:`conclude`; in between the core calls :meth:`Clutch.conclude` of these blocks.
 
     Attributes:
-        all: by block.
-        unsettled: those that are not settled, in the order in which they ceased to be; always the same list, whose
-            truth a core asks in every tick.
+        all: the clutches by block.
+        unsettled: the clutches that are not settled, in the order in which they ceased to be. It is always the same
+            list, for a core checks in every tick whether it is empty.
     """
 
     def __init__(self, blocks: Sequence[Sequence[int]], ramp: int, energy: Energy) -> None:
-        """All coupled and settled, everything at 0.
+        """All coupled and settled, with all positions at 0.
 
         Args:
-            blocks: the ports of each.
+            blocks: the ports of each block.
             ramp: ticks from s = 0 to s = 1.
-            energy: the budgets that the ratios are held to, one party for each block.
+            energy: the energy budgets, which limit the ratios; one party for each block.
 
         Raises:
             ValueError: the ramp has no tick.
@@ -281,21 +283,21 @@ class Clutches:
         self.all = tuple(Clutch(ports, ramp) for ports in blocks)
         self.unsettled: list[Clutch] = []
         self._energy = energy
-        self._going: Clutch | None = None  # whose offset may be let go in this tick
+        self._going: Clutch | None = None  # the clutch whose offset may be let go in this tick
 
     def freeze(self, block: int) -> None:
-        """From the next tick on s = 0: the block's tool rests, and no force goes to it."""
+        """Set s = 0 from the next tick on: the block's tool rests, and the block receives no force."""
         self.handle(self.all[block], ClutchEvent.FREEZE)
 
     def engage(self, block: int) -> None:
-        """Take the block's next p as its reference, with s = 0, and raise s to 1 over the ticks of a ramp after it.
+        """Take the block's next p as its reference, with s = 0, and then raise s to 1 over the ticks of a ramp.
 
-        A block that is leaving turns round from where its ratio is; for a coupled one nothing changes.
+        For a block that is leaving, s rises again from its present value; for a coupled block nothing changes.
         """
         self.handle(self.all[block], ClutchEvent.ENGAGE)
 
     def disengage(self, block: int) -> None:
-        """Lower s to 0 from where it is; then the block is frozen."""
+        """Lower s to 0 from its present value; then the block is frozen."""
         self.handle(self.all[block], ClutchEvent.DISENGAGE)
 
     def ratio(self, block: int) -> float:
@@ -315,27 +317,27 @@ class Clutches:
         return self.all[block].settled
 
     def offset(self, block: int) -> Floats:
-        """x_e - x_c of the block's ports, m; 0 where it is settled, and of its last tick with s > 0 where frozen."""
+        """x_e - x_c at the block's ports, m: 0 where it is settled; where frozen, that of its last tick with s > 0."""
         clutch = self.all[block]
         return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
 
     def handle(self, clutch: Clutch, event: ClutchEvent) -> None:
-        """Something happens to one of them."""
+        """Apply ``event`` to one of the clutches, and keep :attr:`unsettled`."""
         was_settled = clutch.settled
         clutch.handle(event)
         if was_settled and not clutch.settled:
             self.unsettled.append(clutch)
 
     def exchanged(self, block: int, D_V: Vector, whole: Vector) -> Vector:
-        """The couplings' feedthrough with another one for a block, whose force is 0 by now.
+        """The couplings' feedthrough after one block has a different one; its force must be 0.
 
         Args:
-            block: its index.
-            D_V: that of the block, m_i x m_i, m/N.
-            whole: that of all, m x m, m/N; left as it is.
+            block: the block's index.
+            D_V: the feedthrough of the block from now on, m_i x m_i, m/N.
+            whole: the present feedthrough of all blocks, m x m, m/N; it is not changed.
 
         Raises:
-            ValueError: the block is not frozen, or the shape is another.
+            ValueError: the block is not frozen, or the shape is wrong.
         """
         clutch = self.all[block]
         if clutch.phase not in (ClutchPhase.FROZEN, ClutchPhase.JOINING):
@@ -350,7 +352,7 @@ class Clutches:
         return whole
 
     def restrain(self) -> None:
-        """Hold every party's ratio to what its budget allows, from the next tick on."""
+        """Limit every party's ratio by its budget, from the next tick on."""
         for party, clutch in enumerate(self.all):
             was_settled = clutch.settled
             clutch.restrain(self._energy.ratio(party))
@@ -358,7 +360,7 @@ class Clutches:
                 self.unsettled.append(clutch)
 
     def seize(self, x_e: Floats) -> None:
-        """Those that ceased to be settled take the tools' positions x_e(k-1), m."""
+        """Give the clutches that have just ceased to be settled the tools' positions x_e(k-1), m."""
         for clutch in self.unsettled:
             if clutch.fresh:
                 clutch.seize(ports_of(x_e, clutch))
@@ -373,14 +375,15 @@ class Clutches:
     ) -> Floats:
         """Choose the ratios of a tick, and find the forces at them.
 
-        One offset is let go a tick, so that the sign of its own energy decides.
+        At most one offset is let go in a tick, so that the sign of its own energy decides.
 
         Args:
             p: the couplings' free tool positions p(k), m.
             f_e: the forces of the tick before, N.
             x_e: the tools' positions of the tick before, m.
-            solve: f_e(k) at the present ratios and references, N.
-            supply: what a clutch's tool would put into the environment in this tick, J, under the forces found last.
+            solve: returns f_e(k) at the present ratios and references, N.
+            supply: returns the energy that a clutch's tool would put into the environment in this tick, J, under the
+                forces found last.
 
         Returns:
             f_e(k), N.
@@ -394,7 +397,7 @@ class Clutches:
         if going is not None:
             going.let_go()
         f = solve()
-        # a loop without a unique solution freezes blocks, and then this one is not ready any more
+        # solve freezes blocks where the loop has no unique solution; a frozen block is not ready any more
         if going is not None and going.ready and going.gains(ports_of(f, going)):
             going.keep()
             f = solve()
@@ -403,7 +406,7 @@ class Clutches:
         return f
 
     def conclude(self) -> bool:
-        """Every clutch has concluded the tick; whether one of them is settled from now on."""
+        """End the tick after every clutch has concluded it; returns whether one of them is settled from now on."""
         going = self._going
         if going is None or not going.settled:
             return False
@@ -411,7 +414,7 @@ class Clutches:
         return True
 
     def _halts_one(self, f: Floats, supply: Callable[[Clutch, Floats], float]) -> bool:
-        """Halt a party that would put more into the world in this tick than it has room for; whether there is one."""
+        """Halt a party that would put more energy into the environment than its room; returns whether there is one."""
         for party, clutch in enumerate(self.all):
             if self._energy.ratio(party) == 1.0 or clutch.ratio == 0.0:
                 continue
@@ -422,15 +425,15 @@ class Clutches:
 
 
 def ports_of(values: Floats, clutch: Clutch) -> Floats:
-    """A clutch's part of ``values``, by its ports."""
+    """The entries of ``values`` at the ports of ``clutch``."""
     return [values[port] for port in clutch.ports]
 
 
 def ports_of_blocks(blocks: Blocks | None, m: int) -> list[list[int]]:
-    """The ports of each block among m; of one block of all ports for None.
+    """The port indices of each block among m ports; for None one block of all ports.
 
     Raises:
-        ValueError: the blocks do not hold every port once.
+        ValueError: the blocks do not hold every port exactly once, or a block is empty.
     """
     given = [slice(None)] if blocks is None else blocks
     parts = [list(range(m))[part] if isinstance(part, slice) else list(map(int, part)) for part in given]

@@ -5,23 +5,24 @@ From the free tool positions p(k) of all ports and the couplings' feedthrough D_
     f_e(k) = -(I + D_E D_V)^{-1} (C_E eta(k) + D_E p(k)),
     x_e(k) = p(k) + D_V f_e(k),     eta(k+1) = A_E eta(k) + B_E x_e(k).
 
-All three are linear in (eta, p): products with a matrix made beforehand give them, the forces first and the rest when
-they are on their way.
+All three are linear in (eta, p), so products with a matrix made beforehand give them: the forces first, and the rest
+when the forces are on their way.
 
 **Clutches** (:mod:`manyhands.nodes.environment.clutch`) stand between the blocks and the environment, with one ratio
-in S for each block. With r = x_e(k-1) + S (p(k) - x_c(k-1)) the loop is x_e = r + S D_V S f_e, and the couplings are
-sent f_c = S f_e. Since S D_V S = S^2 D_V differs from D_V at the ports J of blocks that are not settled alone,
+in S for each block. With r = x_e(k-1) + S (p(k) - x_c(k-1)) the loop is x_e = r + S D_V S f_e, and the couplings
+receive f_c = S f_e. Since S D_V S = S^2 D_V differs from D_V only at the ports J of blocks that are not settled,
 
     (I + F_JJ W) f_J = f_J(eta, r),    W = (I - S^2) D_V at J,    F = -(I + D_E D_V)^{-1} D_E,
 
 and the matrix made beforehand gives everything else at r - W f_J in place of p. So a block that is not settled costs
-a linear system of its own size each tick, and one that works an offset off may do so for the rest of a session.
+a linear system of its own size in each tick; a block that works an offset off may do so for the rest of a session.
 As s is one number for each block, F_JJ W is F_JJ D_V with the columns of each block times its 1 - s^2. I + F_JJ W is
 regular exactly when I + D_E S D_V S is, which a certificate implies for every S (docs/decisions/0015-the-clutch.md).
-Without one it may not be: then blocks are frozen until it is, and with all frozen it is the identity.
+Without a certificate it may be singular: the core then freezes blocks until it is regular, and with all blocks frozen
+it is the identity.
 
-It promises that E_hat is (-Phi_E)-ISP: from the tool velocity w to -f_e, T (w^T (-f_e) + w^T Phi_E w) sums to
-no less than zero.
+The environment promises that E_hat is (-Phi_E)-ISP: from the tool velocity w to -f_e, the sum of
+T (w^T (-f_e) + w^T Phi_E w) is never below zero.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ class EnvironmentCore:
     """The state of the environment between ticks.
 
     Attributes:
-        failure: why it cannot go on; matrices always can.
-        controller: a passivity controller that keeps its promise; none is needed where that is proved.
+        failure: always None, for matrices cannot fail; see :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
+        controller: always None, for the promise is proved and needs no controller.
         ledger: its energy ledger; None when the session is not certified.
-        energy: who puts how much into whom.
-        clutches: of the blocks.
+        energy: the energy that each coupling puts into the others, and their budgets.
+        clutches: the clutches of the blocks.
         ill_posed: ticks in which blocks were frozen because the loop had no unique solution; 0 under a certificate.
     """
 
@@ -73,13 +74,13 @@ class EnvironmentCore:
 
         Args:
             E: (A_E, B_E, C_E, D_E), tool displacement (m) to force (N), m ports.
-            D_V: the couplings' feedthrough, m x m, m/N, as told at the handshake.
+            D_V: the couplings' feedthrough, m x m, m/N, from the handshakes.
             Phi_E: the environment's level, m x m, N*s/m, or None.
             T: period, s.
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
-            masses: how many entries of the state, behind the m tools, are positions of masses.
-            budgets: what each coupling may put into the others; None for no bound.
+            masses: the number of entries of the state, after the m tools, that are positions of masses.
+            budgets: the energy that each coupling may put into the others; None for no bound.
             storage: the environment stores 1/2 eta^T storage eta, J; None where that is not known.
 
         Raises:
@@ -99,12 +100,12 @@ class EnvironmentCore:
         self._D_V = np.array(D_V, dtype=np.float64)
         self._step = _closed(E, self._D_V)
         self._force, self._rest = linear_map(self._step[:m]), linear_map(self._step[m:])
-        self._rest_of_tick = self._rest  # of the feedthrough that its forces were found with
+        self._rest_of_tick = self._rest  # the map that fits the feedthrough of the tick's forces
         self._eta: Floats = [0.0] * n
         self._known: Floats = [0.0] * (n + m)  # (eta, p); where clutches are not settled r - W f_J in place of p
-        self._x_e: Floats = [0.0] * m  # of the tick before, until settle
-        self._f: Floats = [0.0] * m  # f_e, likewise until react
-        self._concluded: list[tuple[int, float]] = []  # port and x_e of clutches, for whom it is known exactly
+        self._x_e: Floats = [0.0] * m  # that of the tick before, until settle
+        self._f: Floats = [0.0] * m  # f_e, that of the tick before until react
+        self._concluded: list[tuple[int, float]] = []  # port and exact x_e, from the clutches that are not settled
         self.ledger = None if Phi_E is None else Ledger()
         self.ill_posed = 0
         self.energy = Energy(parts, budgets, T, storage is not None)
@@ -112,16 +113,13 @@ class EnvironmentCore:
         self._storage, self._bound_in = storage, BOUND_TICKS
         self._begins = budgets is not None
         self._unsettled = self.clutches.unsettled
-        self._group: list[Clutch] = []  # those that the next three are about
+        self._group: list[Clutch] = []  # the clutches that the next three matrices belong to
         self._f_J: LinearMap = list  # from (eta, r)
         self._deflections: list[LinearMap] = []  # D_V f, by clutch of the group
         self._F_D: Rows = []  # F_JJ D_V at J
 
     def react(self, p: Floats) -> Floats:
-        """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m.
-
-        What p says of a frozen block is not looked at.
-        """
+        """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m; ignores p of frozen blocks."""
         self._rest_of_tick = self._rest
         if self._begins:
             self._begins = False
@@ -133,7 +131,7 @@ class EnvironmentCore:
         return f
 
     def settle(self) -> None:
-        """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
+        """Step to the next tick and keep the ledger; all this can wait until the forces are on their way."""
         m, T = self._m, self._T
         rest = self._rest_of_tick(self._known)
         x_e, self._eta = rest[:m], rest[m:]
@@ -159,21 +157,21 @@ class EnvironmentCore:
 
     @property
     def masses(self) -> Floats:
-        """Where the masses were then, m; none where the environment is no network."""
+        """The positions of the masses in that tick, m; empty where the environment is no network."""
         return self._eta[self._positions]
 
     def exchange(self, block: int, D_V: Vector) -> None:
-        """Give a frozen block another feedthrough: the whole matrix is made anew, which may take longer than a tick.
+        """Change the feedthrough of a frozen block: the whole matrix is made anew, which may take longer than a tick.
 
-        Between :meth:`react` and :meth:`settle` it is that of the next tick: this one ends as it began.
+        Between :meth:`react` and :meth:`settle` the change takes effect in the next tick.
 
         Args:
-            block: its index.
-            D_V: m_i x m_i, m/N.
+            block: the block's index.
+            D_V: its feedthrough from now on, m_i x m_i, m/N.
 
         Raises:
-            ValueError: the block is not frozen, the shape is another, or the loop would have no unique solution;
-                nothing has changed then.
+            ValueError: the block is not frozen, the shape is wrong, or the loop would have no unique solution. The core
+                has not changed then.
         """
         whole = self.clutches.exchanged(block, D_V, self._D_V)
         self._step = _closed(self._E, whole)
@@ -182,7 +180,7 @@ class EnvironmentCore:
         self._group = []  # made anew with the next tick that needs it
 
     def _begin(self, p: Floats) -> None:
-        """Before the first tick: who begins so far from its tool that it would overdraw its budget comes by the ramp.
+        """Before the first tick, let a block join by the ramp if its first step would overdraw its energy budget.
 
         The first p has no step that could be bounded, and a device may be switched on anywhere within its reach.
         """
@@ -194,13 +192,13 @@ class EnvironmentCore:
                 self.clutches.engage(party)
 
     def _bound(self) -> None:
-        """Tell what is stored, now and then: between, what is burned counts as stored."""
+        """Give the accounts the energy that E stores; between two calls dissipated energy counts as stored."""
         if self._storage is not None:
             eta = np.array(self._eta)
             self.energy.bound(0.5 * float(eta @ self._storage @ eta))
 
     def _through_clutches(self, p: Floats) -> Floats:
-        """f_c(k) where some block is not settled. Allocates, as what it makes depends on which blocks these are."""
+        """f_c(k) where any block is not settled; it allocates, for its sizes depend on which blocks these are."""
         clutches = self.clutches
         self._f = f = clutches.choose(p, self._f, self._x_e, lambda: self._solve(p), self._supply)
         f_c = f.copy()
@@ -215,11 +213,11 @@ class EnvironmentCore:
         return f_c
 
     def _supply(self, clutch: Clutch, f: Floats) -> float:
-        """What the clutch's tool puts into the environment in this tick under f_e(k), N, at its ports, J."""
+        """The energy that the clutch's tool puts into the environment in this tick, J, for f_e(k) at its ports, N."""
         return clutch.supply(f, self._deflections[self._group.index(clutch)]([clutch.ratio * force for force in f]))
 
     def _solve(self, p: Floats) -> Floats:
-        """f_e(k) at this tick's ratios, N; what the rest follows from is kept."""
+        """f_e(k) at this tick's ratios, N; keeps (eta, r - W f_J), from which the rest of the tick follows."""
         n = self._n
         f_J = self._at_clutches(p)
         if f_J is None:
@@ -241,9 +239,9 @@ class EnvironmentCore:
         return self._force(self._known)
 
     def _at_clutches(self, p: Floats) -> Floats | None:
-        """f_J(k), N, with r in place of p at the ports J of what is known; None when the loop has no unique solution.
+        """f_J(k), N; puts r in place of p at the ports J. None where the loop has no unique solution.
 
-        Where all ratios are 1 it is not asked for, and empty.
+        Where all ratios are 1, f_J is not needed, and the result is empty.
         """
         if self._group != self._unsettled:
             self._regroup()
@@ -256,7 +254,8 @@ class EnvironmentCore:
         if not any(slacks):
             return []
         A = [[slack * entry for slack, entry in zip(slacks, row, strict=True)] for row in self._F_D]
-        # against 1 + ||F W||, and not ||I + F W||, which cancels with it at a single port; with all frozen it is open
+        # pivots are compared with 1 + ||F W||, for ||I + F W|| would cancel with them at a single port; with all
+        # blocks frozen the loop is open, and the equations always have a solution
         size = max(sum(map(abs, row)) for row in A)
         for i, row in enumerate(A):
             row[i] += 1.0
@@ -264,7 +263,7 @@ class EnvironmentCore:
         return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / _SINGULAR)
 
     def _regroup(self) -> None:
-        """Make what the group J of the blocks that are not settled needs of the matrices."""
+        """Make the matrices of the group J, the blocks that are not settled."""
         self._group = self._unsettled.copy()
         J = [port for clutch in self._group for port in clutch.ports]
         self._f_J = linear_map(self._step[J])

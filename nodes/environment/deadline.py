@@ -1,10 +1,11 @@
 """When the environment stops waiting for couplings that have not come. Pure: instants go in, a decision comes out.
 
-The node looks, decides, and acts on the decision, again and again until the tick is complete. In real time a missing
-coupling is given up once it has kept others waiting for ``freeze``. That time begins for the others when the node finds
-the first of them, but neither before their devices sample nor before a period is over since the wait began.
+The node looks, decides, and acts on the decision, again and again until the tick is complete. In real time the node
+gives up a missing coupling once it has kept others waiting for ``freeze``. The others wait from the instant at which
+the node finds the first of their signals, but at the latest from one period after the wait began. They never wait
+before the instant at which their devices sample.
 
-Under the simulated clock ``freeze`` and ``stale`` are None: then nobody is ever given up.
+Under the simulated clock ``freeze`` and ``stale`` are None: then no coupling is ever given up.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ _NOBODY_WAITS: Final = Instant(2**62)
 class Step(Enum):
     """What the node does next."""
 
-    LISTEN = "listen to everybody who has not come"
-    GIVE_UP = "give those up who are missing"
-    MOVE = "wait at a later tick, before which nobody is awaited"
+    LISTEN = "listen to every coupling whose signal is not there"
+    GIVE_UP = "give up the couplings that are missing"
+    MOVE = "wait at a later tick, before which no coupling is awaited"
 
 
 class Decision(NamedTuple):
@@ -32,8 +33,8 @@ class Decision(NamedTuple):
     Attributes:
         step: what the node does next.
         forget: whether the devices have let go by now, so that the next signals are first ones.
-        pardon: whether nobody has come for so long that those who were given up keep nobody waiting.
-        waited: how long others have waited for those who are given up, ns; 0 at another step.
+        pardon: whether no signal has come for so long that a coupling that was given up keeps no other waiting.
+        waited: how long others have waited for the couplings that are given up, ns; 0 at the other steps.
     """
 
     step: Step
@@ -46,27 +47,27 @@ class Deadline:
     """The wait of one tick.
 
     Attributes:
-        listened: whether the node has listened to everybody since the wait began. Before that it gives nobody up: the
-            node may have been away itself, while another process had its processor.
+        listened: whether the node has listened to every coupling since the wait began. Before that it gives none up:
+            the node itself may not have run, while another process had its processor.
     """
 
     __slots__ = ("_began", "_due", "_first", "_period", "_timeouts", "listened")
 
-    def __init__(self, patience: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
-        """Begin to wait; nobody is there yet.
+    def __init__(self, timeouts: Timeouts, period: Duration, due: Instant, began: Instant) -> None:
+        """Begin to wait; no signal is there yet.
 
         Args:
-            patience: ``freeze`` and ``stale`` are used.
+            timeouts: the timeouts, of which ``freeze`` and ``stale`` are used.
             period: T, ns.
             due: when the devices sample the present tick.
             began: when the tick before was answered.
         """
-        self._timeouts, self._period, self._due, self._began = patience, period, due, began
-        self._first = _NOBODY_WAITS  # since when somebody who is there waits
+        self._timeouts, self._period, self._due, self._began = timeouts, period, due, began
+        self._first = _NOBODY_WAITS  # since when a coupling whose signal is there waits for the missing ones
         self.listened = False
 
     def complete(self, present: bool, missing: bool) -> bool:
-        """Whether the wait is over: somebody is there, nobody is missing, and everybody was listened to."""
+        """Whether the wait is over: a signal is there, none is missing, and the node has listened to every coupling."""
         return present and not missing and self.listened
 
     def decide(self, now: Instant, present: bool, missing: bool, later: bool, early: bool) -> Decision:
@@ -77,7 +78,7 @@ class Deadline:
             present: whether the signal of any coupling for this tick is there.
             missing: whether any coupling is waited for.
             later: whether no coupling is awaited before a later tick.
-            early: whether any coupling has sent a signal of a later tick; it waits, too.
+            early: whether any coupling has sent a signal of a later tick; such a coupling waits as well.
         """
         freeze, stale = self._timeouts.freeze, self._timeouts.stale
         elapsed = now - self._began
@@ -97,5 +98,5 @@ class Deadline:
         return Decision(Step.LISTEN, forget, pardon)
 
     def restart(self, now: Instant) -> None:
-        """The session is at another tick, which the node waits for from ``now`` on."""
+        """Begin the wait anew at ``now``: the session is at a different tick."""
         self._began, self._first = now, _NOBODY_WAITS

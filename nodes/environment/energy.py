@@ -1,30 +1,30 @@
-"""Who puts how much energy into whom, from the environment's own ports alone, and what each party may put into others.
+"""The energy that each party puts into the others, from the environment's own ports alone, and the party's budget.
 
-In a tick a party (a coupling with its devices) puts g_i = -f_e,i^T (x_e,i(k) - x_e,i(k-1)) into the world, J: it is a
-supplier where g_i > 0 and a receiver where g_i < 0. All of it passes through one well mixed store, which remembers
-whose energy it holds, so that what is stored now and released later is still its supplier's. Of what receivers take
-together every owner's part is in proportion to what the store holds of it. What j takes of i's is charged to i; what j
-takes of its own is its own again.
+In a tick a party (a coupling with its devices) puts the energy g_i = -f_e,i^T (x_e,i(k) - x_e,i(k-1)) into the
+environment, J: it is a supplier where g_i > 0 and a receiver where g_i < 0. All energy passes through one well mixed
+store. The store keeps account of each owner's energy, so energy that is stored now and released later still belongs to
+its supplier. Of the energy that receivers take together, every owner's part is in proportion to what the store holds of
+it. Energy of i that j takes is charged to i; energy of its own that j takes is its own again.
 
-What a receiver gives back, of what it has received, is neither its own supply nor charged a second time: it is
-``returned``, nobody's. Of what it has received a party may give back at most what a passive hand can store. So a hand
-that only gives way is never charged, however often the energy goes to and fro, and however late it comes back.
+A receiver may give back energy that it has received. That is neither its own supply nor charged a second time: it is
+``returned``, and has no owner. A party may give back at most as much as a passive hand can store. So a hand that only
+yields is never charged, however often the energy goes to and fro, and however late it comes back.
 
-The world burns some of what it holds, of everybody's in proportion. Where the energy that it stores is known
-(:meth:`Energy.bound`), the store holds no more than that. Where it is not, energy is forgotten with the time constant
-:data:`MEMORY`. What receivers take beyond the store is the environment's own.
+The environment dissipates some of the energy that it holds, of each owner's in proportion. Where the energy that it
+stores is known (:meth:`Energy.bound`), the store holds no more than that. Otherwise the store forgets energy with the
+time constant :data:`MEMORY`. Energy that receivers take beyond the store is the environment's own.
 
 **The budget** of a party is a bucket of E joules, filled with P watts and emptied by charges. Its *room* is the bucket
-less what the store still holds of the party's: a charge leaves the room as it is, so that nobody else's motion can
-overdraw it, and only the party's own supply takes from it. The party's ratio is 1 down to half a bucket of room, and
-falls to 0 with the room; and where it is below 1, the cores halt the party in any tick that is worth more than
-its room. So the room stays above 0, unless a single tick at ratio 1 is worth more than three eighths of a bucket. The
-others then receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room
-falls to :data:`STOP` of the bucket, the party is stopped until half of it is free.
+less the party's energy that the store still holds. A charge leaves the room as it is, so no other party's motion can
+overdraw it: only the party's own supply takes from it. The party's ratio is 1 down to half a bucket of room, and falls
+to 0 with the room. Where the ratio is below 1, the cores halt the party in any tick that is worth more than its room.
+So the room stays above 0, unless a single tick at ratio 1 is worth more than three eighths of a bucket. The others then
+receive of the party's energy at most E + P t in every window of t seconds, whatever it does. Where the room falls to
+:data:`STOP` of the bucket, the party is stopped until half of the bucket is free.
 
-**A posting** enters the work of :data:`POSTING` ticks at once, summed by party: it is the dearest part of what a tick
-costs beside its forces. While the ratio of any party is below 1 every tick is posted; and a tick that brings what waits
-beyond :data:`SOON` of the smallest bucket is posted with it, so that nobody is noticed later for the waiting.
+**A posting** enters the work of :data:`POSTING` ticks at once, summed by party: beside the forces it is the most costly
+part of a tick. While the ratio of any party is below 1 every tick is posted. Where the unposted work of a port exceeds
+:data:`SOON` of the smallest bucket it is posted at once, so that no overdraft is noticed later for the waiting.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from typing import Final
 from manyhands.nodes.arithmetic import Floats
 
 MEMORY: Final = 0.5
-"""Time constant of forgetting, s: longer than a period of a hand that shakes something at 3 Hz."""
+"""Time constant of forgetting, s: longer than the period of a hand that shakes an object at 3 Hz."""
 
 BOUND_TICKS: Final = 16
 """Ticks between two calls of :meth:`Energy.bound`."""
@@ -52,20 +52,20 @@ STOP: Final = 0.05
 """Room, as part of the bucket, at which a party is stopped."""
 
 MOST_PAIRS: Final = 16
-"""Parties up to which it is kept who moved whom; of more only what each put into others, and what each received."""
+"""The most parties for which the energy of each pair is kept; with more, only what each gave and received in all."""
 
 
 @dataclass(frozen=True)
 class EnergyBudget:
-    """What a party may put into the others.
+    """The energy that a party may put into the others.
 
     Attributes:
-        power: P, W, for as long as it likes.
-        energy: E, J, at once.
-        store: J of what it has received that it may give back, uncharged.
+        power: P, the power without an end, W.
+        energy: E, the energy at once, J.
+        store: the energy that it may give back uncharged of what it has received, J.
 
     Raises:
-        ValueError: one of them is not a finite number greater than 0.
+        ValueError: an entry is not a finite number greater than 0.
     """
 
     power: float
@@ -82,13 +82,13 @@ class Energy:
     """The accounts of all parties between ticks.
 
     Attributes:
-        given: by party, J that the others have received of its energy.
-        received: by party, J that it has received of others' energy, the environment's own and what was returned
-            left out.
+        given: by party, the energy of its own that the others have received, J.
+        received: by party, the others' energy that it has received, J, without the environment's own and without
+            returned energy.
         moved: by supplier and receiver, J; empty where there are more than :data:`MOST_PAIRS` parties.
-        unowned: J that receivers took beyond what the store held: the environment's own.
+        unowned: the energy that receivers took beyond what the store held, J: the environment's own.
         restrained: whether the ratio of any party is below 1, or was in the tick before.
-        scaled: by party, ticks in which its ratio was below 1.
+        scaled: by party, the number of ticks in which its ratio was below 1.
         stops: by party, how often it was stopped.
     """
 
@@ -99,12 +99,12 @@ class Energy:
 
         Args:
             blocks: the ports of each party.
-            budgets: one for each; None where nobody is held to one.
+            budgets: the budget of each party; None for no budgets.
             T: period, s.
-            known: whether the energy that the world stores is known, and told by :meth:`bound`.
+            known: whether the energy that the environment stores is known, and given to :meth:`bound`.
         """
         n = len(blocks)
-        free = EnergyBudget(1e300, 1e300, 1e300)  # of a bucket that is never empty
+        free = EnergyBudget(1e300, 1e300, 1e300)  # a bucket that is never empty
         self._blocks = [tuple(block) for block in blocks]
         self._plain = self._blocks == [(i,) for i in range(n)]
         keep = 1.0 if known else 1.0 - T / MEMORY
@@ -126,7 +126,7 @@ class Energy:
         self.scaled, self.stops = [0] * n, [0] * n
 
     def enter(self, f: Floats, x_e: Floats, before: Floats) -> None:
-        """Account for one tick; it is posted now, or with those after it.
+        """Account for one tick, which is posted now or together with the ticks after it.
 
         Args:
             f: f_e(k) by port, N.
@@ -145,7 +145,7 @@ class Energy:
         self.supply(work if self._plain else [sum([work[port] for port in block]) for block in self._blocks], ticks)
 
     def supply(self, supplied: Floats, ticks: int = 1) -> None:
-        """Post ``ticks`` ticks in which party i put ``supplied[i]`` J into the world, negative where it received."""
+        """Post ``ticks`` ticks in which party i put ``supplied[i]`` J into the environment; negative for a receiver."""
         own, held, bucket, ratio = self._own, self._held, self._bucket, self._ratio
         takers: list[tuple[int, float]] = []
         for i, energy in enumerate(supplied):
@@ -180,10 +180,10 @@ class Energy:
         self.restrained = restrained
 
     def _take(self, takers: list[tuple[int, float]]) -> None:
-        """What receivers take comes out of the store, and is charged to its owners.
+        """Take the receivers' energy out of the store, and charge it to its owners.
 
         Args:
-            takers: party and J of each receiver.
+            takers: index and energy, J, of each receiver.
         """
         own, held, moved = self._own, self._held, self.moved
         taken = sum([energy for _, energy in takers])
@@ -215,7 +215,7 @@ class Energy:
                             row[j] += rate * share
 
     def _restrain(self, i: int, room: float) -> None:
-        """Choose the ratio of a party whose room is below half its bucket, or was."""
+        """Choose the ratio of a party whose room is below half its bucket, or was in the posting before."""
         _, _, size, half, _ = self._fixed[i]
         if self._stopped[i]:
             self._stopped[i] = room < half and not (self._bucket[i] >= size and room >= 2.0 * STOP * size)
@@ -230,11 +230,11 @@ class Energy:
         return self._ratio[party]
 
     def room(self, party: int) -> float:
-        """What the party may put into the world in a tick, J: its room, and what it only gives back."""
+        """The energy that the party may put into the environment in a tick, J: its room, and energy it gives back."""
         return self._bucket[party] - self._own[party] + self._held[party]
 
     def bound(self, stored: float) -> None:
-        """The world stores no more than ``stored`` J: what it has burned goes off everybody's share."""
+        """Limit the store to ``stored`` J: the energy dissipated since is taken from each owner's part."""
         if self._ticks:
             self._post()
         total = self._returned + sum(self._own)

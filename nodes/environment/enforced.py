@@ -1,20 +1,19 @@
-"""The environment's tick where its forces come from a model of which nothing is known, or that is not to be relied on.
+"""The environment's tick for a model without a proof, and the choice of the core that an environment's bundle asks for.
 
-At every tick the model says the forces f_m that it wants, and where its promise is *enforced* the passivity controller
-(:mod:`manyhands.nodes.passivity`) decides how much of them is exerted:
+At every tick the model returns the forces f_m that it wants to exert. Where its promise is *enforced*, the passivity
+controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exerted:
 
     f_e = part f_m + (1 - part) h,     x_e = r + S D_V S f_e,     h = (S D_V S)^{-1} (x_e(k-1) - r),
 
 with the greatest part in [0, 1] that keeps the ledger from falling below zero. S and r are those of the blocks'
-clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled; at a port with s = 0 the
-tool rests whatever the force is, and h does not matter. Two kinds of models are asked:
+clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled. At a port with s = 0 the
+tool rests whatever the force is, and h does not matter. There are two kinds of models:
 
-- a black box (:mod:`manyhands.nodes.environment.model`), which is told where the tools would be under its force of the
-  tick before: explicit, so that nothing has to be known about it to close the algebraic loop;
-- matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, and the controller a safety
-  net that never acts.
+- a black box (:mod:`manyhands.nodes.environment.model`), which receives the tool positions predicted with its forces of
+  the tick before. It is explicit, so the algebraic loop closes without any knowledge of the model;
+- matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts.
 
-Which core an environment's bundle asks for: E as it is proved, or a model or E under a controller.
+:func:`environment_core` makes the core that a bundle asks for: E as it is proved, or a model or E under a controller.
 """
 
 from __future__ import annotations
@@ -38,20 +37,20 @@ Vector = NDArray[np.float64]
 
 
 class ForceLaw(Protocol):
-    """Where the raw forces of an :class:`EnforcedCore` come from."""
+    """The source of the raw forces of an :class:`EnforcedCore`."""
 
     @property
     def failure(self) -> str | None:
-        """Why it cannot be asked any more; None while it can."""
+        """The reason why it cannot be asked any more; None while it can."""
         ...
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
-        """The forces wanted at this tick, N; may be asked again for another r.
+        """The forces wanted at this tick, N; the core may call this several times in a tick, with different r.
 
         Args:
             r: tool positions without force, m.
             compliance: S D_V S, m/N; the same array as long as it does not change.
-            x_e: tool positions under the forces of the tick before, r + S D_V S f_e(k-1), m; an array of its own.
+            x_e: tool positions under the forces of the tick before, r + S D_V S f_e(k-1), m; a new array in each call.
         """
         ...
 
@@ -61,7 +60,7 @@ class ForceLaw(Protocol):
 
     @property
     def masses(self) -> Floats:
-        """Where the masses are after :meth:`advance`, m; none where nobody knows of any."""
+        """The positions of the masses after :meth:`advance`, m; empty where none are known."""
         ...
 
 
@@ -71,27 +70,27 @@ class BlackBox:
     def __init__(self, model: AskedModel) -> None:
         """Ask ``model`` from its tick 0 on."""
         self._model, self._k = model, 0
-        self._answer: Vector | None = None  # of this tick: a model is asked once
+        self._answer: Vector | None = None  # the forces of this tick, for which a model is asked once
 
     @property
     def failure(self) -> str | None:
-        """What was wrong with the model's answer."""
+        """What was wrong with the model's first bad answer; None without one."""
         return self._model.failure
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
-        """The model's forces at x_e."""
+        """The model's forces at the ``x_e`` of the tick's first call, N."""
         if self._answer is None:
             self._answer = self._model.forces(x_e, self._k)
         return self._answer
 
     def advance(self, x_e: Vector) -> None:
-        """The next tick."""
+        """Step to the next tick; the model needs no positions for it."""
         self._k += 1
         self._answer = None
 
     @property
     def masses(self) -> Floats:
-        """None that are known."""
+        """Empty: a model's masses are not known."""
         return []
 
 
@@ -101,7 +100,12 @@ class LinearLaw:
     failure: str | None = None
 
     def __init__(self, E: StateSpace, masses: int = 0) -> None:
-        """Start at rest; of the state, so many entries behind the tools are positions of masses."""
+        """Start at rest.
+
+        Args:
+            E: tool displacement (m) to force (N), m ports.
+            masses: the number of entries of the state, after the m tools, that are positions of masses.
+        """
         self._positions = slice(E.inputs, E.inputs + masses)
         self._output, self._D = np.hstack([E.C, E.D]), E.D
         self._state = np.hstack([E.A, E.B])  # over (eta, x_e)
@@ -110,7 +114,7 @@ class LinearLaw:
         self._force: Vector = self._output
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
-        """The force that solves the algebraic loop, which a certificate says is one."""
+        """The force that solves the algebraic loop; under a certificate there is exactly one."""
         if compliance is not self._compliance:
             loop = np.eye(len(self._D)) + self._D @ compliance
             self._force = np.asarray(-np.linalg.solve(loop, self._output), dtype=np.float64)
@@ -124,7 +128,7 @@ class LinearLaw:
 
     @property
     def masses(self) -> Floats:
-        """Where the masses are, m."""
+        """The positions of the masses, m."""
         found: Floats = self._eta[self._positions].tolist()
         return found
 
@@ -133,11 +137,11 @@ class EnforcedCore:
     """An environment between ticks, with the interface of :class:`manyhands.nodes.environment.core.EnvironmentCore`.
 
     Attributes:
-        ledger: its energy ledger; None when it has promised nothing.
-        controller: what keeps the ledger from falling below zero; None where nothing is enforced.
-        energy: who puts how much into whom.
-        clutches: of the blocks.
-        ill_posed: ticks in which the loop had no unique solution: none, by construction or by the certificate.
+        ledger: its energy ledger; None when it promises no level.
+        controller: keeps the ledger from falling below zero; None where no level is enforced.
+        energy: the energy that each coupling puts into the others, and their budgets.
+        clutches: the clutches of the blocks.
+        ill_posed: ticks in which the loop had no unique solution: always 0, by construction or by the certificate.
     """
 
     def __init__(
@@ -154,18 +158,18 @@ class EnforcedCore:
         """Start at rest, all tools at 0, all blocks coupled.
 
         Args:
-            law: where the raw forces come from.
-            D_V: the couplings' feedthrough, m x m, m/N, as told at the handshake.
+            law: the source of the raw forces.
+            D_V: the couplings' feedthrough, m x m, m/N, from the handshakes.
             Phi_E: the declared level, m x m, N*s/m, or None.
             T: period, s.
-            enforce: whether the level is kept by a controller.
+            enforce: whether a controller keeps the level.
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
-            budgets: what each coupling may put into the others; None for no bound.
+            budgets: the energy that each coupling may put into the others; None for no bound.
 
         Raises:
-            ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that no
-                force needs to hold a tool.
+            ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that
+                possibly no force holds a tool.
         """
         m = len(D_V)
         if enforce and Phi_E is None:
@@ -176,7 +180,7 @@ class EnforcedCore:
         self.energy = Energy(parts, budgets, T)
         self.clutches = Clutches(parts, ramp, self.energy)
         self._unsettled = self.clutches.unsettled
-        self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before, until react
+        self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # those of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
         self.ledger = None if Phi_E is None else Ledger()
@@ -187,11 +191,11 @@ class EnforcedCore:
 
     @property
     def failure(self) -> str | None:
-        """Why the model is not asked any more, in one sentence; None while it is. Its forces are zero from then on."""
+        """Why the model is not asked any more, in one sentence, after which its forces are zero; None while it is."""
         return self._law.failure
 
     def react(self, p: Floats) -> Floats:
-        """f_c(k) = S f_e(k), N, to be sent to the couplings, for the free tool positions p(k), m."""
+        """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m."""
         if self._unsettled:
             return self._through_clutches(p)
         r = np.array(p)
@@ -199,7 +203,7 @@ class EnforcedCore:
         return f
 
     def settle(self) -> None:
-        """Step to the next tick and keep the ledger: what can wait until the forces are on their way."""
+        """Step to the next tick and keep the ledger; all this can wait until the forces are on their way."""
         w = self._w
         if self.ledger is not None and self._Phi is not None:
             self.ledger.enter(self._T * float(-(w @ self._f) + w @ self._Phi @ w))
@@ -219,15 +223,19 @@ class EnforcedCore:
 
     @property
     def masses(self) -> Floats:
-        """Where the masses were then, m; none where nobody knows of any."""
+        """The positions of the masses in that tick, m; empty where none are known."""
         return self._law.masses
 
     def exchange(self, block: int, D_V: Vector) -> None:
-        """Give a frozen block another feedthrough, m_i x m_i, m/N.
+        """Change the feedthrough of a frozen block.
+
+        Args:
+            block: the block's index.
+            D_V: its feedthrough from now on, m_i x m_i, m/N.
 
         Raises:
-            ValueError: the block is not frozen, or the feedthrough is none that this core could have been made with;
-                nothing has changed then.
+            ValueError: the block is not frozen, the shape is wrong, or a core could not have been made with this D_V.
+                The core has not changed then.
         """
         whole = self.clutches.exchanged(block, D_V, self._D_V)
         self._stiffness = self._stiffness_of(whole)
@@ -235,7 +243,7 @@ class EnforcedCore:
         self._compliance = self._S[:, None] * whole * self._S
 
     def _stiffness_of(self, D_V: Vector) -> Vector:
-        """D_V^{-1}, N/m: what the couplings oppose to a displacement within one tick; needed by a controller alone."""
+        """D_V^{-1}, N/m: the couplings' stiffness within one tick; D_V itself without a controller, which needs it."""
         if self.controller is None:
             return D_V
         if not float(np.linalg.eigvalsh((D_V + D_V.T) / 2.0)[0]) > 0.0:
@@ -246,20 +254,20 @@ class EnforcedCore:
         return np.asarray(np.linalg.inv(D_V), dtype=np.float64)
 
     def _exert(self, f: Vector, r: Vector) -> Vector:
-        """What is exerted of the raw forces f, N."""
+        """The forces that are exerted for the raw forces f, N; sets f_e, w and x_e of this tick."""
         w = (r + self._compliance @ f - self._x_e) / self._T
         if self.controller is not None and self.ledger is not None and self._Phi is not None:
-            # s is 0 where nothing moves, or at least a step of the ramp
+            # s is 0, where the tool rests and h does not matter, or at least one step of the ramp
             hold = self._stiffness @ (self._x_e - r) / np.where(self._S > 0.0, self._S * self._S, 1.0)
             part = self.controller.part(self.ledger.total, f, w, hold, float(w @ self._Phi @ w))
             if part < 1.0:
                 f = part * f + (1.0 - part) * hold
-                w *= part  # and not from f anew: a tool that is held must stand still to the last bit
+                w *= part  # not computed from f again: a tool that is held must stand still to the last bit
         self._f, self._w, self._next = f, w, self._x_e + self._T * w
         return f
 
     def _through_clutches(self, p: Floats) -> Floats:
-        """f_c(k) where some block is not settled. Allocates, as what it makes depends on which blocks these are."""
+        """f_c(k) where any block is not settled; it allocates, for its sizes depend on which blocks these are."""
         clutches, before = self.clutches, self._f
         r = np.array(p)
         clutches.choose(p, before.tolist(), self._x_e.tolist(), lambda: self._asked(r, before).tolist(), self._supply)
@@ -273,7 +281,7 @@ class EnforcedCore:
         return sent
 
     def _supply(self, clutch: Clutch, f: Floats) -> float:
-        """What the clutch's tool puts into the environment in this tick under f_e(k), N, at its ports, J."""
+        """The energy that the clutch's tool puts into the environment in this tick, J, for f_e(k) at its ports, N."""
         return float(np.array(f) @ (self._x_e - self._next)[clutch.ports])
 
     def _asked(self, p: Vector, before: Vector) -> Vector:
@@ -294,20 +302,20 @@ class EnforcedCore:
 
 
 Core: TypeAlias = EnvironmentCore | EnforcedCore
-"""What reacts to the tools of all users."""
+"""A core of the environment, with or without a controller."""
 
 
 def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
-    """The core of an environment, at rest; a model that the bundle names is imported and made here.
+    """The core that a bundle asks for, at rest; it imports and makes the model that the bundle names.
 
     Args:
         bundle: the environment's part of the session.
-        D_V: the couplings' feedthrough, m x m, m/N, as told at the handshake.
+        D_V: the couplings' feedthrough, m x m, m/N, from the handshakes.
         blocks: the ports of each coupling; None for one block of all ports.
 
     Raises:
         ModelError: the model cannot be made.
-        ValueError: as the cores themselves.
+        ValueError: the bundle has neither matrices nor a model, or the core cannot be made with this D_V.
     """
     common, E = bundle.common, bundle.E
     law: ForceLaw

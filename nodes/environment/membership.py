@@ -1,16 +1,17 @@
-"""Which couplings the environment waits for: a membership for each, and what changes it.
+"""The membership of each coupling in the session: active, frozen, rejoining or gone, and what changes it.
 
-A coupling that is silent is frozen: the tool stays where it is, its user feels no force, and the others go on
-(docs/decisions/0015-the-clutch.md). So is a coupling that comes late again and again
-(:mod:`manyhands.nodes.environment.late_arrivals`). A frozen coupling that shows itself is rejoining, that is waited for
-once more; with its signal of the present tick it is active, and let in by a ramp. One that shows itself and then does
-not come, or comes late again, costs the others some waiting each time. So it rejoins again only after a pause that
-doubles, and whatever it says in the pause changes nothing.
+The environment waits in every tick for the couplings that are active. A coupling that stays silent is frozen: its tool
+stays where it is, its user feels no force, and the others go on (docs/decisions/0015-the-clutch.md). A coupling that
+is late again and again is frozen as well (:mod:`manyhands.nodes.environment.late_arrivals`).
 
-The couplings around an environment: who is awaited, who is frozen, who comes back, and who changes its rung.
+A frozen coupling that sends a signal is rejoining: the environment waits for it once more. With its signal of the
+present tick it is active, and its clutch raises its force by a ramp. A coupling that sends a signal and then stays
+silent, or is late again, costs the others some waiting each time. So it may rejoin only after a pause, which doubles
+with each time, and its signals in the pause change nothing.
 
-A member joins a coupling's link, its membership (:mod:`manyhands.nodes.environment.membership`) and its block in the
-core's clutches. Frames and the supervisor's words change memberships, and memberships move the clutches.
+:class:`MembershipRecord` is the state machine of one coupling, by the table :data:`TRANSITIONS`. A :class:`Member`
+holds a coupling's link, its membership and its block in the core's clutches. :class:`Members` are all of them: frames
+and the supervisor's messages change memberships, and memberships move the clutches and permit changes of rung.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from manyhands.protocol.messages import Absent, Reaction, Rung, Shift, Values
 
 
 class Membership(StrEnum):
-    """Where a coupling stands."""
+    """The state of a coupling in the session."""
 
     ACTIVE = "active"
     REJOINING = "rejoining"
@@ -43,7 +44,7 @@ class Membership(StrEnum):
 
 
 class MembershipEvent(StrEnum):
-    """What is heard of a coupling."""
+    """What the environment has received, or missed, of a coupling; the log has the value as ``heard``."""
 
     SIGNAL = "its signal of the tick"
     BEHIND = "a signal of an earlier tick"
@@ -57,7 +58,7 @@ class MembershipEvent(StrEnum):
 
 TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.ACTIVE, MembershipEvent.SIGNAL): Membership.ACTIVE,
-    (Membership.ACTIVE, MembershipEvent.BEHIND): Membership.ACTIVE,  # it is told once more what it has missed
+    (Membership.ACTIVE, MembershipEvent.BEHIND): Membership.ACTIVE,  # the answer that it has missed is sent again
     (Membership.ACTIVE, MembershipEvent.SILENT): Membership.FROZEN,
     (Membership.ACTIVE, MembershipEvent.LATE): Membership.FROZEN,
     (Membership.ACTIVE, MembershipEvent.PAUSES): Membership.FROZEN,
@@ -70,7 +71,7 @@ TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.REJOINING, MembershipEvent.LOST): Membership.GONE,
     (Membership.FROZEN, MembershipEvent.SIGNAL): Membership.ACTIVE,
     (Membership.FROZEN, MembershipEvent.BEHIND): Membership.REJOINING,
-    # at that tick; it was told to go on there, by this process or the last
+    # it is awaited at that tick, where this environment process or the one before it sent the coupling
     (Membership.FROZEN, MembershipEvent.AHEAD): Membership.REJOINING,
     (Membership.FROZEN, MembershipEvent.SILENT): Membership.FROZEN,
     (Membership.FROZEN, MembershipEvent.PAUSES): Membership.FROZEN,
@@ -79,24 +80,37 @@ TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.GONE, MembershipEvent.PAUSES): Membership.GONE,
     (Membership.GONE, MembershipEvent.RECONNECTED): Membership.FROZEN,
 }
-"""All that can happen to a membership. What is not here cannot be heard of a coupling that stands so, and changes
-nothing."""
+"""Every transition. An event that has no entry for a state cannot happen in it, and changes nothing."""
 
 _SHOWS_ITSELF: Final = (MembershipEvent.SIGNAL, MembershipEvent.BEHIND, MembershipEvent.AHEAD)
 
 FIRST_PAUSE: Final = 8  # ticks
 LONGEST_PAUSE: Final = 256
 FORGIVEN: Final = 100
-"""Ticks of activity after which a coupling's earlier absences are forgotten: as many as the ramp has."""
+"""Ticks of activity after which a coupling's earlier absences no longer lengthen its pause: those of the ramp."""
+
+MOST_AHEAD = 2**16
+"""Ticks by which a signal that is kept may be ahead: far more than pass between two telemetries.
+
+A resumed environment begins at the tick of the last telemetry, and its couplings may be ahead by that much.
+"""
+
+LEAD = 3
+"""Ticks that a coupling has for its way back; the environment does not wait for it in them.
+
+They are fewer than a device waits for its force, the first tick's own wait included: it would let go again otherwise.
+"""
+
+_NOTED = {Membership.FROZEN: LogEvent.FROZEN, Membership.GONE: LogEvent.LOST, Membership.ACTIVE: LogEvent.RETURNED}
 
 
 class MembershipRecord:
     """The membership of one coupling.
 
     Attributes:
-        state: where it stands.
-        absences: times that it was frozen or lost.
-        since: tick at which it became active last.
+        state: active, rejoining, frozen or gone.
+        absences: how often the coupling was frozen or lost.
+        since: the tick at which it became active last.
     """
 
     __slots__ = ("_misses", "_until", "absences", "since", "state")
@@ -104,12 +118,12 @@ class MembershipRecord:
     def __init__(self, state: Membership = Membership.ACTIVE) -> None:
         self.state = state
         self.absences = 0
-        self._misses = 0  # in a row, or nearly
+        self._misses = 0  # absences with fewer than FORGIVEN ticks of activity between them
         self.since = 0
-        self._until = 0  # it is not expected before this tick
+        self._until = 0  # the pause ends with this tick
 
     def on(self, event: MembershipEvent, tick: int) -> bool:
-        """Something is heard of it at ``tick``; whether its state changed."""
+        """Handle ``event`` at ``tick``; returns whether the state changed."""
         before = self.state
         after = TRANSITIONS.get((before, event), before)
         if self.pauses(tick) and event in _SHOWS_ITSELF:
@@ -122,36 +136,37 @@ class MembershipRecord:
         elif before is Membership.ACTIVE:
             self.absences += 1
             self._misses = 0 if tick - self.since >= FORGIVEN else self._misses + 1
-            if event is MembershipEvent.LATE:  # many late ticks, and not the first
+            if event is MembershipEvent.LATE:  # it was late in many ticks already, so the pause begins at once
                 self._misses = max(1, self._misses)
         elif event is MembershipEvent.SILENT:
             self._misses += 1
-        if event in (MembershipEvent.SILENT, MembershipEvent.LATE) and self._misses:  # the first silence is everybody's
+        # the first silence brings no pause: it can happen to any process once
+        if event in (MembershipEvent.SILENT, MembershipEvent.LATE) and self._misses:
             self._until = tick + min(FIRST_PAUSE << min(self._misses - 1, 16), LONGEST_PAUSE)
         return True
 
     def pauses(self, tick: int) -> bool:
-        """Whether it is frozen, and not expected yet at ``tick`` whatever it says."""
+        """Whether the coupling is frozen and in its pause at ``tick``: its signals do not make it rejoin yet."""
         return self.state is Membership.FROZEN and tick < self._until
 
     def pardon(self) -> None:
-        """It need not wait to be expected again: there is nobody whom it could keep waiting."""
+        """End the pause now: no active coupling is left that this one could keep waiting."""
         self._until = 0
 
 
 class Member:
-    """One coupling's.
+    """One coupling: its link, its membership and its rung.
 
     Attributes:
-        peer_link: the link to it.
-        index: its block in the core.
-        membership: its seat.
-        rung: the coupling of the ladder that it runs.
-        wanted: the one that it is to run.
-        due: the tick at which it is expected, where it is.
-        early: a signal of a tick whose turn has not come, and that tick.
+        peer_link: the link to the coupling.
+        index: the coupling's block in the core.
+        membership: its state in the session.
+        rung: the rung of the ladder that it runs.
+        wanted: the rung that it is to run.
+        due: while it is rejoining, the first tick in which the environment waits for it.
+        early: a later tick and the frame of the signal that came for it too early; None where there is none.
         arrived: when its latest signal was read, ns.
-        frozen_late: times that it was frozen for being late, or silent.
+        frozen_late: how often it was frozen for being late or silent.
     """
 
     __slots__ = ("arrived", "due", "early", "frozen_late", "index", "membership", "peer_link", "rung", "wanted")
@@ -165,7 +180,7 @@ class Member:
         self.frozen_late = 0
 
     def missing(self, tick: int) -> bool:
-        """Whether its signal of ``tick`` is waited for."""
+        """Whether the environment waits for its signal of ``tick``."""
         if self.peer_link.tick == tick:
             return False
         return self.membership.state is Membership.ACTIVE or (
@@ -174,17 +189,17 @@ class Member:
 
 
 class Members:
-    """All of them; the :class:`manyhands.nodes.peer_link.Listener` on their links.
+    """All couplings of an environment; the :class:`manyhands.nodes.peer_link.Listener` on their links.
 
     Attributes:
-        all: one for each coupling.
-        order: the same, in the order in which they are read: who was waited for longest comes last.
-        active: those who are sent a tick's forces; kept, so that a tick need not look for them.
-        all_active: whether that is everybody.
-        last: the tick after the session's last; 0 for none.
-        log: where it is noted who was frozen, lost or back; None for nowhere.
-        events: the same with ticks, for the recording.
-        ahead: the latest tick heard from who is ahead of a resumed environment.
+        all: one member for each coupling.
+        order: the same members in the order in which they are read; the coupling that was waited for longest is last.
+        active: the members to which a tick's forces are sent; kept, so that a tick need not search for them.
+        all_active: whether every member is active.
+        last: the tick after the session's last; 0 for a session without an end.
+        log: receives the members that were frozen, lost or returned; None for no log.
+        events: the same with their ticks, for the recording.
+        ahead: the latest tick of a signal that came from ahead of a resumed environment.
     """
 
     def __init__(
@@ -196,14 +211,14 @@ class Members:
         resumes: bool,
         independent: bool = True,
     ) -> None:
-        """Everybody is active; in a session that goes on already everybody is rejoining, and let in by the ramp.
+        """All members are active; where the environment resumes a session, all are rejoining and join by the ramp.
 
         Args:
-            peer_links: the couplings, in the order of the core's blocks.
+            peer_links: the links to the couplings, in the order of the core's blocks.
             core: the environment.
-            rungs: by coupling, D_V of its rungs from 1 on.
+            rungs: by coupling, D_V of its rungs from 1 on, m_i x m_i, m/N.
             life: fails when a coupling floods its link.
-            resumes: whether the session goes on already.
+            resumes: whether the session runs already, and this process replaces one that was lost.
             independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         """
         self._core, self._rungs, self._independent = core, rungs, independent
@@ -232,16 +247,16 @@ class Members:
 
     @property
     def absences(self) -> int:
-        """Times that any of them was frozen or lost."""
+        """How often couplings were frozen or lost, in all."""
         return sum(member.membership.absences for member in self.all)
 
     @property
     def anybody_early(self) -> bool:
-        """Whether anybody has said what he has to say, of a tick that has not come."""
+        """Whether the signal of a later tick is kept for any coupling."""
         return any(member.early is not None for member in self.all)
 
     def hear(self, member: Member, p: Floats, tick: int, timeout: Duration) -> Received:
-        """Listen to one of them for its signal of ``tick``."""
+        """Listen to one member for its signal of ``tick``, at most ``timeout``, and put it into ``p``, m."""
         self._tick = tick
         early = member.early
         if early is not None and early[0] <= tick:
@@ -261,33 +276,33 @@ class Members:
         return received
 
     def give_up(self, member: Member, tick: int) -> None:
-        """It is silent while others are there: freeze it."""
+        """Freeze a member that is silent while the signals of others are there."""
         member.frozen_late += 1
         self._event(member, MembershipEvent.SILENT, tick)
 
     def exclude(self, member: Member, tick: int) -> None:
-        """It comes late again and again: freeze it. Its signal of ``tick`` is not answered, so that it pauses."""
+        """Freeze a member that is late again and again. Its signal of ``tick`` gets no answer, so that it pauses."""
         member.frozen_late += 1
         member.peer_link.tick = -1
         self._event(member, MembershipEvent.LATE, tick)
 
     def read_last(self, member: Member) -> None:
-        """It was waited for before the others were read, and nobody knows who else was late: read it last now."""
+        """Read ``member`` last from now on: as long as the node waits for it first, other late members go unseen."""
         self.order.remove(member)
         self.order.append(member)
 
     def pardon(self) -> None:
-        """Nobody has come for so long that those who were given up keep nobody waiting."""
+        """End all pauses: no signal has come for so long that a frozen member keeps no other waiting."""
         for member in self.all:
             member.membership.pardon()
 
     def forget(self) -> None:
-        """The devices have waited so long that they have let go, and have moved on unheard."""
+        """Take the next signals as first ones: the devices have let go meanwhile, and have moved without signals."""
         for member in self.all:
             member.peer_link.gate.forget()
 
     def let_go(self, tick: int) -> None:
-        """The devices have waited too long and exert no force by now: let everybody in by the ramp again."""
+        """Raise every force by the ramp again: the devices have waited too long, and exert no force by now."""
         for member in self.all:
             if member.membership.state is Membership.ACTIVE and member.wanted == member.rung:
                 self._core.clutches.freeze(member.index)
@@ -295,14 +310,14 @@ class Members:
         self.forget()
 
     def obey(self, word: Word, control: ControlLine, tick: int) -> None:
-        """Do as the supervisor says."""
+        """Follow a message of the supervisor: a change of rung, a peer that is lost, or a peer that is back."""
         if isinstance(word, Shift):
             member = self._of.get(word.node)
             if member is not None and word.rung <= len(self._rungs.get(word.node, ())):
                 member.wanted = word.rung
                 self._shifting = True
                 if member.wanted == member.rung and member.membership.state is Membership.ACTIVE:
-                    self._core.clutches.engage(member.index)  # had it been about to change
+                    self._core.clutches.engage(member.index)  # its ratio may be falling for a change now withdrawn
             return
         lost = follow(word, [member.peer_link for member in self.all], control)
         if lost is not None:
@@ -311,10 +326,11 @@ class Members:
             self._event(member, MembershipEvent.LOST, tick)
 
     def shift(self) -> None:
-        """After the forces of a tick were found and before they are sent: change rungs, where s has been 0 for two.
+        """Change the rung of each coupling that is to change and had s = 0 in the last two ticks.
 
-        A tick at s = 0 is not enough: the step to it of the force would be of one rung and its delay of another.
-        Where only a whole rung is certified, and no mixture, nobody changes before all who are to change rest.
+        The node calls this after the forces of a tick are found and before they are sent. One tick at s = 0 is not
+        enough: the force's step to 0 would then belong to one rung, and its delay to the next.
+        Where the certificate covers no mixture of rungs, no coupling changes before all that are to change rest.
         """
         if not self._shifting:
             return
@@ -328,7 +344,7 @@ class Members:
             return
         for member in resting:
             name = member.peer_link.peer.name
-            core.clutches.freeze(member.index)  # had it been about to join
+            core.clutches.freeze(member.index)  # it may have been about to join; only a frozen block is exchanged
             core.exchange(member.index, self._rungs[name][member.wanted - 1] if member.wanted else self._first(member))
             member.peer_link.say(Rung(member.wanted))
             if self.log is not None:
@@ -338,60 +354,64 @@ class Members:
         self._shifting = any(member.wanted != member.rung for member in self.all)
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """A signal of another tick: who is behind is told where the session is, if it may come again."""
+        """A coupling sent the signal of tick ``told``: answer again if it is behind, keep its signal if it is ahead.
+
+        A coupling that is behind and may rejoin receives a zero force of a later tick, and goes on after that tick.
+        """
         member = self._of[peer_link.peer.name]
         if told > awaited:
             return self._hear_ahead(member, told, awaited)
         if told == awaited - 1 and peer_link.tick == told:
-            peer_link.send_again()  # it was answered, and the answer was lost
+            peer_link.send_again()  # the answer was sent, and lost on its way
             return False
         if not self.active:
             member.membership.pardon()
         if self._event(member, MembershipEvent.BEHIND, awaited):
-            # not beyond the last tick: those who are active may wait for a device that waits for this one
+            # not beyond the last tick: an active coupling may wait for a device that waits for this coupling
             member.due = min(awaited + LEAD, self.last - 1) if self.last else awaited + LEAD
         if member.membership.state is Membership.REJOINING:
             peer_link.send_zero(Reaction, max(member.due, awaited) - 1)
         return False
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """A coupling has lost a device: it will be silent."""
+        """A coupling reports that it has lost a device: it will be silent, and is frozen."""
         if isinstance(message, Absent):
             member = self._of[peer_link.peer.name]
             self._event(member, MembershipEvent.PAUSES, self._tick)
-            if member.early is not None:  # it has no more to say: it need not wait until this one's turn has come
+            # its device is gone, so nothing follows the signal that is kept: release the coupling from that tick now
+            if member.early is not None:
                 peer_link.send_zero(Reaction, member.early[0])
                 member.early = None
             return True
         return False
 
     def flooded(self, text: str) -> None:
-        """A coupling floods its link: there is no telling its signals from the rest in time."""
+        """End the node: a coupling floods its link, and its signals cannot be told from other frames in time."""
         self._life.fail(text)
 
     def soonest(self, tick: int) -> int:
-        """The tick to wait at: ``tick``, or where nobody is awaited before, the first at which somebody is expected."""
+        """The tick to wait at: ``tick``, or the first tick of a rejoining member where no member is awaited before."""
         dues = [member.due for member in self.all if member.membership.state is Membership.REJOINING]
         return tick if self.active or self._resumes or not dues else max(tick, min(dues))
 
     def catch_up(self, tick: int) -> None:
-        """A resumed environment goes on at ``tick``: who has said less is told so."""
+        """A resumed environment goes on at ``tick``: send every coupling that is behind a zero force up to there."""
         for member in self.all:
             if 0 <= member.peer_link.tick < tick:
                 member.peer_link.send_zero(Reaction, tick - 1)
 
     def resumed(self) -> None:
-        """From now on the ticks are the environment's."""
+        """The first tick of a resumed environment is complete: from now on it counts the ticks itself."""
         self._resumes = False
 
     def _hear_ahead(self, member: Member, told: int, awaited: int) -> bool:
-        """A signal of a later tick, from who was told to go on there: it is kept until then."""
+        """Keep the signal of a later tick until that tick, where the coupling was sent on to it."""
         membership = member.membership
         if membership.state is Membership.ACTIVE or membership.pauses(awaited) or told - awaited > MOST_AHEAD:
             return False
         self._event(member, MembershipEvent.AHEAD, awaited)
         member.early, member.due = (told, member.peer_link.other_frame), told
-        member.peer_link.gate.dropped["future_tick"] -= 1  # it was counted as a stray, and is none
+        member.peer_link.gate.dropped["future_tick"] -= 1  # the gate counted it as a stray frame, which it is not
         if self._resumes:
             self.ahead = max(self.ahead, told)
         return True
@@ -399,18 +419,19 @@ class Members:
     def _activated(self, member: Member, tick: int) -> bool:
         """Whether its signal of ``tick`` activates it."""
         if member.membership.state is Membership.REJOINING and tick < member.due:
-            member.peer_link.tick = -1  # said before it heard that it is to go on later, as it does
+            # sent before the coupling received the zero force that sends it on to a later tick
+            member.peer_link.tick = -1
             return False
         if member.membership.pauses(tick):
-            member.peer_link.tick = -1  # nobody waits for it; it says so again when the pause is over
+            member.peer_link.tick = -1  # ignored; the coupling sends it again, also after the pause
             return False
-        # otherwise it changes its rung first
+        # where another rung is wanted the clutch stays open: the rung is changed first
         if self._event(member, MembershipEvent.SIGNAL, tick) and member.wanted == member.rung:
             self._core.clutches.engage(member.index)
         return True
 
     def _welcome_back(self, member: Member, tick: int) -> None:
-        """It has shaken hands again: whether it is a new process, at the first rung, or the old one is all the same."""
+        """A coupling has shaken hands again: it begins at rung 0, whether its process is a new one or the old one."""
         hello = member.peer_link.hello
         name = member.peer_link.peer.name
         if hello is None or feedthrough_digest(hello.feedthrough or ()) != self._digests.get(name):
@@ -430,40 +451,30 @@ class Members:
         return self._feedthrough[member.peer_link.peer.name]
 
     def know(self, feedthrough: Mapping[str, Values], digests: Mapping[str, str]) -> None:
-        """By coupling: D_V of rung 0 of those that have said it, and the digest by which each is known."""
+        """Take what the handshakes and the bundle say of rung 0.
+
+        Args:
+            feedthrough: by coupling, D_V, m_i x m_i, m/N; couplings that were absent are missing.
+            digests: by coupling, the digest of the D_V that it must have.
+        """
         self._feedthrough, self._digests = dict(feedthrough), dict(digests)
 
     def _event(self, member: Member, event: MembershipEvent, tick: int) -> bool:
-        was_seated = member.membership.state is Membership.ACTIVE
+        was_active = member.membership.state is Membership.ACTIVE
         if not member.membership.on(event, tick):
             return False
         if member.membership.state is Membership.ACTIVE:
             self.events.activate(tick, member.peer_link.peer.name)
-        elif was_seated:
+        elif was_active:
             self.events.freeze(tick, member.peer_link.peer.name)
         if self.log is not None and (noted := _NOTED.get(member.membership.state)) is not None:
             self.log.note(noted, peer=member.peer_link.peer.name, tick=tick, heard=event.value)
         if member.membership.state is not Membership.ACTIVE:
             self._core.clutches.freeze(member.index)
-            member.peer_link.gate.forget()  # it is let in from where it is then
+            member.peer_link.gate.forget()  # it joins from wherever it is then, so its next signal has no step bound
         self._sort()
         return True
 
     def _sort(self) -> None:
         self.active = [member for member in self.all if member.membership.state is Membership.ACTIVE]
         self.all_active = len(self.active) == len(self.all)
-
-
-_NOTED = {Membership.FROZEN: LogEvent.FROZEN, Membership.GONE: LogEvent.LOST, Membership.ACTIVE: LogEvent.RETURNED}
-
-MOST_AHEAD = 2**16
-"""Ticks by which a signal that is kept may be ahead: far more than pass between two telemetries.
-
-By those a resumed environment begins.
-"""
-
-LEAD = 3
-"""Ticks that a coupling is given to come back in: nobody waits for it in them.
-
-More than a device waits for its force, with the first tick's own, and it would have let go again meanwhile.
-"""

@@ -1,14 +1,16 @@
-"""A model of somebody else's making as the environment: how it is named, made, and asked.
+"""A user's own model as the environment: how a session names it, how it is made, and how it is asked for forces.
 
-A session names a factory, "package.module:function", that is importable where the environment runs. It is called once
-with the ports, the period and the session's parameters, and what it returns is asked for forces once a tick.
+A session names a factory, "package.module:function", that is importable where the environment runs. The environment
+calls the factory once with the ports, the period and the session's parameters. It asks the model that the factory
+returns for forces once a tick.
 
-**It is trusted code.** It runs in the environment's process with that process's rights, and nothing here confines it:
-whoever starts a session that names a model runs its code. It is handed no key, no socket and nothing of the session but
-what stands in the factory's arguments. What is not trusted is what it computes: an exception, or forces of a wrong
-shape, not finite or beyond :data:`MOST_FORCE`, end the session with the model's name, and no such force reaches a port.
-A model that does not return holds up its ticks; devices then let go by themselves, as for every environment that is
-late.
+**The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
+confines it: to start a session that names a model is to run the model's code. It receives no key and no socket, and of
+the session only the factory's arguments.
+
+**The forces of the model are not trusted.** An exception ends the session with the model's name. So do forces of a
+wrong shape, not finite, or beyond :data:`MOST_FORCE`, and no such force reaches a port. A model that does not return
+holds up its ticks; devices then let go by themselves, as for every environment that is late.
 """
 
 from __future__ import annotations
@@ -27,45 +29,45 @@ from manyhands.nodes.lifetime import Stopped
 Vector = NDArray[np.float64]
 
 MOST_FORCE = 1e9
-"""N; a model's force beyond it is a mistake, and squares of it are still exact enough for a ledger."""
+"""The greatest force of a model, N. Beyond it a force is a mistake; its square is still exact enough for a ledger."""
 
 FACTORY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-"""What the name of a factory looks like: package.module:function."""
+"""The form of a factory's name: package.module:function."""
 
 
 class EnvironmentModel(Protocol):
-    """What the environment's process asks of a model."""
+    """The interface of a model."""
 
     def react(self, x_e: Vector, k: int) -> Any:
         """The forces f_v(k) that the model wants to exert on the hands, N.
 
         Args:
-            x_e: where the tools are going to be at this tick, m, one entry a port: p + D_V f_v(k-1). The
-                model's to keep.
+            x_e: the predicted tool positions of this tick, p + D_V f_v(k-1), m, one entry for each port. The model may
+                keep the array.
             k: the tick, counted from 0 since the model was made.
 
         Returns:
-            One number a port, anything that numpy makes m finite floats of. A spring of stiffness c to the origin
-            returns -c * x_e.
+            One number for each port, in any form that numpy converts to m finite floats. A spring of stiffness c to
+            the origin returns -c * x_e.
         """
         ...
 
 
 class ModelError(ValueError):
-    """A model cannot be made; names it and says what is wrong."""
+    """A model cannot be made; the message names it and the reason."""
 
 
 class ModelFailure(Exception):
-    """A model gave no usable answer; names it and says at which tick, what was found, and what would be right."""
+    """A model gave no usable answer; the message names it, the tick, what was found and what was expected."""
 
 
 @dataclass(frozen=True)
 class ModelName:
-    """Which model a session wants.
+    """The model that a session names.
 
     Attributes:
         factory: "package.module:function".
-        parameters: handed to it, plain data.
+        parameters: the factory's third argument, plain data.
 
     Raises:
         ValueError: the factory's name does not have that form.
@@ -80,18 +82,18 @@ class ModelName:
 
 
 def make_model(name: ModelName, ports: tuple[str, ...], T: float) -> EnvironmentModel:
-    """Import a factory and have it make the model of these ports with the period T (s).
+    """Import a factory and call it for the model of these ports with the period T (s).
 
     Raises:
-        ModelError: it cannot be imported, it fails, or what it makes cannot be asked.
+        ModelError: the factory cannot be imported or fails, or its result has no method ``react``.
     """
     module, _, function = name.factory.partition(":")
     try:
         factory = getattr(importlib.import_module(module), function)
         model = factory(ports, T, dict(name.parameters))
     except Stopped:
-        raise  # somebody ends the process meanwhile
-    except (Exception, SystemExit) as error:  # foreign code: whatever it raises is told, with its name
+        raise  # the process is to end; this is no failure of the model
+    except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the model's name
         raise ModelError(
             f"the model {name.factory} cannot be made: found {_told(error)}; expected a factory of (ports, period, "
             "parameters) on Python's import path"
@@ -106,32 +108,32 @@ def make_model(name: ModelName, ports: tuple[str, ...], T: float) -> Environment
 
 
 class AskedModel:
-    """A model and the checks on what it answers.
+    """A model and the checks on its answers.
 
     Attributes:
-        failure: what was wrong with its first bad answer; it is not asked again.
+        failure: what was wrong with its first bad answer, after which it is not asked again; None before.
     """
 
     def __init__(self, name: str, model: EnvironmentModel, ports: tuple[str, ...]) -> None:
-        """Ask ``model``, called ``name``."""
+        """Ask ``model``, which messages call ``name``, for the forces at ``ports``."""
         self._name, self._ports = name, ports
         self._react: Callable[[Vector, int], Any] = model.react
         self._none = np.zeros(len(ports))
         self.failure: str | None = None
 
     def forces(self, x_e: Vector, k: int) -> Vector:
-        """The model's forces at x_e, m, which is the model's from now on; N, zero once it has failed."""
+        """The model's forces at x_e, N; zero once it has failed. The model may keep the array ``x_e``, m."""
         if self.failure is not None:
             return self._none
         try:
-            # a copy of m numbers: the model may change what it has returned
+            # a copy: the model may change the array that it has returned
             f = np.array(self._react(x_e, k), dtype=np.float64)
         except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code: no exception of its may end the loop unnamed
             return self._failed(k, _told(error), "forces in N")
         m = len(self._ports)
         if f.shape != (m,):
             return self._failed(k, f"an answer of the shape {f.shape}", f"{m} forces, one a port")
-        # also refuses what is not a number
+        # written with not: a comparison with NaN is false, so NaN is refused as well
         if not np.abs(f).max() <= MOST_FORCE:
             port = int(np.argmin(np.abs(f) <= MOST_FORCE))
             found = f"a force of {f[port]:g} N at {self._ports[port]}"
@@ -144,7 +146,7 @@ class AskedModel:
 
 
 def _told(error: BaseException) -> str:
-    """An exception in a line of bounded length; its text is the model's, and may be anything."""
+    """An exception in one line of bounded length; its text comes from the model, and may be anything."""
     try:
         text = str(error)
     except Exception:  # noqa: BLE001 -- a text that cannot be made must not hide that there was an error

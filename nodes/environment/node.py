@@ -1,11 +1,11 @@
-"""The environment's process: p of every coupling in, f_v of its own ports to each out.
+"""The environment's process: it receives p of every coupling, and sends each coupling f_v of its own ports.
 
-In a tick it waits for those couplings that are awaited (:mod:`manyhands.nodes.environment.membership`), solves,
-answers. As long as everybody is there that is one receive and one send for each, and nothing else.
+In a tick the node waits for the active couplings (:mod:`manyhands.nodes.environment.membership`), solves for the
+forces, and answers. As long as all couplings are in time, a tick is one receive and one send for each, and nothing
+else. When a signal is missing, :mod:`manyhands.nodes.environment.deadline` decides how long the node waits for it.
 
-What the environment keeps of its ticks: where tools and masses were, its ledger, and when it tells of them.
-
-Rows hold the lists that the core has made anyway; what costs is done once in ``telemetry_ticks`` ticks.
+:class:`EnvironmentTelemetry` keeps the positions of tools and masses and the ledger of each tick. Its rows hold the
+lists that the core has made anyway; arrays are made and sent once in ``telemetry_ticks`` ticks.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class EnvironmentTelemetry:
         self.ticks = 0
 
     def tick(self, tick: int, core: Core) -> None:
-        """``core`` has settled ``tick``."""
+        """Keep the row of ``tick``, which ``core`` has settled."""
         row, ledger = self._filled, core.ledger
         self._tools[row], self._masses[row] = core.tools, core.masses
         self._energy[row] = 0.0 if ledger is None else ledger.total
@@ -58,7 +58,7 @@ class EnvironmentTelemetry:
 
     @property
     def due(self) -> bool:
-        """Whether there are as many rows as a telemetry has."""
+        """Whether the rows fill a telemetry message."""
         return self._filled == self._rows
 
     def publish(
@@ -69,12 +69,12 @@ class EnvironmentTelemetry:
         late: Mapping[str, list[int]],
         events: TickEvents,
     ) -> bool:
-        """Telemetry of the ticks since the last; whether there are any.
+        """Send the telemetry of the ticks since the last one; returns whether there were any.
 
         Args:
             control: the line to the supervisor.
             core: the environment.
-            figures: what is told besides.
+            figures: further figures of the telemetry.
             late: by coupling, the ticks since the last telemetry in which it was late.
             events: what happened since the last telemetry.
         """
@@ -92,8 +92,8 @@ class EnvironmentTelemetry:
         return True
 
 
-_TURN = from_seconds(0.001)  # for one of them, when several are waited for
-_GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits before it asks again
+_TURN = from_seconds(0.001)  # the wait for one coupling where several are missing
+_GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits before it sends its signal again
 
 
 class EnvironmentNode:
@@ -118,15 +118,17 @@ class EnvironmentNode:
         self.members: Members | None = None
         self._account = EnvironmentTelemetry(bundle.common)
         self._frozen_ticks = 0
-        self._passed: tuple[Member, ...] = ()  # who was waited for in this tick before all others were read
-        covered = from_seconds(bundle.longest_tau or bundle.common.period)  # where nothing is covered, nothing is lost
+        self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
+        # without a covered delay no certificate can be lost by a longer allowance, so the period serves
+        covered = from_seconds(bundle.longest_tau or bundle.common.period)
         self._late = LateArrivals(len(bundle.common.peers), self._period, allowance(self._period, covered))
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
 
         Raises:
-            HandshakeRefused: also where a coupling says another D_V than the certificate's.
+            HandshakeRefused: the two ends disagree, or a coupling's D_V is not the one of the certificate.
+            HandshakeTimeout: a coupling has not finished its handshake in time.
         """
         admits = {peer.name: Tool for peer in self._common.peers}
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
@@ -134,7 +136,7 @@ class EnvironmentNode:
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
         for peer_link in self.peer_links:
-            if peer_link.link is None:  # absent; it says its D_V when it comes
+            if peer_link.link is None:  # absent; its hello brings D_V when it comes
                 continue
             self._require_feedthrough(hellos[peer_link.peer.name])
             ports = np.arange(m)[peer_link.indices]
@@ -153,7 +155,16 @@ class EnvironmentNode:
             )
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks, paced by the couplings."""
+        """Run the ticks, paced by the couplings, until the session's last tick or the end of the node's life.
+
+        Args:
+            start: first tick, number of ticks and epoch.
+            life: whether the node should still run.
+            control: the line to the supervisor.
+
+        Raises:
+            ValueError: :meth:`establish` was not called before.
+        """
         core = self.core
         if core is None:
             raise ValueError("the environment was started before its handshakes")
@@ -165,7 +176,7 @@ class EnvironmentNode:
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
-        # not before the first tick is due: devices are not silent until then
+        # the first wait begins with the epoch: before it devices send nothing, and silence has no meaning
         epoch, period = start.epoch, self._period
         tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
         self._due = now
@@ -181,12 +192,13 @@ class EnvironmentNode:
                 if found != tick:
                     self._publish(control, core, members)  # rows follow each other
                     tick, self._due = found, clock.now()
-                if tick > start.tick:  # whoever returns comes when it can: the wait is not the others' delay
+                if tick > start.tick:
+                    # a coupling that returns in this tick cannot be in time: the others waited, but it is not charged
                     late.gone(tick, [member.index for member in members.active if member.membership.since == tick])
                 now = clock.now()
             else:
                 now = members.order[-1].arrived
-            if stale is not None and now - self._due > late.allowance:  # else nobody was late
+            if stale is not None and now - self._due > late.allowance:  # otherwise no coupling was late
                 self._judge(members, tick, self._due - answered < CROSSING * period)
             if stale is not None and now - answered > stale:
                 members.let_go(tick)
@@ -197,8 +209,8 @@ class EnvironmentNode:
             for member in members.active:
                 member.peer_link.send(Reaction, tick, member.peer_link.gate.stamp, f)
             answered = now
-            self._due = now + (epoch - now) % period
-            give_way()
+            self._due = now + (epoch - now) % period  # the next multiple of T, at which devices sample
+            give_way()  # ZeroMQ's thread sends the forces first; what does not depend on them is done after
             core.settle()
             self._frozen_ticks += not members.all_active
             account.tick(tick, core)
@@ -210,7 +222,11 @@ class EnvironmentNode:
             self._say_goodbye(members, p, tick)
 
     def _say_goodbye(self, members: Members, p: Floats, tick: int) -> None:
-        """The session is over: who is frozen is told so, if it asks soon, and ends with the others."""
+        """Answer the frozen couplings after the last tick, for a short time, so that they end with the others.
+
+        A frozen coupling sends its signal again and again until it is answered. The zero force of the last tick is the
+        answer after which it ends; without it the coupling would wait for ticks that never come.
+        """
         end = self._clock.now() + _GOODBYE
         behind = [
             member
@@ -225,7 +241,7 @@ class EnvironmentNode:
                 member.peer_link.send_zero(Reaction, tick - 1)
 
     def _all_heard(self, members: Members, p: Floats, tick: int) -> bool:
-        """The ordinary tick: everybody's signal, one after the other; False as soon as one does not come."""
+        """Read the signals of an ordinary tick, one after the other; returns False at the first that does not come."""
         turn, clock = self._timeouts.turn, self._clock
         for member in members.order:
             if members.hear(member, p, tick, turn) is not Received.SIGNAL:
@@ -235,9 +251,11 @@ class EnvironmentNode:
         return True
 
     def _pass_over(self, absent: Member, members: Members, p: Floats, tick: int) -> None:
-        """One does not come: read the others, who count as there since its turn came, and it last from now on.
+        """Read the members after ``absent`` at once, and read ``absent`` last from now on.
 
-        Where it was the first, nobody knows since when the others are there; they are not known to have waited.
+        A member read after it may have been there for as long as the node waited for ``absent``. So its signal counts
+        as there since the one before ``absent`` was read. Where ``absent`` was the first to be read, the node cannot
+        know how long the others have waited: then the tick counts as due only now.
         """
         at = members.order.index(absent)
         if at == 0:
@@ -250,43 +268,45 @@ class EnvironmentNode:
         self._passed = (absent,)
 
     def _judge(self, members: Members, tick: int, crossed: bool) -> None:
-        """Somebody came late: charge who did, freeze who does so again and again, and read the latest last."""
+        """Charge the members that were late, freeze those that are late again and again, and read the latest last."""
         late = self._late
         arrivals = [
             (member.arrived, member.index) for member in members.order if member.membership.state is Membership.ACTIVE
         ]
         if not arrivals:
             return
-        arrivals.sort(key=lambda arrival: arrival[0])  # of equal instants, the one that was read first
+        arrivals.sort(key=lambda arrival: arrival[0])  # stable: of equal instants the one that was read first is first
         for member in members.active:
             late.begin(member.index, member.membership.since)
         for index in late.judge(tick, self._due, crossed, arrivals):
             members.exclude(members.all[index], tick)
-        # who was read at once is not known to be early, and keeps its turn behind those who are
+        # a signal that was read at once may have come at any time before, so such members keep their order
         least = AT_ONCE * self._period
         members.order.sort(key=lambda member: max(least, late.added[member.index]))
 
     def _wait(
         self, members: Members, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
     ) -> int | None:
-        """Wait for the awaited, listen to the others, give up who is silent while others are there.
+        """Wait until no awaited coupling is missing; listen to the others as well, and freeze those that stay silent.
 
-        When to do what is decided by :mod:`manyhands.nodes.environment.deadline`.
+        Each round looks who is missing, lets :mod:`manyhands.nodes.environment.deadline` decide, and acts on the
+        decision. Every wait of a round is short: a message of the supervisor or a coupling that comes back may change
+        in any round who is awaited, and even the tick.
 
         Args:
             members: the couplings.
-            p: where the signals of the tick are put.
+            p: where the signals of the tick are put, m.
             tick: k.
             began: when the tick before was answered.
             life: whether the node should still run.
             control: the line to the supervisor.
 
         Returns:
-            The tick for which everybody has sent its signal; another than ``tick`` for an environment that resumes.
-            None if the node should end.
+            The tick for which every awaited coupling has sent its signal. It is later than ``tick`` where an
+            environment resumes, or where no coupling was awaited before. None if the node should end.
         """
         deadline = Deadline(self._timeouts, self._period, Instant(self._due), began)
-        awaited = set(self._passed)  # in this tick
+        awaited = set(self._passed)  # every member that this tick has waited for, those lost since included
         while not life.stopping:
             missing = [member for member in members.order if member.missing(tick)]
             present = any(member.peer_link.tick == tick for member in members.all)
@@ -317,36 +337,39 @@ class EnvironmentNode:
                     anybody = self._listen(members, p, tick, missing, now if present else None)
                     deadline.listened = True
                     if anybody and members.ahead > tick:
+                        # a resumed environment began at the last telemetry; its couplings are further on, and are right
                         tick = members.ahead
                         deadline.restart(now)
                         awaited.clear()
                         members.catch_up(tick)
-                    elif not (anybody or present):  # wait for what the supervisor reports
+                    elif not (anybody or present):  # no peer is left: only the supervisor can report that one is back
                         word = control.listen(self._timeouts.look)
                         if word is not None:
                             members.obey(word, control, tick)
         return None
 
     def _listen(self, members: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
-        """Listen once to everybody whose signal of ``tick`` is not there, to those who are missing first.
+        """Listen once to every coupling whose signal of ``tick`` is not there, to the missing ones first.
+
+        Only the first coupling is waited for. By the end of that wait the signals of the others can be read at once.
 
         Args:
             members: the couplings.
-            p: where the signals of the tick are put.
+            p: where the signals of the tick are put, m.
             tick: k.
-            missing: those who are waited for.
-            since: since when somebody is known to be there; None where nobody is.
+            missing: the couplings that are waited for.
+            since: the present time where the signal of any coupling is there; None where none is.
 
         Returns:
-            Whether there was anybody to listen to.
+            Whether there was any coupling to listen to.
         """
         turn, anybody = _TURN if missing or since is None else NOT_AT_ALL, False
         for member in (*missing, *members.all):
             peer_link = member.peer_link
             if not peer_link.reachable or (peer_link.tick == tick and peer_link.here):
-                continue  # a coupling that has sent its signal and is lost since may be on its way back
+                continue  # nothing to read; but a coupling that was lost after its signal may be shaking hands anew
             if members.hear(member, p, tick, turn) is Received.SIGNAL:
-                # after the turn of another coupling it counts as there since that turn began
+                # a signal read after the wait for a different coupling counts as there since that wait began
                 member.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
             turn, anybody = NOT_AT_ALL, True
             if members.ahead > tick:
@@ -354,7 +377,7 @@ class EnvironmentNode:
         return anybody
 
     def report(self) -> Report:
-        """Ticks, ledger, how often couplings were frozen, and what each made the others wait."""
+        """Ticks, ledger, how often couplings were frozen, and how long each made the others wait."""
         members = self.members
         lateness = self._lateness(members)
         return Report(
@@ -370,7 +393,7 @@ class EnvironmentNode:
         )
 
     def _lateness(self, members: Members | None) -> dict[str, names.CouplingLateness]:
-        """By coupling, of those that made the others wait."""
+        """The lateness of each coupling that made the others wait, by its name."""
         late, all_ = self._late, () if members is None else members.all
         return {
             member.peer_link.peer.name: names.CouplingLateness(

@@ -1,9 +1,9 @@
-"""What the rest of the program may ask of a transport, whichever it is.
+"""The interface of a transport, the same for every implementation.
 
-A :class:`Link` joins exactly two nodes and carries one frame each way a tick; the :class:`Hub` is the
-supervisor's end of a star, told apart by identity. Sending never blocks: a loop that paces a hand cannot
-wait for a slow reader, so a full queue is an answer (``False``), not a delay. All implementations pass the
-same tests (``tests/protocol/transport/test_transport.py``). A link or a hub is used by one thread.
+A :class:`Link` joins exactly two nodes and carries one frame each way in a tick. A :class:`Hub` is the supervisor's end
+of a star of connections, which it distinguishes by identity. Sending never blocks: a loop that paces a hand cannot wait
+for a slow reader, so a full queue is an answer (``False``) and not a delay. All implementations pass the same tests
+(``tests/protocol/transport/test_transport.py``). A link or a hub is used by one thread.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -16,11 +16,11 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_NAME, MAX_SOCKET_PA
 
 
 class TransportError(Exception):
-    """An endpoint cannot be used as asked: what was found, and what would be right."""
+    """An endpoint cannot be used as asked; the message states what was found and what was expected."""
 
 
 class Trouble(StrEnum):
-    """What can go wrong with a connection, in words for a person."""
+    """The failures of a connection, in words for a person."""
 
     NOBODY = "nobody listens there"
     NOT_ADMITTED = "the other side does not admit this key"
@@ -33,39 +33,39 @@ class Link(Protocol):
     """One end of a connection between two processes. Frames keep their borders and their order."""
 
     def send(self, frame: bytes) -> bool:
-        """Queue a frame and return at once; False if it cannot be queued (nobody there yet, or it is full).
+        """Queue a frame and return at once; False if it cannot be queued: no peer is there yet, or the queue is full.
 
         Raises:
-            ValueError: if the frame is longer than ``MAX_CONTROL_BYTES``.
-            TransportError: if the link is closed.
+            ValueError: the frame is longer than ``MAX_CONTROL_BYTES``.
+            TransportError: the link is closed.
         """
         ...
 
     def recv(self, timeout: Duration | None) -> bytes | None:
         """The next frame, or None if none came within ``timeout``.
 
-        The timeout is rounded up to whole ms; 0 means not to wait, None to wait for ever. An exception
-        raised by a signal handler gets through.
+        The timeout is rounded up to whole ms; 0 means not to wait, None to wait without an end. An exception of a
+        signal handler is raised through this call.
 
         Raises:
-            TransportError: if the link is closed.
+            TransportError: the link is closed.
         """
         ...
 
     def trouble(self) -> Trouble | None:
-        """What is known to have gone wrong with the connection; None while nothing is.
+        """The known failure of the connection; None without one.
 
-        Only the connection to a hub over a network is watched so closely: there nobody else tells of a loss.
+        Only the connection to a hub over a network is watched so closely: there no supervisor reports a loss.
         """
         ...
 
     def close(self) -> None:
-        """Close this end; frames on their way still leave. A second time does nothing."""
+        """Close this end; frames on their way still leave. A second call does nothing."""
         ...
 
 
 class Hub(Protocol):
-    """The one end of a star of connections."""
+    """The central end of a star of connections."""
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -74,7 +74,7 @@ class Hub(Protocol):
 
     @property
     def handled(self) -> int:
-        """Messages read, whether passed on or dropped."""
+        """The number of messages read, whether passed on or dropped."""
         ...
 
     def recv(self) -> tuple[str, bytes] | None:
@@ -83,7 +83,7 @@ class Hub(Protocol):
         None may also mean that many messages in a row were dropped; :meth:`wait` then returns at once.
 
         Raises:
-            TransportError: if the hub is closed.
+            TransportError: the hub is closed.
         """
         ...
 
@@ -91,42 +91,53 @@ class Hub(Protocol):
         """Queue a frame for ``identity`` and return at once; False if it is not there or its queue is full.
 
         Raises:
-            ValueError: if the frame is longer than ``MAX_CONTROL_BYTES``.
-            TransportError: if the hub is closed.
+            ValueError: the frame is longer than ``MAX_CONTROL_BYTES``.
+            TransportError: the hub is closed.
         """
         ...
 
     def forget(self, identity: str) -> None:
-        """Let another connection have the name ``identity``, which otherwise stays with the first that had it."""
+        """Free the name ``identity`` for a new connection; otherwise it stays with the first one that had it."""
         ...
 
     def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         """Wait until there is a frame, or one of ``fds`` is readable or hung up, or ``timeout`` has passed.
 
-        Without ``frames``, frames are left where they are. Returns those of ``fds`` that are ready. An exception
-        raised by a signal handler gets through.
+        An exception of a signal handler is raised through this call.
+
+        Args:
+            timeout: the longest wait; None for no end.
+            fds: file descriptors to wait for as well.
+            frames: whether a frame ends the wait; no frame is read in any case.
+
+        Returns:
+            The file descriptors of ``fds`` that are ready.
 
         Raises:
-            TransportError: if the hub is closed.
+            TransportError: the hub is closed.
         """
         ...
 
     def close(self) -> None:
-        """Close it; frames on their way still leave. A second time does nothing."""
+        """Close the hub; frames on their way still leave. A second call does nothing."""
         ...
 
 
 class Transport(Protocol):
-    """Makes links and hubs of one kind, and cleans up after all it has made."""
+    """Makes links and hubs of one kind, and closes all that it has made."""
 
     def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
-        """A link that ``peer`` alone may connect to, and the endpoint to tell it. ``name`` is used once.
+        """Bind a link to which ``peer`` alone may connect; returns it and its endpoint.
 
-        Where the transport has keys, that is enforced by them. ``address`` (host:port) is for TCP; without it, any
-        free port of the loopback.
+        Where the transport has keys, they enforce that.
+
+        Args:
+            name: the name of the endpoint, which is used once.
+            peer: the name of the peer.
+            address: host:port for TCP; empty for any free port of the loopback.
 
         Raises:
-            TransportError: if the endpoint cannot be bound, or there is no key of ``peer``.
+            TransportError: the endpoint cannot be bound, or there is no key of ``peer``.
         """
         ...
 
@@ -134,14 +145,14 @@ class Transport(Protocol):
         """The other end of a link that ``peer`` has bound.
 
         Raises:
-            TransportError: if ``endpoint`` is none of this transport's, or there is no key of ``peer``.
+            TransportError: ``endpoint`` is none of this transport, or there is no key of ``peer``.
         """
         ...
 
     def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
-        """A link on which this end speaks and is never spoken to: as :meth:`bind`, but for a peer that comes and goes.
+        """Bind a send-only link, as :meth:`bind`, for a peer that may come and go.
 
-        To receive on it raises TransportError, and what a peer writes to it nevertheless is neither read nor kept.
+        To receive on it raises TransportError. Frames of the peer are neither read nor kept.
 
         Raises:
             TransportError: as :meth:`bind`.
@@ -157,27 +168,32 @@ class Transport(Protocol):
         ...
 
     def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
-        """A hub that ``members`` may join, and the endpoint to tell them. ``name`` is used once.
+        """Bind a hub that ``members`` may join; returns it and its endpoint.
+
+        Args:
+            name: the name of the endpoint, which is used once.
+            members: the names of the processes that may join.
+            address: host:port for TCP; empty for any free port of the loopback.
 
         Raises:
-            TransportError: if the endpoint cannot be bound, or there is no key of a member.
+            TransportError: the endpoint cannot be bound, or there is no key of a member.
         """
         ...
 
     def join(self, endpoint: str, identity: str) -> Link:
-        """A link to a hub, which knows it as ``identity``.
+        """A link to a hub, which knows this end as ``identity``.
 
         Raises:
-            TransportError: if ``endpoint`` is none of this transport's, or ``identity`` is no name.
+            TransportError: ``endpoint`` is none of this transport, or ``identity`` is no valid name.
         """
         ...
 
     def settle(self) -> None:
-        """All peers are here: from now on receiving is for frames alone, and :meth:`attend` for whoever knocks."""
+        """Note that all peers are connected: from now on only :meth:`attend` answers connection requests."""
         ...
 
     def attend(self) -> None:
-        """Answer those who ask to be let in and count those who were not: bounded work, for a loop's slack."""
+        """Answer connection requests, and count the refused ones: bounded work, for the slack of a loop."""
         ...
 
     def refused(self) -> Mapping[str, int]:
@@ -185,7 +201,7 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Close all, wait at most ``LINGER_MS`` for frames on their way, leave no file and no thread."""
+        """Close everything: wait at most ``LINGER_MS`` for frames on their way, leave no file and no thread."""
         ...
 
 
@@ -193,18 +209,17 @@ def require_sendable(frame: bytes) -> None:
     """Refuse a frame that every receiver would drop.
 
     Raises:
-        ValueError: if it is longer than ``MAX_CONTROL_BYTES``.
+        ValueError: the frame is longer than ``MAX_CONTROL_BYTES``.
     """
     if len(frame) > MAX_CONTROL_BYTES:
         raise ValueError(f"found a frame of {len(frame)} bytes; expected at most {MAX_CONTROL_BYTES}")
 
 
 def require_name(name: str) -> None:
-    """Refuse what cannot be part of an endpoint, or an identity.
+    """Refuse a name that cannot be an identity or part of an endpoint.
 
     Raises:
-        TransportError: if it is empty, too long, not ASCII, or has a character that means something in a
-        path.
+        TransportError: the name is empty, too long, not ASCII, or has a character with a meaning in a path.
     """
     plain = name.isascii() and name.isprintable() and not set(name) & set("/\\*@: ")
     if not (plain and 1 <= len(name) <= MAX_NAME and name not in {".", ".."}):
@@ -214,10 +229,10 @@ def require_name(name: str) -> None:
 
 
 def require_path(path: Path) -> None:
-    """Refuse what cannot be the path of a Unix-domain socket.
+    """Refuse a path that no Unix-domain socket can have.
 
     Raises:
-        TransportError: if it is too long.
+        TransportError: the path is too long.
     """
     length = len(bytes(path))
     if length > MAX_SOCKET_PATH:
@@ -228,7 +243,7 @@ def require_path(path: Path) -> None:
 
 
 def milliseconds(timeout: Duration | None) -> int:
-    """A timeout as polling calls take it: whole ms rounded up, -1 for ever, at most 2³¹ - 1 (24 days)."""
+    """A timeout in the form of polling calls: whole ms rounded up, -1 for no end, at most 2³¹ - 1 (24 days)."""
     if timeout is None:
         return -1
     return min(max(-(-timeout // 1_000_000), 0), 2**31 - 1)

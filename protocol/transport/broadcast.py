@@ -1,8 +1,8 @@
-"""Where a running session can be looked at, by anybody who may enter its directory: one speaks, any number listen.
+"""The broadcast of a running session: the supervisor sends, and any process that may enter its directory receives.
 
-ZeroMQ's PUB and SUB, one way. A visitor comes and goes as it likes and says nothing; one that does not read misses what
-finds no room in its queue, and nobody waits for it. What is shown is all there is: whoever may see less is an observer
-with keys (:mod:`manyhands.launch.run.broadcast`), not a visitor.
+It uses ZeroMQ's PUB and SUB, one way. A visitor may come and go at any time, and sends nothing. A visitor that does not
+read misses the frames for which its queue has no room, and no process waits for it. Visitors see everything; a process
+that may see less is an observer with keys (:mod:`manyhands.launch.run.broadcast`).
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from manyhands.protocol.transport.zeromq import failed
 BROADCAST: Final = "gallery"
 """The socket's name in its session's directory."""
 
-_FAREWELL_MS: Final = 200  # how long the last word may take to visitors; one that is stopped makes it that long
+_FAREWELL_MS: Final = 200  # the longest wait for visitors to take the last frames; a stopped visitor makes it that long
 
 
 class Broadcast:
-    """The end that speaks."""
+    """The sending end of a broadcast."""
 
     def __init__(self, directory: Path) -> None:
-        """Open it in ``directory``, which exists and which only the session's user may enter.
+        """Open the broadcast in ``directory``, which exists and which only the session's user may enter.
 
         Raises:
             TransportError: the socket cannot be bound there, or this process may not open enough files.
@@ -47,33 +47,33 @@ class Broadcast:
             raise failed(f"bind {self._path}", error) from error
 
     def show(self, frame: bytes) -> None:
-        """Show a frame to whoever is there, and return at once.
+        """Send a frame to every visitor, and return at once.
 
         Raises:
-            ValueError: if the frame is longer than ``MAX_CONTROL_BYTES``.
-            TransportError: if it is closed.
+            ValueError: the frame is longer than ``MAX_CONTROL_BYTES``.
+            TransportError: the broadcast is closed.
         """
         require_sendable(frame)
         try:
-            self._socket.send(frame, zmq.NOBLOCK)  # PUB drops for whom its queue is full
+            self._socket.send(frame, zmq.NOBLOCK)  # PUB drops the frame for a visitor whose queue is full
         except zmq.ZMQError as error:
             raise failed(f"show at {self._path}", error) from error
 
     def close(self) -> None:
-        """Close it, and leave no file. A second time does nothing."""
+        """Close the broadcast and remove its file. A second call does nothing."""
         if not self._socket.closed:
             _leave(self._context, self._socket)
             self._path.unlink(missing_ok=True)
 
 
 class Visit:
-    """The end that listens."""
+    """The receiving end of a broadcast."""
 
     def __init__(self, directory: Path) -> None:
-        """Enter the broadcast of the session in ``directory``, now or as soon as it is there.
+        """Connect to the broadcast of the session in ``directory``, now or as soon as it is there.
 
         Raises:
-            TransportError: there can be none, or this process may not open enough files.
+            TransportError: no socket can have the broadcast's path, or this process may not open enough files.
         """
         path = directory.absolute() / BROADCAST
         require_path(path)
@@ -92,14 +92,14 @@ class Visit:
 
     @property
     def fd(self) -> int:
-        """Becomes readable when something may have come; says so once, so read until :meth:`recv` has no more."""
+        """A descriptor that becomes readable once when frames may have come: then read until :meth:`recv` has none."""
         return int(self._socket.getsockopt(zmq.FD))
 
     def recv(self, timeout: Duration | None) -> bytes | None:
-        """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait for ever).
+        """The next frame, or None if none came within ``timeout`` (0: do not wait, None: wait without an end).
 
         Raises:
-            TransportError: if it is closed.
+            TransportError: the visit is closed.
         """
         try:
             if not self._socket.poll(milliseconds(timeout), zmq.POLLIN):
@@ -111,12 +111,12 @@ class Visit:
             raise failed("look on", error) from error
 
     def close(self) -> None:
-        """Leave. A second time does nothing."""
+        """Close the connection. A second call does nothing."""
         _leave(self._context, self._socket)
 
 
 def await_any(visits: Sequence[Visit], timeout: Duration) -> None:
-    """Return as soon as any of the visits has a frame, or after ``timeout``."""
+    """Wait until any of ``visits`` has a frame, at most ``timeout``."""
     poller = zmq.Poller()
     for visit in visits:
         poller.register(visit._socket, zmq.POLLIN)

@@ -1,7 +1,6 @@
-"""How many file descriptors this process may have open: seen to before ZeroMQ needs them.
+"""The limit of open file descriptors of this process, which is raised or refused before ZeroMQ needs them.
 
-ZeroMQ aborts the process where it gets no descriptor for a socket of its own, and a process that is aborted clears
-nothing away.
+ZeroMQ aborts the process where it gets no descriptor for a socket of its own, and an aborted process leaves its files.
 """
 
 import os
@@ -12,19 +11,19 @@ from typing import Final
 from manyhands.protocol.transport import TransportError
 
 PLENTY: Final = 65536
-"""What is asked for where the limit is too low: far more than all doors of a process hold before they shut."""
+"""The limit that a process asks for: far more descriptors than all its doors use before they shut."""
 
-_PROCESS: Final = 48  # interpreter, log, and a transport without links: about 16
-_LINK: Final = 12  # one with keys: listener, connection, monitor and mailboxes; its successor while the link is mended
+_PROCESS: Final = 48  # interpreter, log, and a transport without links need about 16
+_LINK: Final = 12  # a link with keys: listener, connection, monitor and mailboxes; and its successor after a loss
 
 
 def node_needs(links: int) -> int:
-    """Descriptors of a process with so many links, generously."""
+    """The descriptors of a process with so many links, with a generous reserve."""
     return _PROCESS + _LINK * links
 
 
 def require_descriptors(needed: int) -> None:
-    """Make sure that this process may have so many descriptors; the soft limit is raised where the hard one allows it.
+    """Make sure that this process may have so many descriptors; raise the soft limit where the hard limit allows it.
 
     Raises:
         TransportError: the hard limit is too low.
@@ -40,7 +39,7 @@ def require_descriptors(needed: int) -> None:
 
 
 def require_room() -> None:
-    """Make sure that a transport without links finds the descriptors it needs beside those that are open.
+    """Make sure that a transport without links gets its descriptors beside those that are open.
 
     Raises:
         TransportError: the hard limit is too low.
@@ -52,7 +51,7 @@ _ROOM: Final = 16
 
 
 def allow_descriptors() -> None:
-    """Raise the soft limit to :data:`PLENTY`, or as far as the hard one allows."""
+    """Raise the soft limit to :data:`PLENTY`, or as far as the hard limit allows."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = PLENTY if hard == resource.RLIM_INFINITY else min(PLENTY, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:

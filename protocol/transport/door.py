@@ -1,18 +1,15 @@
-"""One listening socket: who came, what became of them, and the filter that shuts it before a crowd.
+"""Admission of connections by key: the listening sockets of a process, and the requests that they refuse.
 
-ZeroMQ's monitor tells what happens at a socket, from a thread of its own. A packet filter on the listening socket lets
-the kernel drop whoever knocks, which costs the process nothing and leaves the connections that exist alone (ZeroMQ's
-own ``unbind`` would end them).
+**Keys.** Every listening socket has a ZAP domain of its own, to which the keys of its peers are bound. ZeroMQ sends a
+request before it lets a connection exist (RFC 27, CURVE of RFC 26). No thread answers: a second Python thread would
+compete with the loop for the interpreter. The process answers while it waits for its peers, and in the slack of its
+loop once that runs, a bounded number at a time (:meth:`Doorkeeper.attend`). Existing connections do not wait for it.
 
-Who may connect to a process: its keys at work on its sockets, and what became of those who tried.
+**Floods.** A :class:`Door` is one listening socket. ZeroMQ's monitor reports its events from a thread of its own, and
+the door counts them. When too many connections come, a packet filter on the socket lets the kernel drop new ones. That
+costs the process nothing, and leaves existing connections alone (ZeroMQ's own ``unbind`` would end them).
 
-Every listening socket has a ZAP domain of its own, to which the keys of those it is meant for are bound; ZeroMQ asks
-before it lets a connection exist (RFC 27, CURVE of RFC 26). There is no thread for the answers: a second Python thread
-would compete with the loop for the interpreter. They are given while the process waits for its peers, and once the
-loop runs in its slack, a bounded number at a time (:meth:`Doorkeeper.attend`); nobody who is already connected waits
-for them.
-
-What becomes of a socket's connections, as ZeroMQ tells it.
+**The connecting side.** A :class:`Fate` is the state of an outgoing connection, from the events of its monitor.
 """
 
 import ctypes
@@ -37,8 +34,8 @@ from manyhands.protocol.transport.descriptors import allow_descriptors
 def monitor_of(socket: "zmq.Socket[bytes]", events: int) -> "zmq.Socket[bytes]":
     """A socket that becomes readable with each of these ``events`` of ``socket``, which is neither bound nor connected.
 
-    Its queue is not bounded: ZeroMQ's own thread writes to it and would wait for room, with every connection of the
-    process. Whoever reads it sees to it that events do not pile up.
+    Its queue has no bound: ZeroMQ's own thread writes to it, and would stop all connections of the process to wait for
+    room. The caller must read the events, so that they do not pile up.
     """
     address = f"inproc://monitor-{id(socket)}"
     socket.monitor(address, events)
@@ -49,9 +46,9 @@ def monitor_of(socket: "zmq.Socket[bytes]", events: int) -> "zmq.Socket[bytes]":
 
 
 def close_monitor(socket: "zmq.Socket[bytes]", monitor: "zmq.Socket[bytes]") -> None:
-    """End it, before or after ``socket`` is closed."""
+    """Close a monitor, before or after ``socket`` is closed."""
     if not socket.closed:
-        socket.disable_monitor()  # before its other end closes: ZeroMQ says goodbye to it
+        socket.disable_monitor()  # before the other end closes, for ZeroMQ sends it a last message
     monitor.close(linger=0)
 
 
@@ -59,23 +56,23 @@ _EVENT: Final = struct.Struct("=Hi")
 
 
 def event_of(frames: list[bytes]) -> zmq.Event:
-    """Which event a monitor's message reports: 16 bits of event and 32 of its value, then the endpoint.
+    """The event in a monitor's message: 16 bits of event and 32 of its value, then the endpoint.
 
-    pyzmq has a reader of its own in ``zmq.utils.monitor``, which imports asyncio: 50 ms of every node's start.
+    pyzmq's reader in ``zmq.utils.monitor`` imports asyncio, which would take 50 ms of every node's start.
     """
     event, _ = _EVENT.unpack(frames[0])
     return zmq.Event(event)
 
 
 class Fate:
-    """What has become of the connection of a socket that connects, from ZeroMQ's events in their order. Pure.
+    """The state of an outgoing connection, from ZeroMQ's events in their order. Pure.
 
-    A connection that ends within its handshake does not tell why. A host that does not hold the key expected of it ends
-    each one at once; one that is too busy to admit anybody ends it after ``HANDSHAKE_MS``. So a wrong key is concluded
-    from many in a row alone.
+    A connection that ends within its handshake does not show the reason. A host without the expected key ends each one
+    at once. A host that is too busy to admit any ends it after ``HANDSHAKE_MS``. So only many such ends in a row mean a
+    wrong key.
 
     Attributes:
-        trouble: what is wrong now; None while nothing is known to be.
+        trouble: the present failure; None while none is known.
     """
 
     EVENTS: Final = reduce(
@@ -96,13 +93,13 @@ class Fate:
         self._broken_off = 0
 
     def take(self, event: zmq.Event) -> None:
-        """One of :attr:`EVENTS` has happened."""
+        """Take in one of :attr:`EVENTS`."""
         if event is zmq.Event.HANDSHAKE_SUCCEEDED:
             self.trouble, self._established, self._broken_off = None, True, 0
             return
         if event is zmq.Event.HANDSHAKE_FAILED_NO_DETAIL:
             self._broken_off += 1
-        if self.trouble in _PASSING:  # what came first is the cause: a loss follows a refusal, too
+        if self.trouble in _PASSING:  # the first failure is the cause: a refusal is followed by a loss as well
             self.trouble = self._meaning(event)
 
     def _meaning(self, event: zmq.Event) -> Trouble | None:
@@ -121,26 +118,28 @@ class Fate:
 
 
 BROKEN_OFF_IN_A_ROW: Final = 20
-"""Connections that may end within their handshake, one after the other, before the other side's key is doubted: three
-seconds of a wrong key, more than a minute of a host that is busy."""
+"""Connections that may end within their handshake, one after the other, before this means a wrong key.
+
+That takes three seconds with a wrong key, and more than a minute with a host that is busy.
+"""
 
 _PASSING: Final = (None, Trouble.NOBODY, Trouble.BROKEN_OFF)
 
 
 class Refused(StrEnum):
-    """Why a connection was not admitted."""
+    """The reasons why a connection was not admitted."""
 
-    NO_KEY = "no_key"  # another security mechanism, none at all most likely
-    NOT_PROVED = "not_proved"  # does not hold the secret of the key it shows, or took us for somebody else
-    UNKNOWN_KEY = "unknown_key"  # the key of nobody this process has to do with
-    WRONG_KEY = "wrong_key"  # known, but this socket is for somebody else
-    SECOND_PEER = "second_peer"  # the right key, on a link whose peer is there already
-    UNFINISHED = "unfinished"  # opened, and no handshake came of it (or none yet)
-    SHUT = "shut"  # times that a door was shut because too many crowded before it
+    NO_KEY = "no_key"  # it uses no CURVE key, most likely no security mechanism at all
+    NOT_PROVED = "not_proved"  # it has not the secret of the key that it shows, or expects a different key of us
+    UNKNOWN_KEY = "unknown_key"  # its key is not among the keys of this process
+    WRONG_KEY = "wrong_key"  # its key is known, but not admitted to this socket
+    SECOND_PEER = "second_peer"  # its key is right, but the peer of this link is connected already
+    UNFINISHED = "unfinished"  # it was opened, and has not finished a handshake (yet)
+    SHUT = "shut"  # how often a door was shut because too many connections came
 
 
 class Door:
-    """One listening socket: what its monitor tells, and the filter that shuts it."""
+    """One listening socket: the counts of its connections, and the packet filter that shuts it."""
 
     _EVENTS: Final = (
         zmq.EVENT_LISTENING
@@ -152,10 +151,10 @@ class Door:
     )
     _CRYPTOGRAPHIC: Final = 0x11000001  # ZMQ_PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
     _EVENT: Final = struct.Struct("=HI")
-    _EVENTS_AT_ONCE: Final = 2 * DOOR_BURST  # counted at one look, a few us each; the rest at the next
-    _WINDOW: Final = 100_000_000  # ns, in which DOOR_BURST counts
-    _FAILURES_WINDOW: Final = 1_000_000_000  # ns, in which DOOR_FAILURES counts
-    _ROOM: Final = 4 * DOOR_BURST  # connections open at a time, which are file descriptors of this process
+    _EVENTS_AT_ONCE: Final = 2 * DOOR_BURST  # events counted in one look, a few us each; the rest in the next look
+    _WINDOW: Final = 100_000_000  # ns, the window of DOOR_BURST
+    _FAILURES_WINDOW: Final = 1_000_000_000  # ns, the window of DOOR_FAILURES
+    _ROOM: Final = 4 * DOOR_BURST  # connections open at a time; each is a file descriptor of this process
 
     def __init__(self, socket: "zmq.Socket[bytes]", admits: int) -> None:
         self.socket, self._admits = socket, admits
@@ -169,30 +168,30 @@ class Door:
         self.second = 0
 
     def fail(self) -> None:
-        """Somebody was not admitted; who leaves before the answer is never told of by the monitor."""
+        """Count a refused key; the monitor does not report a connection that ends before the answer."""
         self._failed += 1
 
     def look(self, now: int) -> None:
-        """Count what happened, as much as a look allows for; shut the door if that was too much, or open it again."""
+        """Count the monitor's events, a bounded number; shut the door if there were too many, or open it again."""
         if now - self._window >= self._WINDOW:
             self._window, self._came = now, 0
         if now - self._failures_window >= self._FAILURES_WINDOW:
             self._failures_window, self._failed = now, 0
         told_all = self._listen_to_monitor()
         if self.shut_until is None:
-            crowd = self._came > DOOR_BURST + self._admits  # all who belong here may come at once
-            crowd |= self._failed > DOOR_FAILURES  # none of whom fails
+            crowd = self._came > DOOR_BURST + self._admits  # all honest peers may come at once
+            crowd |= self._failed > DOOR_FAILURES  # no honest peer fails
             if (crowd or self._is_full()) and self._filter(True):
                 self.shut += 1
                 self.shut_until = now + DOOR_SHUT_MS * 1_000_000
-        elif now >= self.shut_until and told_all and not self._is_full():  # else what was not read would pile up
+        elif now >= self.shut_until and told_all and not self._is_full():  # not while unread events could pile up
             self._filter(False)
             self.shut_until = None
             self._window, self._came = now, 0
             self._failures_window, self._failed = now, 0
 
     def _listen_to_monitor(self) -> bool:
-        """Whether that was all it has to tell."""
+        """Count the monitor's events, a bounded number; returns whether no event is left."""
         for _ in range(self._EVENTS_AT_ONCE):
             try:
                 data = self.monitor.recv_multipart(zmq.NOBLOCK)[0]
@@ -222,12 +221,12 @@ class Door:
             case zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
                 self.no_key += 1
             case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-                self.not_admitted += 1  # why, the answer to ZeroMQ's question has counted
+                self.not_admitted += 1  # the answer to ZeroMQ's request has counted the reason
             case zmq.EVENT_DISCONNECTED:
                 self._open.pop(value, None)
 
     def _establish(self) -> None:
-        """A handshake succeeded: whose, ZeroMQ does not say; most likely that of who came last."""
+        """Note a successful handshake; ZeroMQ does not name its connection, most likely the latest one."""
         if self._admits == 1 and any(self._open.values()):
             self.second += 1
         for descriptor, established in reversed(self._open.items()):
@@ -236,7 +235,7 @@ class Door:
                 return
 
     def refused(self) -> dict[Refused, int]:
-        """Connections that did not come about, by reason; those refused by key are counted elsewhere."""
+        """Connections that were not established, by reason, without those whose key was refused."""
         unfinished = self.accepted - self.succeeded - self.no_key - self.not_proved - self.not_admitted
         return {
             Refused.NO_KEY: self.no_key,
@@ -247,13 +246,13 @@ class Door:
         }
 
     def _filter(self, drop_all: bool) -> bool:
-        """Have the kernel drop every packet to the listening socket, or none; whether it does as asked.
+        """Make the kernel drop every packet to the listening socket, or none; returns whether it succeeded.
 
-        No descriptor is needed for it: a crowd may have used them all up.
+        This needs no new file descriptor, for a flood of connections may have used up all of them.
         """
-        if self._listener is None or self.socket.closed:  # its number may be another's by now
+        if self._listener is None or self.socket.closed:  # a different file may have the descriptor by now
             return False
-        program = ctypes.create_string_buffer(struct.pack("=HBBI", 0x06, 0, 0, 0))  # BPF: return 0, that is nothing
+        program = ctypes.create_string_buffer(struct.pack("=HBBI", 0x06, 0, 0, 0))  # BPF: return 0, accept no byte
         try:
             listener = sockets.socket(fileno=self._listener)
         except OSError:
@@ -264,14 +263,14 @@ class Door:
                 listener.setsockopt(sockets.SOL_SOCKET, _SO_ATTACH_FILTER, argument)
             else:
                 listener.setsockopt(sockets.SOL_SOCKET, _SO_DETACH_FILTER, 0)
-        except OSError:  # not permitted here: the door stays as it is
+        except OSError:  # the kernel does not permit it: the door stays as it is
             return False
         finally:
-            listener.detach()  # it is ZeroMQ's
+            listener.detach()  # the descriptor belongs to ZeroMQ
         return True
 
     def close(self) -> None:
-        """Stop watching; the socket itself is its owner's to close."""
+        """Close the monitor; the owner closes the socket itself."""
         close_monitor(self.socket, self.monitor)
 
 
@@ -286,15 +285,16 @@ _LEAST_FRAMES: Final = 6  # version, request id, domain, address, identity, mech
 def judge(
     request: Sequence[bytes], admits: Mapping[bytes, Mapping[bytes, str]], known: Collection[bytes]
 ) -> tuple[list[bytes], Refused | None]:
-    """The answer to a ZAP request, and why it was refused, if it was.
+    """The answer to a ZAP request.
 
     Args:
-        request: the frames that ZeroMQ asks with.
+        request: the frames of ZeroMQ's request.
         admits: by domain, the public keys (32 bytes) that may connect, and their names.
         known: every public key that this process knows.
 
     Returns:
-        The reply's frames, with the name as user id if the connection may exist.
+        The frames of the reply, with the name as user id if the connection is admitted; and the reason of a refusal,
+        or None.
     """
     if len(request) != _LEAST_FRAMES + 1 or request[0] != _VERSION or request[5] != b"CURVE":
         number = request[1] if len(request) > 1 else b""
@@ -309,21 +309,27 @@ def judge(
 
 
 class Doorkeeper:
-    """Guards the sockets of one context with one process's keys.
+    """Guards the sockets of one context with the keys of one process.
 
     Attributes:
-        settled: whether the process has its peers, and answers only when it calls :meth:`attend`.
+        settled: whether the process has its peers, and answers only in :meth:`attend`.
     """
 
-    _ANSWERS: Final = 32  # at one look
+    _ANSWERS: Final = 32  # requests answered in one look
     _LOOK_MS: Final = 100  # between two looks while a door is shut
 
     def __init__(
         self, context: "zmq.Context[zmq.Socket[bytes]]", ring: KeyRing, now: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        """To be made before any socket of ``context`` is bound; ``now``: monotonic ns."""
+        """Guard the sockets of a context.
+
+        Args:
+            context: the context, of which no socket is bound yet.
+            ring: the keys of this process.
+            now: returns the present time, monotonic ns.
+        """
         self._ring, self._now = ring, now
-        allow_descriptors()  # once they are used up, ZeroMQ's thread only spins
+        allow_descriptors()  # without a free descriptor ZeroMQ's thread would spin
         self._keys = {z85.decode(public.encode("ascii")): name for name, public in ring.peers.items()}
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[Door] = []
@@ -334,15 +340,15 @@ class Doorkeeper:
         self.settled = False
 
     def guard(self, socket: "zmq.Socket[bytes]", domain: str, admits: Collection[str]) -> None:
-        """Make ``socket``, which is to be bound, one that only the holders of some keys can connect to.
+        """Admit only the keys of some peers to ``socket``.
 
         Args:
-            socket: not yet bound.
-            domain: a name of its own.
-            admits: names of those who may connect; a single one once at a time.
+            socket: a socket that is not bound yet.
+            domain: a ZAP domain that no other socket has.
+            admits: the names of the peers; a single peer has one connection at a time.
 
         Raises:
-            KeyError: the ring has no key of one of them.
+            KeyError: the ring has no key of one of the peers.
         """
         wanted = {self._ring.peers[name] for name in admits}
         self._admits[domain.encode("ascii")] = {
@@ -356,7 +362,7 @@ class Doorkeeper:
         self._doors.append(door)
 
     def dismiss(self, socket: "zmq.Socket[bytes]") -> None:
-        """Guard a socket no longer that is about to be closed for good; what was counted at it stays counted."""
+        """Stop guarding a socket that is about to be closed for good; its counts are kept."""
         for domain, door in tuple(self._by_domain.items()):
             if door.socket is socket:
                 door.look(self._now())
@@ -367,7 +373,7 @@ class Doorkeeper:
                 del self._by_domain[domain], self._admits[domain]
 
     def introduce(self, socket: "zmq.Socket[bytes]", peer: str) -> None:
-        """Make ``socket``, which is to be connected, prove our key and ask for ``peer``'s.
+        """Make ``socket``, which is about to connect, prove the key of this process and require the key of ``peer``.
 
         Raises:
             KeyError: the ring has no key of ``peer``.
@@ -378,7 +384,7 @@ class Doorkeeper:
 
     @property
     def knocking(self) -> "list[zmq.Socket[bytes]]":
-        """Sockets that become readable when there is something to attend to."""
+        """The sockets that become readable when there is work for :meth:`attend`."""
         return [self._desk, *(door.monitor for door in self._doors)]
 
     @property
@@ -387,14 +393,14 @@ class Doorkeeper:
         return any(door.shut_until is not None for door in self._doors)
 
     def at_most(self, wait_ms: int) -> int:
-        """As much of a wait (ms, -1 for ever) as may pass before the next :meth:`attend`."""
+        """The part of a wait (ms, -1 for no end) that may pass before the next :meth:`attend`."""
         if not self.shut:
             return wait_ms
         return self._LOOK_MS if wait_ms < 0 else min(wait_ms, self._LOOK_MS)
 
     def attend(self) -> None:
-        """Answer those who ask to be let in and count what became of others, a bounded number of both."""
-        if self._desk.closed:  # and so is every door
+        """Answer connection requests and count events, a bounded number of both."""
+        if self._desk.closed:  # every door is closed as well
             return
         for _ in range(self._ANSWERS):
             try:
@@ -417,7 +423,7 @@ class Doorkeeper:
     def refused(self) -> dict[str, int]:
         """Connections not admitted so far, by :class:`Refused`; reasons that never occurred are absent."""
         if not self._desk.closed:
-            self._look()  # one that has come about since the last look is not unfinished any more
+            self._look()  # a connection established since the last look must not count as unfinished
         total = dict(self._refused)
         for door in self._doors:
             for kind, count in door.refused().items():
@@ -425,7 +431,7 @@ class Doorkeeper:
         return {kind.value: count for kind, count in total.items() if count > 0}
 
     def close(self) -> None:
-        """Stop watching; to be called while the guarded sockets are still open, or after they were closed."""
+        """Close all doors, while the guarded sockets are still open or after they were closed."""
         for door in self._doors:
             door.close()
         self._desk.close(linger=0)

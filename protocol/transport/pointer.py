@@ -1,7 +1,7 @@
-"""The way of a person's hand to a device of a running session: datagrams in the session's directory.
+"""The path of a person's pointer to a device of a running session: datagrams in the session's directory.
 
-Only the latest matters, nobody waits, and a device reads it in its tick without another thread: so a Unix datagram
-socket, and not ZeroMQ. Who may enter the directory may hold the device.
+Only the latest message matters, neither end waits, and a device reads it in its tick without a second thread. So this
+is a Unix datagram socket, and not ZeroMQ. Every process that may enter the directory may hold the device.
 """
 
 import contextlib
@@ -14,13 +14,13 @@ from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport import TransportError, require_name, require_path
 
 MAX_GRIP_BYTES: Final = 8192
-"""Longest datagram that is read: a position of as many axes as a link has ports."""
+"""The longest datagram that is read: a position with as many axes as a link has ports."""
 
-_MOST_AT_ONCE: Final = 16  # datagrams read in one look: what the kernel keeps, by default
+_MOST_AT_ONCE: Final = 16  # datagrams read in one look: as many as the kernel keeps by default
 
 
 def pointer_path(directory: Path, device: str) -> Path:
-    """Where the device of this name can be held.
+    """The path of the pointer socket of a device.
 
     Raises:
         TransportError: no socket can have that path.
@@ -32,14 +32,14 @@ def pointer_path(directory: Path, device: str) -> Path:
 
 
 class PointerInlet:
-    """The device's end.
+    """The device's end of a pointer.
 
     Attributes:
         malformed: datagrams that were neither a grasp nor a release.
     """
 
     def __init__(self, directory: Path, device: str) -> None:
-        """Open it.
+        """Open the pointer of ``device`` in the session's ``directory``.
 
         Raises:
             TransportError: the socket cannot be bound there.
@@ -49,7 +49,7 @@ class PointerInlet:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._path.unlink(missing_ok=True)  # of the device's former process
+            self._path.unlink(missing_ok=True)  # a former process of the device may have left it
             self._socket.bind(str(self._path))
             self._file = self._path.stat().st_ino
         except OSError as error:
@@ -57,7 +57,7 @@ class PointerInlet:
             raise TransportError(f"cannot bind {self._path}: {error.strerror}") from error
 
     def latest(self) -> Grasp | Release | None:
-        """What was said last since the last look; None if nothing was. Bounded, and never blocks."""
+        """The latest message since the last call; None without one. Reads a bounded number, and never blocks."""
         last: Grasp | Release | None = None
         for _ in range(_MOST_AT_ONCE):
             try:
@@ -72,7 +72,7 @@ class PointerInlet:
         return last
 
     def close(self) -> None:
-        """Close it, and leave no file, unless it is the next process's by now. A second time does nothing."""
+        """Close the socket and remove its file, unless that belongs to a new process. A second call does nothing."""
         with contextlib.suppress(FileNotFoundError):
             if self._socket.fileno() >= 0 and self._path.stat().st_ino == self._file:
                 self._path.unlink()
@@ -80,30 +80,30 @@ class PointerInlet:
 
 
 class PointerOutlet:
-    """The end of whoever speaks for a person's hand."""
+    """The end of a pointer that the page's server uses."""
 
     def __init__(self, directory: Path, device: str) -> None:
-        """Reach for a device; that it is there is only known when something is said to it.
+        """Open a socket towards ``device``; only :meth:`say` shows whether the device is there.
 
         Raises:
-            TransportError: no device can be there.
+            TransportError: no socket can have the device's path.
         """
         self._path = str(pointer_path(directory, device))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def say(self, message: Grasp | Release) -> bool:
-        """Say it, and return at once; False if nobody is there, or has no room, or this end is closed.
+        """Send a message and return at once; False if no device is there, its queue is full, or this end is closed.
 
         Raises:
-            ValueError: the message is not what the protocol allows.
+            ValueError: the protocol does not allow the message.
         """
         frame = encode(message)
         try:
             return self._socket.sendto(frame, self._path) > 0
-        except OSError:  # gone, full, or in its place something that is no device's: it will not have heard
+        except OSError:  # the socket is gone, full, or no socket of a device: the message was not delivered
             return False
 
     def close(self) -> None:
-        """Close it. A second time does nothing."""
+        """Close the socket. A second call does nothing."""
         self._socket.close()

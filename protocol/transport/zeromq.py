@@ -1,14 +1,12 @@
-"""ZeroMQ over Unix-domain sockets (``ipc``) or TCP.
+"""The transport over ZeroMQ: links and hubs over Unix-domain sockets (``ipc``) or TCP.
 
-Over TCP everything is encrypted and both sides prove who they are (CURVE), unless the process was given no keys; over
-``ipc`` the directory of the sockets is what keeps others out. TCP keeps ZeroMQ's default of TCP_NODELAY.
+Over TCP all messages are encrypted and both sides prove their keys (CURVE), unless the process has no keys. Over
+``ipc`` the permissions of the sockets' directory keep others out. TCP has TCP_NODELAY, which is ZeroMQ's default.
 
-ZeroMQ's sockets as links and hubs.
-
-PAIR for a link: it admits one peer and is, with a blocking receive, the fastest of ZeroMQ's patterns; ROUTER
-and DEALER for the hub; PUSH and PULL for an outlet. Receiving blocks in the kernel with RCVTIMEO rather than in a
-poller (5 % faster, and busy waiting is ruinous on few cores), but for the time before a process has its peers, when it
-has to answer those who want to be let in; sending never blocks.
+A link is a PAIR socket: it admits one peer and is, with a blocking receive, the fastest of ZeroMQ's patterns. A hub is
+ROUTER and DEALER, an outlet PUSH and PULL. Receiving blocks in the kernel with RCVTIMEO and not in a poller: that is
+5 % faster, and busy waiting is ruinous on few cores. Only before a process has its peers it polls, for it must answer
+connection requests meanwhile. Sending never blocks.
 """
 
 import time
@@ -44,19 +42,25 @@ from manyhands.protocol.transport.descriptors import require_room
 from manyhands.protocol.transport.door import Doorkeeper, Fate, close_monitor, event_of, monitor_of
 
 HUB_DROPS: Final = (
-    "not_a_frame",  # not one frame from somebody with a proper name
-    "second_route",  # the name is somebody else's already, who connected first
+    "not_a_frame",  # it is not one frame, or its sender has no valid name
+    "second_route",  # an earlier connection has the sender's name already
 )
-"""Why a hub drops a message."""
+"""The reasons for which a hub drops a message."""
 
 
 class ZmqLink:
     """A PAIR socket, the DEALER end of a hub, or either end of an outlet."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", door: Doorkeeper | None, watched: bool = False) -> None:
-        """Take over ``socket``; ``watched``: its connection's fate is wanted (before it connects)."""
+        """Take over a socket.
+
+        Args:
+            socket: bound, or about to connect.
+            door: answers connection requests; None for a transport without keys.
+            watched: whether :meth:`trouble` reports on its connection; only before the socket connects.
+        """
         self._socket, self._door = socket, door
-        # pyzmq's own send but for a wrapper that sees to text, groups and routes: a third of its cost in a tick
+        # pyzmq's send without its wrapper for text, groups and routes: a third of the cost in a tick
         self._send = super(zmq.Socket, socket).send
         self._receive = socket.recv
         self._timeout: Duration | None = None  # for ever, ZeroMQ's default of RCVTIMEO
@@ -66,7 +70,7 @@ class ZmqLink:
     def send(self, frame: bytes) -> bool:
         """Queue a frame; see :class:`~manyhands.protocol.transport.Link`."""
         if len(frame) > MAX_CONTROL_BYTES:
-            require_sendable(frame)  # which says what is wrong
+            require_sendable(frame)  # raises, with the reason
         try:
             self._send(frame, _AT_ONCE)
         except zmq.Again:
@@ -84,19 +88,19 @@ class ZmqLink:
         try:
             if at_once:
                 return self._receive(_AT_ONCE)
-            if timeout != self._timeout:  # a loop waits equally long each tick: spare it the call
+            if timeout != self._timeout:  # a loop has the same timeout in each tick, and saves the call
                 self._socket.setsockopt(zmq.RCVTIMEO, milliseconds(timeout))
                 self._timeout = timeout
             return self._receive()
         except zmq.Again:
-            if not at_once and door is not None:  # in vain: the peer may have lost its connection and be at the door
+            if not at_once and door is not None:  # no frame came: the peer may have lost its connection, and ask anew
                 door.attend()
             return None
         except zmq.ZMQError as error:
             raise failed("receive from a link", error) from error
 
     def _recv_attending(self, wait_ms: int, door: Doorkeeper) -> bytes | None:
-        """The next frame, answering meanwhile those who want to be let in; the peer may be among them."""
+        """The next frame; answers connection requests meanwhile, for one of them may be the peer's."""
         deadline = time.monotonic_ns() + wait_ms * 1_000_000
         try:
             while True:
@@ -111,7 +115,7 @@ class ZmqLink:
             raise failed("receive from a link", error) from error
 
     def trouble(self) -> Trouble | None:
-        """What has gone wrong with the connection; see :class:`~manyhands.protocol.transport.Link`."""
+        """The failure of the connection; see :class:`~manyhands.protocol.transport.Link`."""
         if self._monitor is not None and not self._socket.closed:
             while self._monitor.poll(0, zmq.POLLIN):
                 self._fate.take(event_of(self._monitor.recv_multipart()))
@@ -126,15 +130,16 @@ class ZmqLink:
         self._socket.close(linger=LINGER_MS)
 
 
-_AT_ONCE: Final = int(zmq.NOBLOCK)  # a plain number: the enumeration's is converted at every call
-_DROPS_AT_ONCE: Final = 32  # then the caller is asked again: a flood must not keep it from everything else
+_AT_ONCE: Final = int(zmq.NOBLOCK)  # a plain number, for a member of the enumeration is converted in every call
+_DROPS_AT_ONCE: Final = 32  # then the call returns: a flood must not keep the caller from its other work
 
 
 class ZmqHub:
     """A ROUTER socket.
 
-    Without keys a node is who it says it is, and ZeroMQ leaves the name to the first connection while that lasts. With
-    keys its name is that of the key which its connection has proved, and the first keeps it until :meth:`forget`.
+    Without keys a node has the name that it claims, and ZeroMQ leaves a name to its first connection while that lasts.
+    With keys its name is that of the key that its connection has proved, and the first connection keeps the name until
+    :meth:`forget`.
 
     Attributes:
         dropped: messages not passed on, by reason; the keys are :data:`HUB_DROPS`.
@@ -176,7 +181,7 @@ class ZmqHub:
         """Queue a frame for a node; see :class:`~manyhands.protocol.transport.Hub`."""
         require_name(identity)
         require_sendable(frame)
-        # with keys, of somebody unheard of: nobody's, for ZeroMQ makes up longer ones
+        # with keys and a name that never connected: a route that no connection has, for ZeroMQ makes longer ones
         route = identity.encode("ascii") if self._door is None else self._routes.get(identity, b"\x00")
         try:
             self._socket.send_multipart([route, frame], zmq.NOBLOCK)
@@ -189,12 +194,12 @@ class ZmqHub:
         return True
 
     def forget(self, identity: str) -> None:
-        """Let another connection have the name; see :class:`~manyhands.protocol.transport.Hub`."""
+        """Free the name for a new connection; see :class:`~manyhands.protocol.transport.Hub`."""
         self._routes.pop(identity, None)
 
     def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         """Wait for a frame or a descriptor; see :class:`~manyhands.protocol.transport.Hub`."""
-        if self._socket.closed:  # a poller would wait on it in silence
+        if self._socket.closed:  # a poller would wait on it without an error
             raise TransportError("cannot wait on a hub: it is closed")
         poller = zmq.Poller()
         if frames:
@@ -215,19 +220,19 @@ class ZmqHub:
                 if any(which not in knocking for which, _ in ready):
                     break
                 wait_ms = _left_ms(wait_ms, deadline)
-                if wait_ms == 0:  # whoever knocks on and on does not hold up the caller
+                if wait_ms == 0:  # endless connection requests must not hold up the caller
                     break
         except zmq.ZMQError as error:
             raise failed("wait on a hub", error) from error
         return {which for which, _ in ready if isinstance(which, int)}
 
     def close(self) -> None:
-        """Close it."""
+        """Close the hub; see :class:`~manyhands.protocol.transport.Hub`."""
         self._socket.close(linger=LINGER_MS)
 
 
 def await_any(socket: "zmq.Socket[bytes]", door: Doorkeeper, wait_ms: int) -> None:
-    """Wait until ``socket`` has a frame, or somebody at the door was attended to, or the time is over."""
+    """Wait until ``socket`` has a frame, or a connection request was answered, or ``wait_ms`` is over."""
     poller = zmq.Poller()
     for one in (socket, *door.knocking):
         poller.register(one, zmq.POLLIN)
@@ -237,40 +242,45 @@ def await_any(socket: "zmq.Socket[bytes]", door: Doorkeeper, wait_ms: int) -> No
 
 
 def _left_ms(wait_ms: int, deadline: int) -> int:
-    """What is left of a wait until ``deadline`` (monotonic ns), ms rounded up; one for ever (-1) stays so."""
+    """The rest of a wait until ``deadline`` (monotonic ns), ms rounded up; -1, a wait without an end, stays -1."""
     return wait_ms if wait_ms < 0 else max(0, -(-(deadline - time.monotonic_ns()) // 1_000_000))
 
 
 def failed(what: str, error: zmq.ZMQError) -> TransportError:
-    """ZeroMQ's error as ours."""
+    """The TransportError for an error of ZeroMQ; ``what`` names the action that failed."""
     return TransportError(f"cannot {what}: {error.strerror}")
 
 
 SCHEMES: Final = ("ipc", "tcp")
-"""What a session can be carried by."""
+"""The transports of a session."""
 
-_CURVE_BYTES: Final = 33  # by which encryption makes a message longer: command, nonce, flags and authenticator
+_CURVE_BYTES: Final = 33  # added to a message by encryption: command, nonce, flags and authenticator
 
 LOOPBACK: Final = "127.0.0.1"
 
 HUB: Final = "supervisor"
-"""Whose key a hub proves."""
+"""The name of the process whose key a hub proves."""
 
 
 def is_address(place: str) -> bool:
-    """Whether this is HOST:PORT; of a port, ZeroMQ would read as much as it can."""
+    """Whether ``place`` is HOST:PORT; ZeroMQ itself would accept a port with other characters after its digits."""
     host, _, port = place.rpartition(":")
     return bool(host) and port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
 
 
 class ZmqTransport:
-    """Links and hubs of one ZeroMQ context, which lives as long as this does.
+    """Links and hubs of one ZeroMQ context, which is closed with this object.
 
     A context must not be carried over a fork: construct the transport in the process that uses it.
     """
 
     def __init__(self, scheme: str, address_of: Callable[[str, str], str], ring: KeyRing | None = None) -> None:
         """Make a transport without sockets.
+
+        Args:
+            scheme: one of :data:`SCHEMES`.
+            address_of: returns the address to bind, from a name and the address that was asked for.
+            ring: the keys of this process; None for no encryption.
 
         Raises:
             TransportError: this process may not open enough files.
@@ -287,13 +297,13 @@ class ZmqTransport:
 
     @classmethod
     def ipc(cls, directory: Path) -> "ZmqTransport":
-        """Unix-domain sockets in ``directory``, which exists and which only the session's user may enter."""
-        absolute = directory.absolute()  # peers may run elsewhere
+        """A transport over Unix-domain sockets in ``directory``, which exists and only the session's user may enter."""
+        absolute = directory.absolute()  # peers may have a different working directory
         return cls("ipc", lambda name, _address: str(absolute / name))
 
     @classmethod
     def tcp(cls, ring: KeyRing | None = None) -> "ZmqTransport":
-        """TCP, on the loopback where no address is asked for; encrypted and proved with ``ring``'s keys, or plain."""
+        """A transport over TCP, on the loopback by default; encrypted with the keys of ``ring``, or plain for None."""
         return cls("tcp", lambda _name, address: address or f"{LOOPBACK}:*", ring)
 
     @classmethod
@@ -301,7 +311,7 @@ class ZmqTransport:
         """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, ``ring`` for ``tcp``.
 
         Raises:
-            TransportError: if there is no such scheme, or this process may not open enough files.
+            TransportError: the scheme is unknown, or this process may not open enough files.
         """
         if scheme not in SCHEMES:
             raise TransportError(f"found the transport {scheme!r:.40}; expected {' or '.join(SCHEMES)}")
@@ -322,10 +332,11 @@ class ZmqTransport:
     def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link to ``peer`` alone, one way; see :class:`~manyhands.protocol.transport.Transport`.
 
-        A PUSH socket: a PAIR learns late that its peer has left, and is mute for ever to one who came before that.
+        This is a PUSH socket. A PAIR notices late that its peer has left, and never sends to a new peer that came
+        before that.
         """
         socket = self._socket(zmq.PUSH, LINK_QUEUE_FRAMES)
-        socket.setsockopt(zmq.RCVHWM, 1)  # nobody reads here
+        socket.setsockopt(zmq.RCVHWM, 1)  # this end never reads
         socket.setsockopt(zmq.MAXMSGSIZE, DEAF_BYTES)
         endpoint = self._bind(socket, name, (peer,), address)
         return self._link(socket), endpoint
@@ -340,7 +351,7 @@ class ZmqTransport:
         """A hub for ``members`` to join; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.ROUTER, HUB_QUEUE_FRAMES)
         socket.setsockopt(zmq.RCVHWM, HUB_INBOX_FRAMES)
-        socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # otherwise a frame for an unknown identity vanishes in silence
+        socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # otherwise a frame for an unknown identity is lost without an error
         endpoint = self._bind(socket, name, members, address)
         return ZmqHub(socket, self._door), endpoint
 
@@ -358,12 +369,12 @@ class ZmqTransport:
         return link
 
     def settle(self) -> None:
-        """From now on, admit only in :meth:`attend`; see :class:`~manyhands.protocol.transport.Transport`."""
+        """Admit connections only in :meth:`attend` now; see :class:`~manyhands.protocol.transport.Transport`."""
         if self._door is not None:
             self._door.settled = True
 
     def attend(self) -> None:
-        """Attend to those at the door; see :class:`~manyhands.protocol.transport.Transport`."""
+        """Answer connection requests; see :class:`~manyhands.protocol.transport.Transport`."""
         if self._door is not None:
             self._door.attend()
 
@@ -372,7 +383,7 @@ class ZmqTransport:
         return {} if self._door is None else self._door.refused()
 
     def close(self) -> None:
-        """Close everything made here; see :class:`~manyhands.protocol.transport.Transport`."""
+        """Close all sockets and the context; see :class:`~manyhands.protocol.transport.Transport`."""
         for link in self._links:
             link.close()
         if self._door is not None:
@@ -381,7 +392,7 @@ class ZmqTransport:
             socket.close(linger=LINGER_MS)
         self._context.term()  # waits for frames on their way and joins ZeroMQ's threads
         for file in self._files:
-            file.unlink(missing_ok=True)  # ZeroMQ has removed it, unless it was interrupted
+            file.unlink(missing_ok=True)  # ZeroMQ removes the file itself, unless it was interrupted
         self._sockets.clear()
         self._links.clear()
         self._files.clear()
@@ -427,7 +438,7 @@ class ZmqTransport:
 
     def _claim(self, path: Path) -> None:
         require_path(path)
-        if path.exists():  # ZeroMQ would take it away from whoever listens there
+        if path.exists():  # ZeroMQ would take the path away from the process that listens there
             raise TransportError(f"found {path} in use; expected a name bound once, in its own directory")
         self._files.append(path)
 

@@ -122,7 +122,7 @@ def test_keys_that_are_missing_or_anothers(
     new = ephemeral(["dx"], prepared.session.name)
     save_private(new.pair("dx"), prepared.session.name, "dx", machine / "new.key")
     said = refusal(machine, capsys, keys, key="new.key")
-    assert "new.key: found another key than the bundle names for dx" in said
+    assert "new.key: found a key that is not the one in the bundle of dx" in said
     assert new.pair("dx").secret not in said
 
 

@@ -76,7 +76,7 @@ def test_the_supervisors_view_of_a_node() -> None:
     for state, kind in conductor.TRANSITIONS:
         session = conductor.Conductor(Topology(nodes, dict.fromkeys(nodes, ()), ()), "id", "s", 0)
         session.states["dx"] = state
-        told = session.hear("dx", SAID[kind], 0)
+        told = session.receive("dx", SAID[kind], 0)
         answers = [type(i.message).__name__ for i in told if isinstance(i, conductor.Send) and i.node == "dx"]
         rows.append([state.value, kind.__name__, session.states["dx"].value, ", ".join(answers) or "nothing"])
         assert session.ignored == 0
