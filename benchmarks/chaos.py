@@ -1,4 +1,4 @@
-"""Faults at random, hundreds of them, in running sessions; and what must hold of a session whatever happens to it.
+"""Hundreds of random faults in running sessions, and the invariants that must hold in each.
 
     python benchmarks/chaos.py [--simulated N] [--realtime N] [--a-run N] [--seed S] [--json FILE] [--markdown FILE]
 
@@ -43,7 +43,7 @@ MARK = "chaos"
 
 @dataclass(frozen=True)
 class Run:
-    """A run and what was found.
+    """A run and its findings.
 
     Attributes:
         session: its name.
@@ -52,11 +52,11 @@ class Run:
         faults: how many of each kind.
         ticks: that the environment did.
         restarts: processes that came back.
-        ledger: the least total that anybody told of, J.
+        ledger: the least total that any party reported, J.
         force: the greatest force, in parts of its limit.
         step: the greatest step of a force, in parts of its bound.
         let_go: how often a force fell to zero at once.
-        missing: ticks of devices that are not in the recording, for nobody felt them.
+        missing: ticks of devices that are not in the recording, because no process ran them.
         seconds: how long it took.
         violations: what did not hold.
     """

@@ -1,10 +1,10 @@
-"""What must hold of a session whatever happened to it: the invariants of the chaos campaign.
+"""The invariants of the chaos campaign, which hold for a session after any fault.
 
 - **Limits**: no force, displacement or speed in the recording is beyond the device's limits; in real time, where a
   device moves on between the ticks that it misses, its speed is the device's own affair, which ends the session.
-- **Promises**: no party ever told of an energy ledger below -1e-12 J, the processes that were killed later included.
+- **Promises**: no party ever reported an energy ledger below -1e-12 J, including processes that were killed later.
 - **Steps**: from one tick to the next no user's force changes by more than twice what the single-process simulation of
-  such faults finds, but where it falls to exactly zero: that is a user who lets go, and under the simulated clock
+  such faults finds, except where it falls to exactly zero: there a user lets go, and under the simulated clock
   there are at most as many of these as faults that concern the user.
 - **The file**: the recording is whole, and a copy that is cut somewhere holds the same numbers up to where it ends.
 - **Nothing left**: no process, descriptor or temporary file more than before.
@@ -55,7 +55,7 @@ def step_bounds(prepared: Prepared) -> Mapping[str, float]:
 
 @dataclass(frozen=True)
 class Found:
-    """What the recording of a run says.
+    """The findings in the recording of a run.
 
     Attributes:
         violations: what did not hold, in words.

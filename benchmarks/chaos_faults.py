@@ -1,7 +1,7 @@
-"""What the chaos campaign does to a running session: kinds of faults, drawn by a seed, one after the other.
+"""The faults of the chaos campaign in a running session: kinds drawn by a seed, one after the other.
 
-A fault is done to the processes themselves, by signals, at a moment that the supervisor tells of. Mostly the next one
-waits until everybody takes part again; now and then it does not.
+Signals make each fault in the processes themselves, at a moment that the supervisor reports. Mostly the next one
+waits until all nodes take part again; now and then it does not.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Chaos:
         done: the kinds so far.
         hits: how often each user may have been made to let go.
         stuck: why the run was given up; empty for none.
-        ledgers: the least total that each node ever told of, J.
+        ledgers: the least total that each node ever reported, J.
     """
 
     graph: Topology
@@ -56,7 +56,7 @@ class Chaos:
     _interrupted: bool = False
 
     def show(self, progress: Progress) -> None:
-        """For the supervisor: how it goes."""
+        """Take the supervisor's progress."""
         for node, told in progress.telemetry.items():
             if names.LEDGER_MIN in told.figures:
                 self.ledgers[node] = min(self.ledgers.get(node, 0.0), told.figures[names.LEDGER_MIN])
@@ -80,7 +80,7 @@ class Chaos:
             self._interrupt()
 
     def _overlaps(self, progress: Progress) -> bool:
-        """Whether the next fault comes while somebody is on the way back."""
+        """Whether the next fault comes while a node rejoins."""
         returning = any(state == NodeState.STARTING.value for state in progress.states.values())
         return returning and self.random.random() < OVERLAP / 3
 
@@ -127,7 +127,7 @@ class Chaos:
     def _signal(self, progress: Progress, node: str, which: signal.Signals) -> None:
         pid = progress.pids.get(node)
         if pid is not None:
-            os.kill(pid, which)  # not reaped yet: the supervisor that told of it runs in this very thread
+            os.kill(pid, which)  # not reaped yet: the supervisor that reported it runs in this very thread
 
     def _users_of(self, victims: list[str]) -> set[str]:
         """The devices that a fault of ``victims`` makes let go."""

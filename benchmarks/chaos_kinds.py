@@ -1,4 +1,4 @@
-"""What is done to sessions at random, and to which: the same to real processes (chaos.py) and to simulated ones.
+"""The random faults and their sessions, shared by real processes (chaos.py) and simulated ones.
 
 The simulation is ``tests/deterministic``.
 """
@@ -58,7 +58,7 @@ VICTIMS: Final[Mapping[Kind, tuple[Role, ...]]] = {
 
 
 def draw(graph: Topology, alive: Sequence[str], random: Random) -> tuple[Kind, list[str]]:
-    """The next fault and the nodes that it befalls; nobody if one of them is dead already."""
+    """The next fault and its nodes; no node if one of them is dead already."""
     kind = random.choice(list(Kind))
     if kind not in VICTIMS:
         return kind, [random.choice(alive)] if alive else []

@@ -2,9 +2,9 @@
 
     python benchmarks/design.py [--ports 3 6 12 ...] [--limit SECONDS] [--memory GIB] [--repeats N] [--to FOLDER]
 
-Every run is a process of its own, with a limit on time and memory, so that no run warms another one up and peak memory
+Every run is a process of its own, with a limit on time and memory, so that no run warms the next one up and peak memory
 is its own; methods are interleaved, so that a machine that slows down slows all of them. Linear algebra has one
-thread, as in the command line. Of the repeats the median is told, with least and greatest. Measured is from the
+thread, as in the command line. Of the repeats the median is shown, with least and greatest. Measured is from the
 physical data to the proved certificate (for the transcription: to its last iterate), without the interpreter's start.
 The methods are
 
@@ -13,7 +13,7 @@ The methods are
 - a plain cvxpy transcription of Theorem 4 (transcription.py) with Clarabel, and, as that mostly fails, in states scaled
   by energy with Clarabel and with SCS. Where it converges, its coupling is handed to this package, to prove or refuse.
 
-Once a transcription reaches a limit, sizes of it above 24 ports are not tried, and told as such.
+Once a transcription reaches a limit, its sizes above 24 ports are not tried, and the table shows this.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Run:
 
 
 def child(method: str, ports: int) -> dict[str, Any]:
-    """Do one run and say how it went."""
+    """Do one run and report its result."""
     import numpy as np
 
     from manyhands.design.errors import DesignError
@@ -219,7 +219,7 @@ def median(runs: list[Run]) -> Run:
 
 
 def tell(text: str) -> None:
-    """A line for whoever waits."""
+    """A line of progress."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 

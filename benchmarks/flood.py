@@ -40,7 +40,7 @@ OBSERVER = "watch"
 EVERY = 1.0  # s, between two words of a rogue on how much it has sent
 
 
-# --- the rogues: each sends for ever, and says how many frames or connections it has tried
+# --- the rogues: each sends for ever, and reports how many frames or connections it has tried
 
 
 def keyed(kind: int, endpoint: str, server: str, pair: KeyPair) -> zmq.Socket[bytes]:
@@ -55,7 +55,7 @@ def keyed(kind: int, endpoint: str, server: str, pair: KeyPair) -> zmq.Socket[by
 
 
 def knocks(endpoints: list[str]) -> Callable[[], int]:
-    """Opens TCP connections, says something that is no greeting, and leaves."""
+    """Opens TCP connections, sends bytes that are no greeting, and leaves."""
     addresses = [(e.split("//")[1].split(":")[0], int(e.rsplit(":", 1)[1])) for e in endpoints]
 
     def step() -> int:
@@ -88,7 +88,7 @@ def opens(endpoints: list[str]) -> Callable[[], int]:
 
 
 def handshakes(endpoints: dict[str, str], servers: dict[str, str]) -> Callable[[], int]:
-    """Proves a new key that nobody knows, again and again."""
+    """Proves new unknown keys without end."""
 
     def step() -> int:
         for name, endpoint in endpoints.items():

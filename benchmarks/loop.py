@@ -8,7 +8,7 @@ device -> coupling -> environment -> coupling -> device for three users at 1 kHz
 ``manyhands launch`` starts, with all it does in a tick. The others are the same seven processes with the same links,
 lengths of frame and pacing (absolute deadlines, timer slack 1 ns, collector frozen), granted what our nodes are found
 to be granted (processors, scheduling), and with no mathematics. Every round runs each once, in shuffled order: on a
-machine that others use, only the ratio to bare pyzmq within a round says much. tau is from sampling x to having f_v.
+machine that others use, only the ratio to bare pyzmq within a round is reliable. tau is from sampling x to having f_v.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def soak(seconds: float) -> dict[str, object]:
 
 
 def install() -> None:
-    """Get every middleware; one that cannot be had is told, and the others go on."""
+    """Install every middleware; a failure is reported, and the others go on."""
     if not PEERS_VENV.exists():
         subprocess.run([sys.executable, "-m", "venv", str(PEERS_VENV)], check=True)  # noqa: S603
     for name, middleware in MIDDLEWARES.items():

@@ -1,4 +1,4 @@
-"""What is shown of the runs of the chain: tables and a picture, made of the very data that are written as JSON."""
+"""The tables and the picture of the runs of the chain, made of the same data as the JSON file."""
 
 from __future__ import annotations
 

@@ -127,10 +127,10 @@ class _Line:
         self._connection.sendall(json.dumps(word).encode() + b"\n")
 
     def hear(self, wait: float) -> dict[str, Any]:
-        """The node's next word.
+        """The node's next message.
 
         Raises:
-            TimeoutError: it has said nothing within ``wait`` seconds.
+            TimeoutError: no message came within ``wait`` seconds.
             ValueError: it has ended.
         """
         self._connection.settimeout(wait)

@@ -1,4 +1,4 @@
-"""A run of the session itself, as its user launches it, and what can be seen of its processes meanwhile."""
+"""A run of the session itself, as its user launches it, and measurements of its processes meanwhile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run of the chain is, whoever carries it: how it went, and under what treatment its processes ran."""
+"""A run of the chain with any middleware: its result, and the treatment of its processes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import proc
 
 
 class Failed(Exception):
-    """A run did not come to its end; the text says why."""
+    """A run did not come to its end; the text gives the reason."""
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Run:
         processes: how many, whatever started them.
         cpu: processors used, all processes together.
         resident: MiB at the end of those that could be looked at, together.
-        told: what the middleware is.
+        told: the description of the middleware.
     """
 
     tau_us: dict[str, dict[str, float]]

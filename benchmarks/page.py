@@ -1,4 +1,4 @@
-"""Pages whose tables a benchmark writes anew: between two marks, so that the words around them stay a person's."""
+"""Pages whose tables a benchmark rewrites between two marks; the text around them stays as it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Linux tells in /proc of the processes that a benchmark watches, and of the machine."""
+"""Data from Linux's /proc about the processes that a benchmark watches, and about the machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What it costs to write a session down, and what is lost when the recorder is killed.
+"""The cost of recording a session, and the ticks lost when the recorder is killed.
 
     python benchmarks/recorder.py [--session FILE] [--seconds S] [--json FILE]
     python benchmarks/recorder.py --kills N [--seed K] [--json FILE]
@@ -7,7 +7,7 @@ Without a loop, the telemetry of so many seconds is given to the recorder's core
 makes of that is written and synced as a recorder does: its processor time for a second of the session. With the loop, a
 session runs at its own pace and the recorder's process is watched. ``--kills`` runs as many sessions in real time, and
 sends each one's recorder a SIGKILL at some time: lost are the ticks behind the last that is in the file, up to the last
-that the supervisor had told the recorder of.
+that the supervisor had sent to the recorder.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ GOES_ON = 0.2  # s, of the session after that
 
 
 def recorded_of(prepared: Prepared) -> Recorded:
-    """What a recorder of the session is told of it."""
+    """The description of the session that its recorder receives."""
     session, graph = prepared.session, topology(prepared.session)
     masses = mass_names(session)
     return Recorded(session.name, prepared.id, session.period, "realtime", graph.nodes, graph.ports, masses)
@@ -72,7 +72,7 @@ def telemetry(recorded: Recorded, seconds: float) -> Iterator[bytes]:
 
 
 def without_loop(prepared: Prepared, seconds: float, folder: Path) -> dict[str, float]:
-    """Processor time a second of the session, bytes and messages likewise, of a recorder that is told all at once."""
+    """Processor time a second of the session, bytes and messages likewise, of a recorder that receives all at once."""
     recorded = recorded_of(prepared)
     frames = [*telemetry(recorded, seconds)]
     path = folder / "without.mcap"
@@ -119,7 +119,7 @@ def run(prepared: Prepared, recorder: RecorderProcess, seconds: float, show: Any
 
 
 def figures(path: Path, seconds: float, share: float) -> dict[str, float]:
-    """What is told of a recording of so many seconds."""
+    """The figures of a recording of so many seconds."""
     count = sum(1 for _ in messages(path)) - 1  # the last is its end
     return {
         "processor_share": share,
@@ -130,22 +130,22 @@ def figures(path: Path, seconds: float, share: float) -> dict[str, float]:
 
 
 class Doomed(RecorderProcess):
-    """A recorder that is killed as its supervisor tells it something, some time after the first telemetry.
+    """A recorder that is killed when its supervisor sends it a frame, some time after the first telemetry.
 
     Attributes:
-        tick: the latest tick of any device that it was told of before.
+        tick: the latest tick of any device that it had received before.
     """
 
     def __init__(self, prepared: Prepared, path: Path, after: float) -> None:
-        """Kill it so many seconds ``after`` it is told the first telemetry."""
+        """Kill it so many seconds ``after`` it receives the first telemetry."""
         super().__init__(prepared, "realtime", path)
         self._devices = {name for name, role in topology(prepared.session).nodes.items() if role is Role.DEVICE}
         self._after, self._first, self._killed = after, float("inf"), False
         self.tick = 0
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         """Send it on, note its tick, and kill the recorder when it is time."""
-        super().tell(frame)
+        super().take(frame)
         if self._killed or frame is None:
             return
         message = decode(frame, MAX_CONTROL_BYTES)
@@ -171,7 +171,7 @@ def kills(prepared: Prepared, number: int, seed: int, folder: Path) -> dict[str,
 
 
 def tell(text: str) -> None:
-    """Say how far it is, apart from the result."""
+    """Print the progress, apart from the result."""
     print(text, file=sys.stderr, flush=True)
 
 

@@ -26,7 +26,7 @@ class Outcome:
     """What the transcription came to.
 
     Attributes:
-        status: "converged", "not converged", or what the solver said of the first program that it did not solve.
+        status: "converged", "not converged", or the solver's status of the first program that it did not solve.
         iterations: linearised programs solved.
         stiffness: K by (22), N/m, one entry a port; None when not converged.
         damping: B by (22), N*s/m.
@@ -116,7 +116,7 @@ def theorem_4(E_hat: StateSpace, osp: float, T: float, solver: str) -> Outcome:
 
 
 def _solve(program: cp.Problem, solver: str) -> str | None:
-    """None when there is a solution to go on with, however rough; what the solver says otherwise."""
+    """None when there is a solution to go on with, however rough; otherwise the solver's status."""
     try:
         program.solve(solver=solver)
     except cp.error.SolverError as error:

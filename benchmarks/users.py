@@ -1,4 +1,4 @@
-"""How many users one environment's process serves at 1 kHz, and where its time goes.
+"""The number of users that one environment's process serves at 1 kHz, and the use of its time.
 
     python benchmarks/users.py [--users 1 2 4 ...] [--seconds S] [--json FILE] [--plot FILE] [--markdown FILE]
     python benchmarks/users.py --profile         # and py-spy at the largest number that holds
@@ -37,7 +37,7 @@ MARK, PROFILE_MARK = "users", "profile"
 
 
 class NoProfile(Exception):
-    """There is no profile; says why."""
+    """There is no profile; the text gives the reason."""
 
 
 def curve(numbers: Sequence[int], seconds: float, repeats: int) -> list[Point]:

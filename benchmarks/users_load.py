@@ -2,7 +2,7 @@
 
 The environment is the real one, with the bundle that a session of so many users has cut for it. The couplings shake
 hands as couplings do and send what couplings send, each on a link of its own: at every millisecond all their p(k), and
-then all their f_v(k) are awaited. What they say is prepared beforehand, so that one process can play very many. As in a
+then all their f_v(k) are awaited. Their frames are prepared beforehand, so that one process can play very many. As in a
 session the environment is pinned to one processor, the last; this process has the others, or the same one, and where it
 has one alone it asks for the scheduling that a session's processes ask for.
 """
@@ -62,13 +62,13 @@ WAIT = from_seconds(0.1)  # for a reaction, before it is seen whether the coupli
 AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
 _PREPARED_TICKS = 500  # a period of that, at 1 kHz
 _TICK = struct.Struct(">Q")
-_AGAIN = from_seconds(0.003)  # as a coupling at 1 kHz, which then says its p(k) once more
+_AGAIN = from_seconds(0.003)  # as a coupling at 1 kHz, which then sends its p(k) once more
 _TICK_AT = 3  # bytes into a signal's usual head
 _LEAD = from_seconds(0.2)  # from saying when it starts to the first tick
 
 
 class Broken(Exception):
-    """The environment did not do its part; the text says what was heard of it."""
+    """The environment did not do its part; the text has its messages."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
         beside: called with the environment's process id right before the ticks begin; for a profiler.
 
     Raises:
-        Broken: the environment ended, or said something else than it should.
+        Broken: the environment ended, or sent an unexpected message.
     """
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -261,7 +261,7 @@ class _Load:
         self._head = USUAL.unpack_from(self._frames[0][0])
 
     def run(self, epoch: Instant, ticks: int, clock: RealtimeClock, hub: Hub) -> None:
-        """Do the ticks; what the environment tells its supervisor meanwhile is read and not looked at."""
+        """Do the ticks; the environment's messages to its supervisor are read and ignored meanwhile."""
         links, period, now = self._links, self._period, clock.now
         gc.collect()
         gc.freeze()

@@ -1,11 +1,11 @@
-"""Example 1 in real time, alone and looked on at: by its recorder, by ``top``, by a page in a browser, by all of them.
+"""Example 1 in real time, alone and observed: by its recorder, by ``top``, by a page in a browser, by all of them.
 
     python benchmarks/watched.py [--rounds N] [--seconds S] [--only NAME ...] [--json FILE] [--markdown FILE]
 
 The session is that of loop.py. Every round runs each variant once, in shuffled order. Onlookers are started when the
 session runs, and given some seconds to settle, as is the session that has none; then the delays of the ticks of the
 next seconds are taken from the devices' telemetry. This program itself reads that in every variant, so that it is no
-difference between them. In one variant all that look on are then stopped: nobody may wait for them.
+difference between them. In one variant all onlookers are then stopped: no node may wait for them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from manyhands.protocol.transport.broadcast import Visit
 
 SETTLING = 5.0  # s, from when all are there to the first tick that is measured
 PATIENCE = 30.0  # s, beyond its own time, for a measurement to be over
-LONGEST = 600.0  # s: what a session is told to run for; it is ended before
+LONGEST = 600.0  # s: the requested duration of a session; it is ended before
 
 
 @contextmanager
@@ -73,7 +73,7 @@ def measured(folder: Path, variant: Variant, devices: list[str], seconds: float)
     """One run: ``run`` as of loop.py, and the processors that ``onlookers`` used.
 
     Raises:
-        Failed: somebody did not come, or the session did not get through it.
+        Failed: an onlooker did not come, or the session did not get through it.
     """
     recording = folder / "run.mcap"
     recording.unlink(missing_ok=True)

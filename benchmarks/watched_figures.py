@@ -1,4 +1,4 @@
-"""Who looks on at the loop in the comparison of watched.py, what is measured of it, and the table of that."""
+"""The onlookers in the comparison of watched.py, the measurements of the loop, and their table."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Variant:
 
     Attributes:
         label: in the table.
-        onlookers: who does.
+        onlookers: their names.
         stopped: whether they are stopped where they stand (SIGSTOP) before the measurement begins.
     """
 
@@ -63,11 +63,11 @@ class Window:
 
     @property
     def over(self) -> bool:
-        """Whether every device has told of its last tick."""
+        """Whether every device has sent telemetry of its last tick."""
         return min(self._next.values()) >= self._first + self._ticks
 
     def run(self, period_us: float, processes: int, cpu: float, resident: float) -> Run:
-        """How it went: a tick that was not told of, for it was not done, counts as late.
+        """The result: a tick without telemetry was not done, and counts as late.
 
         Args:
             period_us: T, us.
@@ -76,7 +76,7 @@ class Window:
             resident: their memory, MiB.
 
         Raises:
-            ValueError: a device told of no tick.
+            ValueError: a device sent telemetry of no tick.
         """
         tau = {device: np.concatenate([np.zeros(0), *parts]) for device, parts in self._tau.items()}
         if silent := [device for device, values in tau.items() if not len(values)]:
@@ -101,7 +101,7 @@ _PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
 def table(content: Mapping[str, Any]) -> str:
-    """Medians over the rounds, and ratios to nobody within a round with their range."""
+    """Medians over the rounds, and ratios to the run without onlookers within a round, with their range."""
     rounds: Sequence[Mapping[str, Any]] = content["runs"]
     runs = {name: [Run(**of[name]["run"]) for of in rounds] for name in VARIANTS if all(name in of for of in rounds)}
     told = ", ".join(f"{name} {value}" for name, value in content["machine"].items())

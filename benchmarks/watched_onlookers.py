@@ -1,4 +1,4 @@
-"""Those who look on at a running session, as a user starts them; each is ended, with all it has started."""
+"""The onlookers of a running session, started as a user does; each is ended with all that it has started."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Onlookers:
         self._roots.append(pid)
 
     def show(self, terminal: int) -> None:
-        """Read what is written on this terminal, as whoever sits before it does."""
+        """Read the output on this terminal, as a person before it does."""
         self._terminal = terminal
 
     def read(self) -> int:
@@ -154,7 +154,7 @@ def _chromium(address: str, port: int, folder: Path, onlookers: Onlookers) -> It
 
 
 def _is_connected(port: int) -> bool:
-    """Whether somebody is connected to this port of this machine."""
+    """Whether this port of this machine has a connection."""
     fields = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     return any(int(of[1].split(":")[1], 16) == port and of[3] == _ESTABLISHED for of in fields)
 
@@ -188,7 +188,7 @@ def _started(
         process.send_signal(ending)
         with suppress(subprocess.TimeoutExpired):  # killed then, with what it has started
             process.wait(_ENDING)
-        with suppress(ProcessLookupError):  # nobody is left
+        with suppress(ProcessLookupError):  # no process is left
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         if process.stderr is not None:

@@ -1,4 +1,4 @@
-"""What latency costs in stiffness: the stiffest coupling that a device's damping certifies, against period and delay.
+"""The stiffest coupling that a device's damping certifies, as a function of period and delay.
 
 With K = kappa T Delta_D^-1 and Lambda = Delta_D/(2 kappa), a spring-damper coupling (K_s, B) is certified where
 J = Lambda - T K_s/2 > 0, J - B > 0 and (10) of [Bianchini2010]_ holds with (share Delta_D, Delta_V*),
@@ -9,22 +9,22 @@ asks only for
 
 which no coupling can replace. So the supremum of K_s over the class, in every direction, is
 
-    K_s < 2 Lambda/T = Delta_D/(kappa T),    kappa the least gain that leaves the share which Phi_E needs
+    K_s < 2 Lambda/T = Delta_D/(kappa T),    kappa the least gain that leaves the share that Phi_E needs
 
-(:mod:`manyhands.design.levels.device`): for a passive environment Delta_D/(T/2 + 3 tau/2), whatever the environment.
+(:mod:`manyhands.design.levels.device`). For every passive environment this is Delta_D/(T/2 + 3 tau/2).
 
-Beside it stands the limit of [Colgate1997]_ for one device of damping b that renders a wall H directly, passive for
-every hand:
+For comparison, the limit of [Colgate1997]_ is for one device of damping b that renders a wall H directly and passively
+for every hand:
 
     b > sup_w T/2 / (1 - cos wT) Re{(1 - e^{-jwT}) H(e^{jwT})},    H = k e^{-jw tau}.
 
-The right side is (T k/2) sin((T/2 + tau) w)/sin(wT/2), greatest as w -> 0, for sin(nx) <= n sin x where n >= 1 and
-0 <= x <= pi/2:
+The right side is (T k/2) sin((T/2 + tau) w)/sin(wT/2). It is greatest as w -> 0, because sin(nx) <= n sin x for n >= 1
+and 0 <= x <= pi/2:
 
     k < b/(T/2 + tau).
 
-That wall is known beforehand and is the device's own; the certified coupling may be joined to any passive
-environment and, through it, to any number of other users.
+Colgate's wall is fixed and belongs to one device. The certified coupling may be joined to any passive environment and,
+through it, to any number of other users.
 """
 
 from __future__ import annotations
@@ -48,10 +48,11 @@ class Stiffness:
     Attributes:
         T: period, s.
         tau: longest delay inside the tick, s.
-        certified: supremum of the certified stiffness in the device's weakest direction, N/m; 0 where
-            nothing can be certified.
-        colgate: Colgate's passivity limit there, N/m.
-        kappa: the gain K = kappa T Delta_D^-1 at which it is reached; None where nothing can be certified.
+        certified: supremum of the certified stiffness in the device's weakest direction, N/m; 0 if no coupling can be
+            certified.
+        colgate: Colgate's passivity limit in the same direction, N/m.
+        kappa: of the gain K = kappa T Delta_D^-1 at which ``certified`` is reached; None if no coupling can be
+            certified.
     """
 
     T: float
@@ -62,13 +63,13 @@ class Stiffness:
 
 
 def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffness:
-    """How stiff a coupling to a device of this level can be.
+    """The greatest stiffness of a coupling to a device of this level.
 
     Args:
         level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
         T: period, s.
         tau: the longest delay inside the tick, s, 0 ... T.
-        share: what the environment needs of the devices' levels, :func:`needed_share`; 0 for a passive one.
+        share: part of the devices' levels that the environment needs, :func:`needed_share`; 0 if it is passive.
 
     Raises:
         ValueError: T is not positive and finite, tau is outside 0 ... T, share negative, or level not
@@ -83,7 +84,7 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffne
     least = float(np.linalg.eigvalsh(matrix(level))[0])
     if least <= 0.0:
         raise ValueError(f"level: found the eigenvalue {least:.3g}, expected a positive definite OSP level")
-    # (10) is strict: at the greatest share itself nothing is left
+    # (10) is strict: at the greatest share itself no coupling remains
     kappa = gain_for_share(share, tau / T) if share < greatest_share(tau / T) else None
     certified = 0.0 if kappa is None else least / (kappa * T)
     return Stiffness(T, tau, certified, colgate_limit(least, T, tau), kappa)
@@ -113,11 +114,11 @@ def needed_share(Delta_D: Matrix, Phi_E: Matrix) -> float:
 def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> float:
     """The least :func:`needed_share` over all admissible Phi_E; 0 for a passive environment.
 
-    It is reached by Phi_E = s Delta_D: if some Phi_E <= s Delta_D is admissible, s Delta_D is. So
+    Phi_E = s Delta_D reaches it, because s Delta_D is admissible if some Phi_E <= s Delta_D is. So
 
         s = max_w lambda_max(-Delta_D^-1/2 He E_hat(e^jwT) Delta_D^-1/2),
 
-    infinite for an environment that is passive at no level. A network's energy says 0 without any search.
+    infinite for an environment that is passive at no level. For a network it is 0 by its energy, without any search.
 
     Args:
         environment: E.

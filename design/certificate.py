@@ -1,18 +1,17 @@
-"""The certificate: one readable JSON file that says which loop is stable with which coupling, and why.
+"""The certificate: one readable JSON file that states which loop is stable with which coupling, and why.
 
-It holds the physical data of the loop, what was asked of the coupling, the coupling, the levels each party promises,
-the storage matrices that prove them where physics does not, the margins, and a SHA-256 id over all of it. Every fact
-stands in it once: what follows from the physical data (E_hat, V_hat, the realisation of springs and dampers) is rebuilt
-by whoever checks. Floats are written by their shortest exact representation, so that the file round-trips bit by bit.
+It holds the physical data of the loop, the request for the coupling, the coupling, and the levels that each party
+promises. Storage matrices prove the levels where physics does not. The margins and a SHA-256 id over all of it follow.
+Every fact stands in the file once: a check rebuilds what follows from the physical data (E_hat, V_hat, the realisation
+of springs and dampers). Floats are written by their shortest exact representation, so that the file round-trips bit by
+bit.
 
-A file of version 2 lacks what was asked, and its id does not cover the order of keys. It is read, proved and written
-again as what it is (docs/decisions/0027-certificate-format-3.md).
+A file of version 2 does not record the request, and its id does not cover the order of keys. It is read, proved and
+written again as version 2 (docs/decisions/0027-certificate-format-3.md).
 
-The parts of a certificate that come in several kinds, as JSON values: requests, environments, couplings, aims.
-
-All but the requests are read back.
-
-Whether a certificate is about a given loop and wish, or about another: what a proof alone does not say.
+Requests, environments, couplings and aims come in several kinds; each ``describe_`` function turns one into JSON
+values. All except requests are read back. A proof alone does not show that a certificate is about a given loop and
+request: :func:`differences` compares them.
 """
 
 from __future__ import annotations
@@ -56,13 +55,13 @@ from manyhands.design.problem import (
     Wish,
 )
 
-MOST_DELAY = 64  # ticks: what is built grows with it
+MOST_DELAY = 64  # ticks; the order of the delayed environment grows with it
 
 
 def describe_request(wanted: CouplingRequest, names: Sequence[str]) -> dict[str, Any]:
-    """What is asked of a coupling, by the keys that a session's ``design:`` has for it.
+    """The request for a coupling as JSON values, by the keys of a session's ``design:``.
 
-    Left out is what a certificate has elsewhere: the delay, and a given coupling's numbers. Weights are in z.
+    The delay and a given coupling's numbers are left out, because a certificate has them elsewhere. Weights are in z.
 
     Args:
         wanted: the request.
@@ -90,7 +89,7 @@ def _describe_objective(objective: str, aim: Transparency | None) -> dict[str, A
 
 
 def describe_environment(environment: Environment) -> dict[str, Any]:
-    """The environment's physical data; an interval is [low, high]."""
+    """The environment's physical data as JSON values; an interval is [low, high]."""
     match environment:
         case Network():
             return _network(environment, environment, 0)
@@ -133,7 +132,7 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     """The environment that :func:`describe_environment` wrote.
 
     Raises:
-        KeyError, TypeError, ValueError: something is missing or makes no environment.
+        KeyError, TypeError, ValueError: a key is missing, or its value makes no environment.
     """
     kind = data["type"]
     if kind == "declared":
@@ -166,7 +165,7 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
 
 
 def _network_of(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Network:
-    """The network with every interval at its low (0) or high (1) end."""
+    """The network with every interval at its low end (``end`` 0) or high end (1)."""
 
     def at(value: Any) -> float:
         if isinstance(value, list) and len(value) != 2:
@@ -206,7 +205,7 @@ def coupling_of(data: Mapping[str, Any], partition: Partition) -> tuple[Coupling
     """The blocks that :func:`describe_coupling` wrote, in the partition's order.
 
     Raises:
-        KeyError, TypeError, ValueError: a block is missing, or has not its ports.
+        KeyError, TypeError, ValueError: a block is missing, or its size is not that of its ports.
     """
     sizes = {name: len(block) for name, block in zip(partition.names, partition.blocks, strict=True)}
     blocks = data["blocks"]
@@ -227,10 +226,10 @@ def coupling_of(data: Mapping[str, Any], partition: Partition) -> tuple[Coupling
 
 
 def storage_of(value: Any, environment: Environment) -> Matrix | Literal["energy", "enforced"]:
-    """E_hat's storage; a declared environment has none, and no other may do without.
+    """E_hat's storage: a matrix, or the word that stands in its place. Only a declared environment has none.
 
     Raises:
-        ValueError: another word, or not a matrix.
+        ValueError: the word is not the one for this environment, or the value is not a matrix.
     """
     if isinstance(environment, DeclaredEnvironment):
         if value != ENFORCED:
@@ -254,7 +253,7 @@ def matrices_by_block(data: Mapping[str, Any], partition: Partition) -> tuple[Ma
 
 
 def describe_aim(aim: Transparency) -> dict[str, Any]:
-    """The transparency problem with its weights in z."""
+    """The transparency problem as JSON values, its weights in z."""
     return {"objective": aim.objective, **_weights(aim)}
 
 
@@ -272,16 +271,16 @@ def aim_of(data: Mapping[str, Any]) -> Transparency:
 
 
 def system_values(system: StateSpace) -> dict[str, Any]:
-    """A, B, C and D as rows, or the static gain where that was stated instead of D."""
+    """A, B, C and D as rows; or the static gain instead of D, if the system states it."""
     last = {"D": system.D.tolist()} if system.static_gain is None else {"static": system.static_gain.tolist()}
     return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), **last}
 
 
 def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSpace:
-    """The system whose matrices were written; JSON has no shape for a matrix without rows or columns.
+    """The system that :func:`system_values` wrote; JSON has no shape for a matrix without rows or columns.
 
     Raises:
-        KeyError, TypeError, ValueError: a matrix is missing, or is none of that shape.
+        KeyError, TypeError, ValueError: a matrix is missing, or its shape does not fit the others.
     """
     if not data["A"] and (data["B"] or any(data["C"])):
         raise ValueError("expected B and C without entries where A has none")
@@ -297,14 +296,14 @@ def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSp
 
 
 def square(rows: Any) -> Matrix:
-    """A square matrix, which may have no rows: what has no states stores nothing."""
+    """A square matrix; without rows, the storage matrix of a system without states."""
     return matrix(rows, len(rows), len(rows)) if rows else np.zeros((0, 0))
 
 
 FORMAT = "manyhands-certificate"
 VERSION = 3
 WITHOUT_ASKED = 2
-"""The version that does not record what was asked, and whose id is over the content with its keys sorted."""
+"""The version that does not record the request; its id is computed over the content with sorted keys."""
 MAX_FILE_BYTES = 256 * 2**20
 _KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
 _ASKED = {"coupling", "objective", "weights", "algorithm", "iterations", "order", "poles"}
@@ -313,10 +312,10 @@ _KEYS |= {"coupling", "levels", "storage", "transparency", "margins", "method"}
 
 @dataclass(frozen=True, eq=False)
 class TransparencyClaim:
-    """What the coupling costs in transparency, and the storage that proves it.
+    """The claim on the coupling's transparency, and the storage matrix that proves it.
 
     Attributes:
-        aim: which of (23), (24), with its weights.
+        aim: the problem, (23) or (24), with its weights.
         gamma: the weighted norm is below it; dimensionless for (24), N/m for (23).
         P: storage matrix of the bounded real lemma, in the realisation that
             :func:`manyhands.design.models.weights.weighted` builds of
@@ -336,10 +335,10 @@ class Certificate:
         loop: the physical data, period, delay and block structure.
         coupling: the blocks of V, each a spring-damper or a linear system, in the partition's order.
         levels: the promised levels and the storage matrices.
-        transparency: the claim on transparency, where the session aims at one.
-        margins: by condition, how far it is from failing.
+        transparency: the claim on transparency; None if the session has no such aim.
+        margins: for each condition, its distance to failure.
         method: how the coupling was found: algorithm, iterations, solver.
-        asked: what was asked of the coupling, as plain data; not a claim, and nothing proves it. None for a file of
+        asked: the request for the coupling, as plain data; it is not a claim and is not proved. None for a file of
             version 2, which does not record it.
         id: SHA-256 (hex) over the content; empty until :func:`seal`.
     """
@@ -355,7 +354,7 @@ class Certificate:
 
     @property
     def version(self) -> int:
-        """The file format's version that holds exactly this."""
+        """The version of the file format that holds exactly this content."""
         return WITHOUT_ASKED if self.asked is None else VERSION
 
     @property
@@ -370,7 +369,7 @@ class Certificate:
 
     @cached_property
     def spring_damper(self) -> SpringDamper | None:
-        """K and B of the whole coupling, m x m, when it is of the spring-damper class."""
+        """K and B of the whole coupling, m x m; None if a block is not of the spring-damper class."""
         parts = [part for part in self.coupling if isinstance(part, SpringDamper)]
         if len(parts) != len(self.coupling):
             return None
@@ -379,7 +378,7 @@ class Certificate:
 
 
 def content(certificate: Certificate) -> dict[str, Any]:
-    """Everything the certificate says, as JSON values, without its id."""
+    """The certificate's whole content as JSON values, without its id."""
     loop, levels = certificate.loop, certificate.levels
     ports, partition = loop.ports, loop.partition
     Phi_E: Any = levels.Phi_E.tolist()
@@ -427,7 +426,7 @@ def _by_block(partition: Partition, parts: tuple[Matrix, ...]) -> dict[str, list
 def identity(data: Mapping[str, Any]) -> str:
     """SHA-256 (hex) over the content's canonical JSON: keys in their order, no spaces, shortest exact floats.
 
-    The order counts: that of ``devices``, ``structure`` and the ports follows from it. In version 2 keys are sorted.
+    The order of keys counts, because it is the order of devices, blocks and ports. In version 2 keys are sorted.
     """
     canonical = json.dumps(
         {key: value for key, value in data.items() if key != "id"},
@@ -444,7 +443,7 @@ def seal(certificate: Certificate) -> Certificate:
 
 
 def to_json(certificate: Certificate) -> str:
-    """The file's text: the id first, matrices a row a line."""
+    """The file's text: the id first, each row of a matrix on its own line."""
     data = {"id": certificate.id, **content(certificate)}
     return _pretty(data) + "\n"
 
@@ -456,13 +455,14 @@ def save(certificate: Certificate, path: Path) -> None:
 
 
 def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
-    """Read a certificate; its id is *read*, not believed: verification recomputes it.
+    """Read a certificate. Its id is only read; the proof computes it again.
 
     Returns:
         The certificate, and the file's plain data, over which the id is computed.
 
     Raises:
-        CertificateError: not readable, not a certificate, or not of this version; names file and key.
+        CertificateError: the file is not readable, not a certificate, or not of a known version; the message names
+            file and key.
     """
     try:
         text = read_regular(path, MAX_FILE_BYTES)
@@ -486,8 +486,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """The certificate that :func:`content` (with "id") describes.
 
     Raises:
-        KeyError, TypeError, ValueError, AttributeError, OverflowError: something is missing, of another type, shape
-            or size.
+        KeyError, TypeError, ValueError, AttributeError, OverflowError: a key is missing, or its value has the wrong
+            type, shape or size.
     """
     form, version = data["format"], data["version"]
     if form != FORMAT or type(version) is not int or version not in (WITHOUT_ASKED, VERSION):
@@ -547,7 +547,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
 
 
 def _finite(text: str) -> float:
-    """A number of the file; Python's JSON would read NaN, Infinity and 1e999 too."""
+    """A finite number of the file; Python's JSON reader would also accept NaN, Infinity and 1e999."""
     number = float(text)
     if not math.isfinite(number):
         raise ValueError(f"expected finite numbers, found {text[:40]}")
@@ -555,7 +555,7 @@ def _finite(text: str) -> float:
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; a key given twice would show a reader another file than the one that is checked."""
+    """A JSON object with unique keys; with a key given twice, a reader could see a value that is not checked."""
     found = dict(pairs)
     if len(found) != len(pairs):
         raise ValueError(f"expected every key once, found {sorted(key for key, _ in pairs)}")
@@ -563,7 +563,7 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _pretty(value: Any, indent: int = 0) -> str:
-    """JSON with vectors on one line, so that a matrix looks like one."""
+    """JSON with each vector on one line, so that a matrix looks like a matrix."""
     pad = "  " * (indent + 1)
     if isinstance(value, Mapping) and value:
         rows = [f"{pad}{json.dumps(key)}: {_pretty(item, indent + 1)}" for key, item in value.items()]
@@ -573,11 +573,11 @@ def _pretty(value: Any, indent: int = 0) -> str:
     return json.dumps(value, allow_nan=False)
 
 
-_MOST_SHOWN = 200  # characters of a value, which somebody else may have written
+_MOST_SHOWN = 200  # characters of a value; its file may come from an untrusted person
 
 
 def unrecorded(certificate: Certificate) -> str:
-    """What a certificate's file does not record, as a sentence; empty where it records everything."""
+    """A sentence about what a certificate's file does not record; empty if it records everything."""
     if certificate.asked is not None:
         return ""
     return (
@@ -587,14 +587,14 @@ def unrecorded(certificate: Certificate) -> str:
 
 
 def asked_text(asked: Mapping[str, Any]) -> str:
-    """What was asked, on one line."""
+    """The request of a certificate, on one line."""
     return ", ".join(f"{key} {_shown(value)}" for key, value in asked.items())[: 2 * _MOST_SHOWN]
 
 
 def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequest) -> list[str]:
-    """Where the certificate is about another loop, or another coupling, than these; empty when it fits.
+    """A sentence for each difference between the certificate and this loop and request; empty if the certificate fits.
 
-    What was asked is compared where it is recorded: see :func:`unrecorded`.
+    The request is compared only if the certificate records it; see :func:`unrecorded`.
     """
     own = certificate.loop
     out = [
@@ -645,9 +645,9 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
 
 
 def _other_wishes(asked: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str]:
-    """A sentence for each key of ``design:`` that was asked otherwise than the session asks.
+    """A sentence for each key of ``design:`` whose value differs between the certificate and the session.
 
-    Where the class of coupling differs, the keys that only one of the classes has differ with it, and are left out.
+    If the class of coupling differs, keys that only one of the classes has are left out.
     """
     one_class = asked.get("coupling") == wish["coupling"]
     return [
@@ -659,7 +659,7 @@ def _other_wishes(asked: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str
 
 
 def _shown(value: object) -> str:
-    """A value as a message shows it, without anything that a terminal would take for a command."""
+    """A value as a message shows it, escaped so that it contains no control sequence of a terminal."""
     text = json.dumps(value)
     text = text[1:-1] if isinstance(value, str) else text
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."

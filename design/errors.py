@@ -1,18 +1,18 @@
-"""What can go wrong in a design, as errors of our own that say what to do next."""
+"""The errors of a design; their messages name what failed and what could be changed."""
 
 from __future__ import annotations
 
 
 class DesignError(Exception):
-    """Base of the errors of this room."""
+    """Base class of the errors of ``manyhands.design``."""
 
 
 class Infeasible(DesignError):
-    """No coupling of the wanted class, or not the given one, satisfies the conditions.
+    """No coupling of the wanted class satisfies the conditions, or the given coupling does not.
 
     Attributes:
-        condition: which condition fails, with its number in [Bianchini2010]_ where it has one.
-        relax: what could be changed so that it holds, each with a figure where one is known.
+        condition: the condition that fails, with its number in [Bianchini2010]_ if it has one.
+        relax: changes that could make the condition hold, each with a figure if one is known.
     """
 
     def __init__(self, condition: str, relax: tuple[str, ...]) -> None:
@@ -26,11 +26,11 @@ class NotConverged(DesignError):
 
 
 class SolverFailure(DesignError):
-    """The solver gave no usable answer, or one that does not survive a check of its own numbers."""
+    """The solver gave no usable answer, or an answer that does not survive a check of its numbers."""
 
 
 class TooLarge(DesignError):
-    """The loop is larger than the programs of this version can take."""
+    """The loop is larger than the programs of this version can handle."""
 
 
 class CertificateError(DesignError):

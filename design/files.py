@@ -1,8 +1,8 @@
-"""Opening the files of others, and replacing one's own: regular files only, whole or not at all, through no link.
+"""Safe reading and writing: only regular files are read; files are written whole or not at all, never through a link.
 
-A path may come from a session file, a bundle or a stranger, and a folder may be shared. So what is read is seen to be a
-regular file of bounded size before a byte of it is used, and what is written has a name that nobody can guess until it
-is whole. (Key files have rules of their own: :mod:`manyhands.protocol.keys`.)
+A path may come from a session file, from a bundle or from an untrusted person, and a folder may be shared. So a file
+is checked to be regular and of bounded size before any of its bytes are used. A file under construction has a name
+that nobody can guess until it is complete. (Key files have rules of their own: :mod:`manyhands.protocol.keys`.)
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
     """Open a regular file for reading; a pipe, a device or a folder is refused at once, without waiting for it.
 
     Args:
-        path: the file; it may be a link to one.
-        most: the bytes that it may have; None for any number.
+        path: the file, or a link to a regular file.
+        most: greatest number of bytes; None for no limit.
 
     Raises:
-        OSError: it cannot be opened, is no regular file, or is too long; ``strerror`` says what was found.
-        ValueError: the path has a zero byte in it.
+        OSError: the file cannot be opened, is not a regular file, or is too long; ``strerror`` states what was found.
+        ValueError: the path contains a zero byte.
     """
-    _require_regular(path, os.stat(path))  # first by name: a pipe that is opened wakes its writer
+    _require_regular(path, os.stat(path))  # first by name, because opening a pipe wakes its writer
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK)
     try:
-        status = os.fstat(descriptor)  # the name may lead elsewhere meanwhile
+        status = os.fstat(descriptor)  # the name may refer to a different file by now
         _require_regular(path, status)
         if most is not None and status.st_size > most:
             raise OSError(errno.EFBIG, f"Is longer than {most} bytes", str(path))
@@ -58,7 +58,7 @@ def read_regular(path: Path, most: int) -> bytes:
     """
     with open_regular(path, most) as file:
         content = file.read(most + 1)
-    if len(content) > most:  # it grew, or it is one of those files in /proc that have no size
+    if len(content) > most:  # the file has grown, or it is a file in /proc, which states no size
         raise OSError(errno.EFBIG, f"Is longer than {most} bytes", str(path))
     return content
 
@@ -67,12 +67,12 @@ def open_new(path: Path, mode: int | None = None) -> BinaryIO:
     """Make a new file and open it for writing, never through a link.
 
     Args:
-        path: where nothing may be yet, not even a link that leads nowhere.
-        mode: its mode, whatever the umask; None for what the umask leaves of 0666.
+        path: the new file; nothing of this name may exist, not even a dangling link.
+        mode: its mode, independent of the umask; None for 0666 reduced by the umask.
 
     Raises:
-        FileExistsError: there is something of that name.
-        OSError: it cannot be made.
+        FileExistsError: something of that name exists.
+        OSError: the file cannot be made.
     """
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     file = os.fdopen(os.open(path, flags, 0o666 if mode is None else mode & 0o600), "wb")
@@ -82,12 +82,13 @@ def open_new(path: Path, mode: int | None = None) -> BinaryIO:
 
 
 def open_beside(path: Path, mode: int | None = None) -> tuple[Path, BinaryIO]:
-    """Make a new file in the folder of ``path``, of a name that nobody can guess; whoever asked for it renames it.
+    """Make a new file in the folder of ``path``, with a name that nobody can guess; the caller renames it.
 
     Raises:
-        OSError: it cannot be made, or what is at ``path`` is no regular file and must not be replaced by one.
+        OSError: the file cannot be made; or ``path`` is something other than a regular file, which must not be
+            replaced.
     """
-    with contextlib.suppress(FileNotFoundError):  # nothing is there, or a link that leads nowhere and is replaced
+    with contextlib.suppress(FileNotFoundError):  # nothing exists there, or a dangling link, which is replaced
         _require_regular(path, os.stat(path))
     partial = path.with_name(f".{secrets.token_hex(16)}.part")
     return partial, open_new(partial, mode)
@@ -98,7 +99,7 @@ _OF_THE_DISK: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name ``path`` in an error of the disk, such as "No space left on device": Python names no file in one of a write.
+    """Name ``path`` in an error of the disk, such as "No space left on device"; Python names no file if a write fails.
 
     Raises:
         OSError: with ``path`` as its file name.
@@ -113,16 +114,17 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path, mode: int | None = None) -> Iterator[BinaryIO]:
-    """A new file to write to: at the end it is on the disk and takes the place of ``path``, whole or not at all.
+    """A new file to write to. At the end it is flushed to the disk and replaces ``path``, whole or not at all.
 
-    On an error nothing is left of it, and an older file stays as it was. A link at ``path`` is replaced, not followed.
+    On an error the new file is removed, and an older file stays unchanged. A link at ``path`` is replaced, not
+    followed.
 
     Args:
         path: the file.
-        mode: as of :func:`open_new`.
+        mode: as for :func:`open_new`.
 
     Raises:
-        OSError: as :func:`open_beside`, or it cannot be written; names ``path``.
+        OSError: as for :func:`open_beside`; or the file cannot be written, and the error names ``path``.
     """
     partial, file = open_beside(path, mode)
     try:

@@ -1,25 +1,27 @@
-"""A ladder: couplings certified beforehand for longer delays inside the tick than the session's own.
+"""A ladder: couplings certified beforehand for delays inside the tick that are longer than the session's own.
 
-The certificate assumes that a force acts at most tau after its sample. A run that measures more may change to a softer
-coupling that is certified for more. Rung 0 is the session's certificate; each further rung is a certificate of the same
-loop with a longer tau, proved like any other.
+The certificate assumes that a force acts at most tau after its sample. A run that measures a longer delay may change to
+a softer coupling that is certified for it. Rung 0 is the session's certificate. Each further rung is a certificate of
+the same loop with a longer tau, proved in the same way.
 
-**How a rung is found.** The environment does not know the delay: rung 0's Phi_E and its storage prove it at every rung,
-and only where (10) then leaves no coupling is another level looked for. With Phi_E <= s Delta_D, the spring-damper
-class (:mod:`manyhands.design.levels.spring_damper`) is the same problem for every block in ports where Delta_D = I, and
-its best coupling is K = k Delta_D, B = b Delta_D with two numbers for all blocks: a rung costs one program of one port.
+**How a rung is found.** The environment's level does not depend on the delay: rung 0's Phi_E and its storage prove it
+at every rung. Only if (10) then leaves no coupling, the search takes a different level. With Phi_E <= s Delta_D, the
+spring-damper class (:mod:`manyhands.design.levels.spring_damper`) is the same problem for every block, in ports where
+Delta_D = I. Its best coupling is K = k Delta_D, B = b Delta_D with two numbers for all blocks, so that a rung costs one
+program of one port.
 
 | asked of rung 0 | its rungs |
 |---|---|
 | feasible or stiffest, any class | K = k Delta_D, B = b Delta_D with the same aim |
 | loop-shaping or closed-loop, any class | springs and dampers by the same aim, searched at the rung's tau |
-| a given coupling | itself while it can be certified, then as for feasible |
+| a given coupling | the same coupling while it can be certified, then as for feasible |
 
-Rungs of linear couplings are springs and dampers too: their searches take long, and a rung is there to be safe. Every
-rung records what the session asked, as rung 0 does; its method says how it was found, and of which rung 0 it is a rung.
+Rungs of linear couplings are springs and dampers too, because a search in the linear class takes long and a rung only
+has to be safe. Every rung records what the session asked, as rung 0 does. The rung's method records how its coupling
+was found, and the id of its rung 0.
 
-**Mixing.** Blocks change one by one, so that a loop may be at several rungs at once. That every mixture is certified is
-proved by :mod:`manyhands.design.proof.ladder`.
+**Mixing.** Blocks change one by one, so that a loop may be at several rungs at once.
+:mod:`manyhands.design.proof.ladder` proves that every mixture is certified.
 """
 
 from __future__ import annotations
@@ -52,19 +54,19 @@ from manyhands.design.theorem3 import check_spring_damper, devices
 Progress = Callable[[str], None]
 
 MOST_PORTS = 256
-"""Ports up to which a ladder has three rungs by itself; above, one. A rung costs a proof, as much as rung 0's."""
+"""Up to this many ports a ladder gets three further rungs by default, above it one: a rung costs a whole proof."""
 
 _SOFTENED = "spring-damper class in proportion to Delta_D"
 
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Certificates of one loop for growing delays, and what was proved of them in common.
+    """Certificates of one loop for growing delays, and what was proved of them together.
 
     Attributes:
-        rungs: rung 0 is the session's own certificate; two rungs at least.
+        rungs: rung 0 is the session's own certificate; at least two rungs.
         independent: whether every mixture of rungs is proved, so that each coupling may change by itself. Otherwise
-            all have to change together.
+            all couplings have to change together.
         Phi_E: the environment's level that serves all rungs, m x m, N*s/m.
     """
 
@@ -79,10 +81,10 @@ class Ladder:
 
 
 class LadderFound(NamedTuple):
-    """What came of designing a ladder.
+    """The result of designing a ladder.
 
     Attributes:
-        ladder: None where no rung but the certificate itself was found.
+        ladder: None if no rung beyond the certificate itself was found.
         notes: a sentence for each delay that has no rung, with the reason.
     """
 
@@ -91,7 +93,7 @@ class LadderFound(NamedTuple):
 
 
 def automatic_delays(loop: HapticLoop) -> tuple[float, ...]:
-    """The delays (s) of a ladder that nobody stated: T/4, T/2 and T, or T alone for many ports, above the loop's."""
+    """The default delays of a ladder, s: T/4, T/2 and T, or T alone for many ports; only those above the loop's tau."""
     parts = (0.25, 0.5, 1.0) if len(loop.ports) <= MOST_PORTS else (1.0,)
     return tuple(part * loop.period for part in parts if part * loop.period > loop.tau)
 
@@ -99,18 +101,19 @@ def automatic_delays(loop: HapticLoop) -> tuple[float, ...]:
 def design_ladder(
     first: Certificate, wanted: CouplingRequest, delays: tuple[float, ...], progress: Progress | None = None
 ) -> LadderFound:
-    """Find and prove a rung for each delay, and what they have in common.
+    """Find and prove a rung for each delay, and prove the rungs together.
 
-    A delay without a rung is left out with a note; so are all that are longer, if it has none for want of any coupling.
+    A delay without a rung is left out with a note. If no coupling exists for a delay, all longer delays are left out
+    too.
 
     Args:
         first: rung 0.
         wanted: what was asked of its coupling.
-        delays: s, growing, above that of ``first`` and at most the period.
-        progress: told what is being done.
+        delays: s, growing, above the tau of ``first`` and at most the period.
+        progress: called with a line of text for each rung.
 
     Raises:
-        ValueError: delays that are not as above.
+        ValueError: the delays do not grow, or are out of these bounds.
     """
     bounds = (first.tau, *delays)
     if any(b <= a for a, b in zip(bounds, delays, strict=False)) or bounds[-1] > first.loop.period:
@@ -139,11 +142,11 @@ def design_ladder(
 
 
 def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificate:
-    """The certificate for a longer delay: of the first coupling that has one.
+    """The certificate for a longer delay, of the first coupling that can be certified.
 
     Raises:
         Infeasible: no coupling can be certified.
-        DesignError: none was, for another reason.
+        DesignError: no coupling was certified, for a different reason.
     """
     loop = replace(first.loop, tau=tau)
     reason: DesignError | None = None
@@ -155,14 +158,14 @@ def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificat
         except DesignError as error:
             reason = error
     need = _need(first)
-    if need > 0.0:  # another level of the environment may ask for less
+    if need > 0.0:  # a different level of the environment may need less of Delta_D
         found = _softened(loop, environment_need(loop), stiff=False)
         return certificate_of(loop, wanted, replace(found, method={**found.method, "rung of": first.id}))
     raise reason or AssertionError("there is always a way to look for a rung")
 
 
 def _ways(loop: HapticLoop, wanted: CouplingRequest, first: Certificate) -> Iterator[Callable[[], Found]]:
-    """How a rung's coupling may be found, the preferred way first."""
+    """The methods to find a rung's coupling, in the order of preference."""
     stiff = False
     match wanted:
         case SpringDamperGiven() | LinearGiven():
@@ -176,7 +179,7 @@ def _ways(loop: HapticLoop, wanted: CouplingRequest, first: Certificate) -> Iter
 
 
 def _need(first: Certificate) -> float:
-    """The least s with Phi_E <= s Delta_D, dimensionless: what of the devices' level rung 0's Phi_E needs."""
+    """The least s with Phi_E <= s Delta_D, dimensionless: the part of the devices' level that rung 0's Phi_E needs."""
     loop, Phi_E = first.loop, first.levels.Phi_E
     if not loop.partition.admits(Phi_E):
         return _greatest_ratio(Phi_E, loop.Delta_D)
@@ -194,10 +197,10 @@ def _softened(loop: HapticLoop, needed: float, stiff: bool) -> Found:
     Args:
         loop: with the rung's delay.
         needed: part of Delta_D that the environment needs.
-        stiff: whether the stiffest is wanted; otherwise the one furthest inside.
+        stiff: whether to find the stiffest coupling; otherwise the coupling furthest inside the conditions.
 
     Raises:
-        Infeasible: there is none.
+        Infeasible: no such coupling exists.
     """
     unit, member = np.eye(1), stiffest if stiff else centred
     best: tuple[float, SpringDamper, DeviceShare] | None = None
@@ -221,7 +224,7 @@ def _softened(loop: HapticLoop, needed: float, stiff: bool) -> Found:
 
 
 def _roomiest(gains: tuple[DeviceShare, ...], coupling: SpringDamper, needed: float, T: float) -> DeviceShare:
-    """Of ``gains``, the first of which serves, the one that leaves (10) the greatest margin; where Delta_D = 1."""
+    """Among ``gains``, the gain with the greatest margin of (10), on one port with Delta_D = 1; the first serves."""
     unit = np.eye(1)
 
     def reached(device: DeviceShare) -> float:
@@ -236,10 +239,11 @@ def _roomiest(gains: tuple[DeviceShare, ...], coupling: SpringDamper, needed: fl
 
 
 def _in_common(rungs: tuple[Certificate, ...]) -> Ladder | None:
-    """The ladder by the Phi_E that proves most: every mixture, or (10) at every rung; None where there is neither."""
+    """The ladder with the Phi_E that proves most: every mixture, or else (10) at every rung; None if no Phi_E does."""
     Phi_E, partition = rungs[0].levels.Phi_E, rungs[0].loop.partition
     if partition.admits(Phi_E) and all(np.array_equal(rung.levels.Phi_E, Phi_E) for rung in rungs[1:]):
-        # each rung's own proof has (10) with it, and without entries between blocks that is all: see proof/ladder.py
+        # Each rung's own proof has shown (10) with this Phi_E. It has no entries between blocks, so that every mixture
+        # follows: see proof/ladder.py.
         return Ladder(rungs, True, Phi_E)
     data = [content(rung) | {"id": rung.id} for rung in rungs]
     together: Ladder | None = None

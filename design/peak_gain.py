@@ -1,4 +1,4 @@
-"""How far a stable discrete system's output, and its change in a tick, can go when every input is bounded.
+"""Bounds on a stable discrete system's output, and on its change in a tick, for bounded inputs.
 
 With the impulse response h(0) = D, h(k) = C A^(k-1) B and |u_j(k)| <= a_j from rest, the output satisfies
 
@@ -11,8 +11,8 @@ everything left is split as A^(qLj) A^(Ls) A^i, j >= 1, 0 <= s < q, 0 <= i < L, 
 
     sum_(k > qL) |h(k)| <= rho/(1 - rho) (sum_s ||row of C A^(Ls)||_1) (sum_i ||column of A^i B||_inf),
 
-since |c M b| <= ||c||_1 ||M||_inf ||b||_inf. This is added, so that what is returned is a bound up to rounding; it is
-summed until the tail is negligible, or until enough work has been done and the tail, small or not, is what it is.
+because |c M b| <= ||c||_1 ||M||_inf ||b||_inf. The tail is added, so that the result is a bound up to rounding. The sum
+ends when the tail is negligible, or at a limit on the work; then the result is a bound too, with a greater tail.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from manyhands.design.models.statespace import Matrix, StateSpace
 _NEGLIGIBLE = 1e-12  # tail relative to the largest norm
 _STRIDE_ENTRIES = 2**18  # of the stride's A^i B in memory, 2 MiB
 _LONGEST_STRIDE = 512  # ticks
-_MOST_STRIDES = 4096  # a second or two; enough for poles at a distance of 1e-5 from the unit circle
-_MOST_WORK = 1e9  # multiplications, likewise; reached by blocks of hundreds of states with slow poles
+_MOST_STRIDES = 4096  # takes one to two seconds; enough for poles at a distance of 1e-5 from the unit circle
+_MOST_WORK = 1e9  # multiplications, as long; blocks of hundreds of states with slow poles reach this limit
 
 
 def peak_gain(system: StateSpace) -> Matrix:
-    """||h_ij||_1 of a discrete system, outputs x inputs; ``inf`` throughout where it is not found to be stable."""
+    """||h_ij||_1 of a discrete system, outputs x inputs; all ``inf`` if the system is not found to be stable."""
     n, p, m = system.order, system.inputs, system.outputs
     gain = np.abs(system.D)
     if n == 0:
@@ -58,17 +58,17 @@ def output_bounds(system: StateSpace, amplitude: Matrix) -> tuple[Matrix, Matrix
 
     Args:
         system: discrete.
-        amplitude: one entry an input, in its unit.
+        amplitude: one entry per input, in its unit.
 
     Returns:
-        Two vectors, one entry an output, in its unit; ``inf`` where the system is not found to be stable.
+        Two vectors, one entry per output, in its unit; ``inf`` if the system is not found to be stable.
     """
     return _bound(system, amplitude), _bound(_increment(system), amplitude)
 
 
 def _bound(system: StateSpace, amplitude: Matrix) -> Matrix:
     gain = peak_gain(system)
-    # an input that is always zero moves nothing, however little is known of the gain
+    # an input that is always zero moves nothing, even if its gain is infinite
     return np.asarray(np.where(amplitude > 0.0, gain, 0.0) @ amplitude)
 
 

@@ -1,7 +1,7 @@
 """What a certificate is about: the physical data of one haptic loop and what is asked of its coupling.
 
-The certificate stores exactly this, so that a check can start from the physics and not from somebody's
-state-space matrices.
+The certificate stores exactly this, so that a proof can start from the physical data and not from state-space matrices
+that some program derived from them.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ MOST_ITERATIONS = 200
 
 @dataclass(frozen=True)
 class Wish:
-    """What a coupling that is to be found is chosen by.
+    """The criteria by which a search chooses a coupling.
 
     Attributes:
         objective: "feasible" (well inside every condition), "stiffest", or a transparency problem.
-        aim: the transparency problem; None for the other two.
-        algorithm: "convex", or "complementarity", the paper's own, for "feasible".
-        iterations: cap of the latter.
+        aim: the transparency problem; None for "feasible" and "stiffest".
+        algorithm: "convex"; or "complementarity", the paper's own, only with "feasible".
+        iterations: cap on the iterations of "complementarity".
     """
 
     objective: Objective = "feasible"
@@ -87,7 +87,7 @@ class Pole:
 
     Attributes:
         frequency: rad/s, > 0.
-        damping: ratio in (0, 1]; at 1 a double real pole.
+        damping: damping ratio in (0, 1]; 1 makes a double real pole.
     """
 
     frequency: float
@@ -99,9 +99,9 @@ class LinearWanted:
     """Find a linear coupling of given order with the loop's block structure.
 
     Attributes:
-        orders: states a port, for each block.
-        wish: what it is chosen by.
-        poles: fixed pairs of poles, the same for every block; None to choose them.
+        orders: states per port, for each block.
+        wish: the criteria of the search.
+        poles: fixed pairs of poles, the same for every block; None lets the design choose them.
     """
 
     orders: tuple[int, ...]
@@ -119,7 +119,7 @@ class SpringDamperGiven:
 
 @dataclass(frozen=True, eq=False)
 class LinearGiven:
-    """Certify this linear coupling, one system for each block in the partition's order, and its transparency."""
+    """Certify this linear coupling, one system for each block in the partition's order, with its aim if it has one."""
 
     blocks: tuple[StateSpace, ...]
     aim: Transparency | None = None
@@ -127,7 +127,7 @@ class LinearGiven:
 
 @dataclass(frozen=True)
 class NoCoupling:
-    """f_v = -E x: V = 0. Cannot be certified, for V_hat = -(z-1)/(Tz) K is not OSP."""
+    """f_v = -E x: V = 0. This cannot be certified, because V_hat = -(z-1)/(Tz) K is not OSP."""
 
 
 CouplingRequest = SpringDamperWanted | LinearWanted | SpringDamperGiven | LinearGiven | NoCoupling
@@ -138,13 +138,13 @@ class HapticLoop:
     """The loop of Fig. 1: devices with hands, a coupling of given structure, an environment.
 
     Attributes:
-        session: name of the session it belongs to.
+        session: name of the session.
         period: T, s.
         ports: names of the m ports.
         devices: their levels; together they cover every port once.
         partition: the blocks of V.
         environment: the environment, with the same ports in the same order.
-        tau: longest delay inside the tick, from x(k) to f_v(k) applied, that is to be certified, s, at most T.
+        tau: longest delay inside the tick to be certified, from the sample of x(k) until f_v(k) acts, s, at most T.
     """
 
     session: str
@@ -172,9 +172,9 @@ class HapticLoop:
     def Delta_D_blocks(self) -> tuple[Matrix, ...]:
         """Delta_D of (6) by block of V, m_i x m_i, N*s/m: the devices' levels brought to the coupling's structure.
 
-        Where two blocks of V split a device whose level joins their ports, the level of that device is
-        replaced by its least eigenvalue times the identity: Delta-OSP implies Delta'-OSP for every
-        Delta' <= Delta, and each block can then keep its promise from its own data.
+        Where two blocks of V split a device whose level joins their ports, the level of that device is replaced by its
+        least eigenvalue times the identity. Delta-OSP implies Delta'-OSP for every Delta' <= Delta, and each block can
+        then keep its promise with its own data alone.
         """
         block_of = {port: i for i, block in enumerate(self.partition.blocks) for port in block}
         place = {port: (i, j) for i, block in enumerate(self.partition.blocks) for j, port in enumerate(block)}
@@ -183,7 +183,7 @@ class HapticLoop:
             level = device.level
             owners = np.array([block_of[p] for p in device.ports])
             if np.any(level[owners[:, None] != owners[None, :]]):
-                # a little less, so that it is below the level in exact arithmetic too
+                # slightly less, so that it is below the level in exact arithmetic too
                 level = np.linalg.eigvalsh(level)[0] * (1.0 - _BELOW) * np.eye(len(device.ports))
             for a, p in enumerate(device.ports):
                 for b, q in enumerate(device.ports):
@@ -193,13 +193,13 @@ class HapticLoop:
 
     @property
     def enforced(self) -> tuple[str, ...]:
-        """The parties whose level nothing proves, and a passivity controller keeps at run time."""
+        """The parties whose level is not proved; a passivity controller enforces it at run time."""
         declared = isinstance(self.environment, DeclaredEnvironment) and self.environment.enforced
         return ("environment",) if declared else ()
 
     @cached_property
     def split(self) -> Split:
-        """E_hat without its integrators, computed once; raises Infeasible where E_hat is passive at no level."""
+        """E_hat without its integrators, computed once; raises Infeasible if E_hat is passive at no level."""
         return self.environment.split(self.period)
 
     @cached_property
@@ -213,7 +213,7 @@ class HapticLoop:
 
     @cached_property
     def K(self) -> Matrix:
-        """The transformation's K = T/2 Delta_D^{-1} (8) without delay, m x m, m/N."""
+        """K = T/2 Delta_D^{-1} of the transformation (8), without delay, m x m, m/N."""
         return self.partition.embed(self.loop_gain(NO_DELAY_GAIN))
 
     @cached_property

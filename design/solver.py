@@ -1,19 +1,14 @@
-"""The one place where a semidefinite program is handed to a solver.
+"""Semidefinite programs and their solver: the only module that calls one.
 
-Statuses are turned into errors of our own, and no "optimal" is believed: callers re-establish every
-inequality from the numbers that come back (:mod:`manyhands.design.proof`).
+:func:`solve` takes cvxpy expressions. :class:`LinearMatrixProgram` takes numbers, F_0 + sum_i x_i F_i >= 0, and hands
+them to Clarabel without a modelling layer. The minimax programs of transparency need this: a search solves dozens of
+them, each with different coefficients, and building expressions would take ten times as long as solving. Both turn a
+solver's status into an error of :mod:`manyhands.design.errors`. No "optimal" is trusted: callers recompute every
+inequality from the returned numbers, and :mod:`manyhands.design.proof` proves the certificate.
 
-Semidefinite programs given as numbers, F_0 + sum_i x_i F_i >= 0, handed to Clarabel without a modelling layer.
-
-The minimax programs of transparency are solved dozens of times in a search, each with other coefficients; building them
-through expressions would take ten times as long as solving them. Answers are checked like those of
-:mod:`manyhands.design.solver`: a status is turned into an error of our own, and the caller recomputes what it needs.
-
-State and port coordinates in which semidefinite programs are honest.
-
-In raw SI units a solver can call a value optimal that is several times off. Ports are scaled by
-S = Delta_D^{-1/2}, so that levels are of order one, and the states of a stable system so that each is as controllable
-as it is observable: a storage matrix is then of the order of the port's units too.
+**Coordinates.** In raw SI units a solver can return a value as optimal that is wrong by a factor of several. So ports
+are scaled by S = Delta_D^{-1/2}, which makes levels of order one. The states of a stable system are scaled so that each
+is as controllable as it is observable: storage matrices are then of the order of the ports' units too.
 """
 
 from __future__ import annotations
@@ -36,7 +31,7 @@ SOLVER = "CLARABEL"
 
 
 class ProgramInfeasible(Exception):
-    """The solver proved that the program has no solution; the caller knows what that means."""
+    """The solver reported that the program has no solution; the caller turns this into an error of its own."""
 
 
 def solve(program: cp.Problem, what: str) -> float:
@@ -48,11 +43,11 @@ def solve(program: cp.Problem, what: str) -> float:
 
     Raises:
         ProgramInfeasible: no solution exists.
-        SolverFailure: the solver gave up, or called the program unbounded.
+        SolverFailure: the solver gave up, or reported the program as unbounded.
     """
     try:
         with warnings.catch_warnings():
-            # a rough answer is told by its status, and the proof tells whether it is good enough
+            # the status shows a rough answer, and the proof decides whether it is good enough
             warnings.filterwarnings("ignore", message="Solution may be inaccurate", category=UserWarning)
             program.solve(solver=SOLVER)
     except cp.error.SolverError as error:
@@ -73,12 +68,12 @@ def value(variable: Any) -> Matrix:
 
 
 def symmetric(expression: Any) -> Any:
-    """(X + X^T)/2 of a cvxpy expression: cones take their argument's symmetric part as written."""
+    """(X + X^T)/2 of a cvxpy expression, because a cone constraint requires a symmetric argument."""
     return (expression + expression.T) / 2
 
 
 def positive(P: Any, least: float) -> list[cp.Constraint]:
-    """P >= ``least`` I for a storage matrix; nothing to ask of a system without states."""
+    """P >= ``least`` I for a storage matrix; no constraint for a system without states."""
     n = P.shape[0]
     return [symmetric(P) >> least * np.eye(n)] if n else []
 
@@ -86,8 +81,7 @@ def positive(P: Any, least: float) -> list[cp.Constraint]:
 def affine(constant: Matrix, directions: Matrix, p: Any) -> Any:
     """The symmetric matrix constant + sum_i p_i directions_i as one affine cvxpy expression.
 
-    A product and a reshape, whatever the directions came from: what cvxpy makes of the same matrix written out in
-    blocks takes it several times as long to compile.
+    It is one product and one reshape. The same matrix written in blocks takes cvxpy several times as long to compile.
 
     Args:
         constant: k x k symmetric.
@@ -150,7 +144,7 @@ class LinearMatrixProgram:
         self._norms.append((constant, linear))
 
     def hermitian(self, constant: NDArray[np.complex128], linear: NDArray[np.complex128]) -> None:
-        """As :meth:`positive`, for Hermitian matrices: [Re, -Im; Im, Re] is real and has the same eigenvalues."""
+        """Like :meth:`positive`, for Hermitian matrices: [Re, -Im; Im, Re] is real and has the same eigenvalues."""
         if len(constant) == 1:
             self.nonnegative(constant[0].real, linear[:, 0, :].real.T)
             return
@@ -182,7 +176,7 @@ class LinearMatrixProgram:
             cones.append(clarabel.PSDTriangleConeT(k))
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        settings.max_threads = 1  # the cones are small; two cores may be all there is
+        settings.max_threads = 1  # the cones are small, and the machine may have only two cores
         solver = clarabel.DefaultSolver(
             sp.csc_matrix((self.size, self.size)),
             np.asarray(cost, dtype=np.float64),
@@ -215,7 +209,7 @@ def _embedded(hermitian: NDArray[np.complex128]) -> Matrix:
     return np.asarray(np.concatenate([np.concatenate([re, -im], -1), np.concatenate([im, re], -1)], -2))
 
 
-_HIDDEN = 1e-14  # of the greatest Hankel singular value: below, a direction is not seen at all and keeps its scale
+_HIDDEN = 1e-14  # of the greatest Hankel singular value: the least one that a direction is given
 
 _MOST_DOUBLINGS = 60  # 2^60 ticks
 _CONVERGED = 1e-14  # relative change of a Gramian in one doubling
@@ -236,7 +230,7 @@ def balancing(system: StateSpace) -> Matrix:
     """X, n x n, such that the Gramians of the stable discrete system are equal in the states X psi.
 
     W_c = L L^T, W_o = R^T R, R L = U diag(h) V^T: X = diag(h)^{-1/2} U^T R. Directions that are hardly controllable or
-    observable are given h's least admitted value, so that X stays nonsingular.
+    observable get the least admitted value of h, so that X stays nonsingular.
     """
     n = system.order
     if n == 0:
@@ -249,7 +243,7 @@ def balancing(system: StateSpace) -> Matrix:
 
 
 def reachability(A: Matrix, B: Matrix) -> Matrix:
-    """The Gramian, the sum over k of A^k B B^T A^kT, n x n, of a stable A by doubling: no state's share is lost."""
+    """The Gramian sum_k A^k B B^T A^kT, n x n, of a stable A; doubling keeps the small entries accurate."""
     total, power = B @ B.T, A
     for _ in range(_MOST_DOUBLINGS):
         more = power @ total @ power.T
@@ -261,7 +255,7 @@ def reachability(A: Matrix, B: Matrix) -> Matrix:
 
 
 def _factor(W: Matrix) -> Matrix:
-    """A lower triangular L with L L^T = W plus as little as makes it positive definite."""
+    """A lower triangular L with L L^T = W plus a small diagonal, just enough for a positive definite sum."""
     W = symmetric_part(W)
     scale = float(np.max(np.abs(np.diag(W)), initial=0.0))
     root = np.sqrt(np.maximum(np.diag(W), _HIDDEN * max(scale, 1e-300)))

@@ -1,8 +1,8 @@
-"""Statics of what a session gives, decided exactly from its decimals, before anything is designed.
+"""Exact checks of the static gains that a session gives, from its decimals, before any design starts.
 
-E_hat and V_hat integrate the static gains E(1) and V(1). An integrator is passive only where its gain is symmetric and
-positive semidefinite, and no reserve makes up for what is missing: so these two questions are not left to floats. The
-proof asks them again, by code of its own (:mod:`manyhands.design.proof.statics`).
+E_hat and V_hat integrate the static gains E(1) and V(1). An integrator is passive only if its gain is symmetric and
+positive semidefinite. No margin elsewhere makes up for a violation, however small, so floats do not decide these two
+conditions. The proof checks them again with code of its own (:mod:`manyhands.design.proof.statics`).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.models.statespace import Matrix, StateSpace
 
-_MOST_STATES = 512  # of an exact solution: about a minute
+_MOST_STATES = 512  # for an exact solution, which takes about a minute at this size
 
 
 def check_environment(environment: Environment) -> None:
-    """Refuse an environment whose E(1) is not symmetric and >= 0; a network's is, by the signs of its links.
+    """Refuse an environment whose E(1) is not symmetric and >= 0. A network passes by the signs of its links.
 
     Raises:
-        Infeasible: names the entry, what it is, and what would be right.
+        Infeasible: a condition fails; the message names the entry, its value and the value that would be right.
     """
     match environment:
         case StateSpaceEnvironment():
@@ -37,10 +37,10 @@ def check_environment(environment: Environment) -> None:
 
 
 def check_block(name: str, block: StateSpace, ports: Sequence[str]) -> None:
-    """Refuse a block of V whose V(1) is not symmetric; that it is positive enough is a strict condition, asked later.
+    """Refuse a block of V whose V(1) is not symmetric. That V(1) > K is a strict condition, which is checked later.
 
     Raises:
-        Infeasible: names the entry, what it is, and what would be right.
+        Infeasible: V(1) is not symmetric; the message names the entry, its value and the value that would be right.
     """
     if len(ports) > 1:
         gain = _of_system(block, False, f"coupling {name}")
@@ -54,7 +54,7 @@ def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
     if n == 0:
         return _exact(system.D)
     if n > _MOST_STATES:
-        raise Infeasible(f"{what} has {n} states; its static gain is decided exactly up to {_MOST_STATES}", ())
+        raise Infeasible(f"{what} has {n} states; expected at most {_MOST_STATES} for an exact static gain", ())
     M = -_exact(system.A)
     for i in range(0 if continuous else n):
         M[i, i] += 1
@@ -100,7 +100,11 @@ def _require_symmetric(gain: fmpq_mat, ports: Sequence[str], what: str, unit: st
 
 
 def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
-    """By an exact LDL^T: the first pivot that is negative, or zero with something beside it, names what is missing."""
+    """Refuse E(1) that is not >= 0, by an exact LDL^T.
+
+    The first pivot that is negative, or zero with a nonzero entry in its row, shows which entry is wrong and by how
+    much.
+    """
     m = len(ports)
     rest = [[gain[i, j] for j in range(m)] for i in range(m)]
     consequence = "so that E_hat is passive at no level"
@@ -111,7 +115,7 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
                 f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: its entry "
                 f"({ports[k]}, {ports[k]}) is {_text(gain[k, k])} N/m, which is {_text(-pivot)} N/m less than the "
                 f"other entries need: expected at least {_text(gain[k, k] - pivot)} N/m",
-                ("remove what pushes the tools away from rest",),
+                ("remove the negative stiffness, which pushes the tools away from rest",),
             )
         beside = next((j for j in range(k + 1, m) if rest[k][j] != 0), None)
         if pivot == 0:
@@ -120,7 +124,10 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
                     f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: beside "
                     f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} N/m its entry ({ports[k]}, {ports[beside]}) is "
                     f"{_text(gain[k, beside])} N/m, expected {_text(gain[k, beside] - rest[k][beside])} N/m",
-                    (f"raise the entry ({ports[k]}, {ports[k]})", "remove what pushes the tools away from rest"),
+                    (
+                        f"raise the entry ({ports[k]}, {ports[k]})",
+                        "remove the negative stiffness, which pushes the tools away from rest",
+                    ),
                 )
             continue
         column = [rest[i][k] / pivot for i in range(m)]
@@ -136,10 +143,10 @@ def _exact(M: Matrix) -> fmpq_mat:
 
 
 def _decimal(value: float) -> fmpq:
-    """The decimal that the number is written as."""
+    """The exact value of the number's shortest decimal."""
     return fmpq(*Decimal(repr(float(value))).as_integer_ratio())
 
 
 def _text(value: fmpq) -> str:
-    """The number with as many digits as tell it from its neighbours."""
+    """The number with enough digits to distinguish it from the neighbouring floats."""
     return repr(int(value.p) / int(value.q)) if value else "0"

@@ -1,15 +1,18 @@
-"""Finding a coupling by a wish: which method answers which question.
+"""From a loop and a wish to a certificate: synthesise, certify, prove. No step trusts the step before it.
+
+:func:`search` chooses the method by the class of couplings and by what the session asks:
 
 | class | objective | method |
 |---|---|---|
 | spring-damper | feasible | one exact program a block (:mod:`manyhands.design.levels.spring_damper`), or Theorem 4 |
-| spring-damper | stiffest | the same program with another aim |
+| spring-damper | stiffest | the same program with a different aim |
 | spring-damper | loop-shaping, closed-loop | sequential convex programs (:mod:`manyhands.design.transparency.design`) |
 | linear | feasible | the convex program over fixed poles, or Theorem 4 |
 | linear | stiffest | the convex program over fixed poles |
-| linear | loop-shaping, closed-loop | the same, with a search of the poles around it |
+| linear | loop-shaping, closed-loop | the same, inside a search of the poles |
 
-From a loop and a wish to a certificate: synthesise, certify, prove, each distrusting the one before.
+:func:`certificate_of` then finds levels for the coupling (:mod:`manyhands.design.theorem3`), and has the draft of the
+certificate proved by :mod:`manyhands.design.proof`.
 """
 
 from __future__ import annotations
@@ -56,24 +59,24 @@ from manyhands.design.transparency.pole_search import design_linear as design_li
 
 Progress = Callable[[str], None]
 
-SHARE_KEPT = 0.02  # of Delta_D: what the stiffest coupling leaves of the device's level
-LEAST_LEVEL = 1e-3  # of Delta_D, and of what (10) asks of a block: how far the block's level is above that
-_NEED_ROOM = 1e-6  # of Delta_D, above what the environment needs: a storage function has to be strict
+SHARE_KEPT = 0.02  # part of Delta_D: the stiffest coupling leaves this much of the device's level
+LEAST_LEVEL = 1e-3  # part of Delta_D, and of the least level that (10) allows a block: the block's level is above by it
+_NEED_ROOM = 1e-6  # part of Delta_D above the environment's need: a storage function has to be strict
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A coupling that somebody gave or a method found; nothing about it is proved.
+    """A coupling that the session gave or a method found; nothing about it is proved.
 
     Attributes:
         coupling: V's blocks, in the partition's order.
         method: the algorithm and its figures, for the certificate.
-        aim: the transparency problem that it was chosen by.
-        history: by iteration, what the method watches.
-        watched: what that is.
-        interrupted: whether the search was ended before its time.
-        device: the gain kappa that it was found for.
-        levels: of the blocks at that gain, where the method proves some.
+        aim: the transparency problem that the coupling was chosen by; None without one.
+        history: by iteration, the quantity that the method watches.
+        watched: name of that quantity.
+        interrupted: whether the user ended the search early.
+        device: the gain kappa that the coupling was found for, with the device's share; None if it has none.
+        levels: of the blocks at that gain, if the method proves any.
     """
 
     coupling: tuple[CouplingBlock, ...]
@@ -92,11 +95,11 @@ def search(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     Args:
         loop: the haptic loop.
         wanted: the class and the wish.
-        progress: told about iterations.
+        progress: called with a line of text after each iteration.
 
     Raises:
-        Infeasible: the class is empty.
-        NotConverged: a cap was reached and nothing usable was found on the way.
+        Infeasible: no coupling of the class satisfies the conditions.
+        NotConverged: a cap was reached and nothing usable was found before.
         SolverFailure: a solver gave no usable answer.
         TooLarge: the class's program would not fit the machine.
     """
@@ -116,7 +119,7 @@ def search(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
 
 
 def _complementarity(loop: HapticLoop, wish: Wish, orders: tuple[int, ...] | None, progress: Progress | None) -> Found:
-    """Theorem 4 as the paper solves it. Where the cap is reached, the best iterate may be certified all the same."""
+    """Theorem 4 as the paper solves it; at the cap the best iterate is returned, which the proof may still accept."""
     device = devices(loop)[0]
     kind = "Theorem 4, cone complementarity linearisation"
     watched = "||W Z - I||"
@@ -169,9 +172,9 @@ def _springs(loop: HapticLoop, stiff: bool, progress: Progress | None) -> Found:
 
 
 def environment_need(loop: HapticLoop, progress: Progress | None = None) -> float:
-    """The part of Delta_D that the environment needs: Phi_E = need * Delta_D is admissible.
+    """The part of Delta_D that the environment needs, dimensionless: Phi_E = need * Delta_D is admissible.
 
-    0 or less for a passive environment.
+    It is 0 or less for a passive environment.
 
     Raises:
         Infeasible: E_hat is passive at no level.
@@ -181,7 +184,7 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
         return float(eigh(environment.promised(), loop.Delta_D, eigvals_only=True)[-1])
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
-        return 0.0  # its energy: no more is known, or cheap to know
+        return 0.0  # proved by its energy: nothing sharper is known, or is cheap to compute
     split = loop.split
     if network is not None and split.rest.order < environment.order:
         return 0.0
@@ -191,7 +194,7 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
 
 
 def gain_of_stiffest(loop: HapticLoop, needed: float) -> DeviceShare:
-    """The least kappa, hence the stiffest limit Delta_D/(kappa T), whose share the environment does not use up.
+    """The least kappa whose share the environment does not use up; hence the stiffest limit, Delta_D/(kappa T).
 
     Raises:
         Infeasible: no kappa leaves enough.
@@ -200,7 +203,7 @@ def gain_of_stiffest(loop: HapticLoop, needed: float) -> DeviceShare:
         return DeviceShare()
     tau_hat = loop.tau / loop.period
     most = greatest_share(tau_hat)
-    wanted = SHARE_KEPT if needed <= 0.0 else (needed + most) / 2.0  # (10) has the room between the two
+    wanted = SHARE_KEPT if needed <= 0.0 else (needed + most) / 2.0  # between the two, (10) keeps a margin
     kappa = gain_for_share(wanted, tau_hat, PIECES) if needed < most else None
     if kappa is None:
         raise Infeasible(
@@ -214,16 +217,16 @@ def gain_of_stiffest(loop: HapticLoop, needed: float) -> DeviceShare:
 
 
 def tools() -> dict[str, str | int]:
-    """What a design was computed with, for the certificate."""
+    """The solver and the versions that a design was computed with, for the certificate."""
     return {"solver": SOLVER.lower(), "cvxpy": cvxpy.__version__, "numpy": np.__version__}
 
 
 def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress | None) -> Found:
-    """Springs and dampers by sequential convex programs."""
+    """The spring-damper class with a transparency problem, by sequential convex programs."""
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
     T = loop.period
-    Phi_E = max(needed, 0.0) * loop.Delta_D  # with less, V_hat might be output strictly passive at no level
+    Phi_E = max(needed, 0.0) * loop.Delta_D  # with a negative need, V_hat might be output strictly passive at no level
     normalised = NormalisedLoop(loop.split.environment(T), loop.Delta_D, device.kappa, T, loop.partition, aim)
     found = transparency.design_spring_damper(normalised, Phi_E, device.share, progress)
     method: dict[str, str | int] = {"algorithm": "spring-damper class, sequential convex programs"}
@@ -233,18 +236,18 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
 
 
 def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -> Found:
-    """Linear couplings by the convex program over poles: given ones, or a search around it."""
+    """The linear class by the convex program over fixed poles: given poles, default poles, or a search of the poles."""
     needed = environment_need(loop, progress)
     device = gain_of_stiffest(loop, needed)
     if needed >= device.share:
         raise Infeasible(
-            f"no coupling satisfies Theorem 3, for the environment needs {needed:.4g} of the devices' level, and "
-            f"{device.share:.4g} is there",
+            f"no coupling satisfies Theorem 3: the environment needs {needed:.4g} of the devices' level, "
+            f"expected less than {device.share:.4g} of it",
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         )
     wish, T = wanted.wish, loop.period
     if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
-        E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, nothing is asked of it but its ports
+        E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, only the number of its ports matters
     else:
         E = loop.split.environment(loop.period)
     least = tuple(
@@ -266,16 +269,16 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
 
 
 def default_poles(order: int) -> tuple[Pole, ...]:
-    """Well damped pairs from 1 to 30 Hz, where hands and virtual objects move; what is not used costs nothing."""
+    """Well damped pairs from 1 to 30 Hz, where hands and virtual objects move; the program may leave any unused."""
     count = (order + 1) // 2
     frequencies = 2.0 * np.pi * np.geomspace(1.0, 30.0, count) if count > 1 else [2.0 * np.pi * 5.0]
     return tuple(Pole(float(frequency), 0.7) for frequency in frequencies)
 
 
 def poles_in_z(poles: tuple[Pole, ...], T: float, order: int) -> tuple[complex, ...]:
-    """The first ``order`` poles in z by backward Euler, z = 1/(1 - sT), conjugates one after the other.
+    """The first ``order`` poles in z by backward Euler, z = 1/(1 - sT); conjugate poles are neighbours.
 
-    An odd order ends with the real pole of the last pair's frequency.
+    An odd order ends with a real pole at the last pair's frequency.
     """
     out: list[complex] = []
     for pole in poles:
@@ -288,18 +291,18 @@ def poles_in_z(poles: tuple[Pole, ...], T: float, order: int) -> tuple[complex, 
     return tuple(out)
 
 
-_CLAIMED = (1e-6, 1e-5, 1e-4)  # relative, above the norm found, the first that is proved
+_CLAIMED = (1e-6, 1e-5, 1e-4)  # relative distances of the claim above the norm; the first that can be proved is used
 
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """A design with the way it took.
+    """A proved design and how its search went.
 
     Attributes:
-        certificate: verified and sealed.
+        certificate: proved and sealed.
         history: by iteration, what the method watches: ||W Z - I|| or gamma; empty for a method without iterations.
-        watched: what that is, with its unit, for the axis of a picture.
-        interrupted: whether somebody ended the search, so that a better coupling may exist.
+        watched: name of that quantity, for the axis of a plot.
+        interrupted: whether the user ended the search, so that a better coupling may exist.
     """
 
     certificate: Certificate
@@ -314,14 +317,14 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     Args:
         loop: the haptic loop.
         wanted: what is asked of the coupling.
-        progress: told what is being done.
+        progress: called with a line of text for each step.
 
     Raises:
-        Infeasible: no coupling of that class, or not the given one, can be certified.
+        Infeasible: no coupling of that class can be certified, or the given coupling cannot.
         NotConverged: the synthesis stopped at its cap, and its last iterate could not be certified either.
         SolverFailure: the solver's answer does not survive the proof.
         TooLarge: the class's program would not fit the machine.
-        ValueError: a given coupling has not the loop's ports or blocks.
+        ValueError: the ports or blocks of a given coupling are not those of the loop.
     """
     check_environment(loop.environment)
     found = _take(loop, wanted) or search(loop, wanted, progress)
@@ -340,10 +343,10 @@ def certificate_of(
 
     Args:
         loop: the haptic loop.
-        wanted: what was asked of the coupling, for the record.
+        wanted: the request, which the certificate records.
         found: the coupling.
-        progress: told what is being done.
-        environment: levels whose Phi_E and storage are to be used instead of looking for better ones.
+        progress: called with a line of text for each step.
+        environment: levels whose Phi_E and storage are used; None searches the environment's level.
 
     Raises:
         DesignError: as :func:`design`.
@@ -359,7 +362,7 @@ def certificate_of(
         levels = certify_beside(loop, found.coupling, environment, found.device)
     *tighter, last = _CLAIMED if found.aim is not None else _CLAIMED[:1]
     for above in tighter:
-        with suppress(SolverFailure):  # a claim that is less tight leaves its storage function more room
+        with suppress(SolverFailure):  # the next claim is less tight and leaves its storage function more room
             return _proved(loop, found, wanted, levels, above, progress)
     return _proved(loop, found, wanted, levels, last, progress)
 
@@ -372,7 +375,7 @@ def _proved(
     above: float,
     progress: Progress | None,
 ) -> Certificate:
-    """The certificate with these levels, and a claim on transparency that is the part ``above`` above the norm."""
+    """The certificate with these levels and a claim on transparency, gamma = (1 + above) times the norm; proved."""
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim, above)
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
@@ -394,7 +397,7 @@ def _proved(
 
 
 def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
-    """The coupling that the session gives, None where one is to be found."""
+    """The coupling that the session gives; None if the session asks for a search."""
     match wanted:
         case NoCoupling():
             raise Infeasible(
@@ -418,10 +421,11 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
 
 
 def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
-    """The algebraic loop of D_E and D_V has one solution a tick.
+    """Refuse a coupling with which the algebraic loop of D_E and D_V has no unique solution in a tick.
 
-    Always so where V_hat is output strictly passive, D_V + D_V^T >= 2 K > 0, and D_E = D_E^T >= 0, as a network's is. A
-    model is asked ahead of the tick, and what a controller makes of its answer is unique wherever D_V + D_V^T > 0.
+    The solution is unique where V_hat is output strictly passive, so that D_V + D_V^T >= 2 K > 0, and where
+    D_E = D_E^T >= 0, as for every network. A declared model is evaluated ahead of the tick; the force that a
+    passivity controller computes from its answer is unique wherever D_V + D_V^T > 0.
     """
     if loop.environment.passive_network is not None or isinstance(loop.environment, DeclaredEnvironment):
         return

@@ -1,29 +1,27 @@
 """Theorem 3 of [Bianchini2010]_: is the loop stable with a *given* coupling?
 
-Each party's level is found by the cheapest exact way that there is, and the parties are independent but for one number:
+Each party's level is found by the cheapest exact method available. The parties share only one number, the gain kappa.
 
-- the device: what a delay inside the tick leaves of Delta_D (:mod:`manyhands.design.levels.device`);
-- each block of V: springs and dampers have a greatest level in closed form
-(:mod:`manyhands.design.levels.spring_damper`), a
-  linear block on one port has one too, found by a small program; a linear block on several ports has many that are not
-  comparable, and the joint program (:mod:`manyhands.design.theorem3`) chooses among them;
-- the environment: the level that leaves (10) the greatest margin (:mod:`manyhands.design.levels.environment`) and its
-  storage function from one Riccati equation; or, for large networks and for networks known up to intervals, its
-  mechanical energy, which needs no matrix (:mod:`manyhands.design.levels.network`).
+- The device keeps the part of Delta_D that a delay inside the tick leaves (:mod:`manyhands.design.levels.device`).
+- Each block of V has a level of its own. Springs and dampers have a greatest level in closed form
+  (:mod:`manyhands.design.levels.spring_damper`). A linear block on one port has a greatest level too, found by a small
+  program. A linear block on several ports has many levels that are not comparable; the joint program below chooses.
+- The environment gets the level that leaves (10) the greatest margin (:mod:`manyhands.design.levels.environment`), with
+  a storage function from one Riccati equation. Large networks, and networks known up to intervals, are proved by their
+  mechanical energy instead, which needs no matrix (:mod:`manyhands.design.levels.network`).
 
-What comes out is a claim: :mod:`manyhands.design.proof` proves it, by other means.
+The result is a claim. :mod:`manyhands.design.proof` proves it by other means.
 
-Conditions on one block of a coupling, cheap enough to test before any solver runs.
-
-V_hat,i = (z-1)/(Tz) [V_i - K_i] is OSP at some level only if its Hermitian part is non-negative on the
-unit circle. At its two ends, z -> 1 and z = -1, that is
+**Necessary conditions.** Some conditions on a block are cheap enough to be tested before any solver runs.
+V_hat,i = (z-1)/(Tz) [V_i - K_i] is OSP at some level only if its Hermitian part is non-negative on the unit circle. At
+the circle's two ends, z -> 1 and z = -1, this means
 
     V(1) = V(1)^T > K,            for springs and dampers   K_s T/2 < Delta_D,
     V(-1) + V(-1)^T > 2 K,                                  K_s T/2 + B_s < Delta_D
 
-(K_s, B_s stiffness and damping), which names the limit and what would relax it.
+(K_s, B_s stiffness and damping). A block that fails is refused with the limit and with what would relax it.
 
-Theorem 3 of [Bianchini2010]_ as one semidefinite program over all parties' levels and storage functions.
+**The joint program** is Theorem 3 as one semidefinite program over all parties' levels and storage functions:
 
     maximise t   subject to
       E_hat is (-Phi_E)-ISP               (Lemma 1 for Rest, storage P_E)
@@ -31,15 +29,15 @@ Theorem 3 of [Bianchini2010]_ as one semidefinite program over all parties' leve
       [ share Delta_D - Phi_E       -Phi_E       ]
       [       -Phi_E          Delta_V - Phi_E    ]  >= t I                          (10)
 
-Delta_V has the structure of V: each block keeps a promise of its own. The blocks' inequality is asked in the state
-(zeta, phi) = ((xi - xi_)/T, f - f_): the force itself has dropped out, for its part of the storage is fixed by the
-steady states,
+Delta_V has the structure of V: each block keeps a promise of its own. The blocks' inequality is stated in the state
+(zeta, phi) = ((xi - xi_)/T, f - f_). The force itself has dropped out, because the steady states fix its part of the
+storage,
 
     P12 = (A - I)^{-T} C^T / 2,        P22 = (V(1) - K)/(2T),
 
-which is facial reduction done by hand. The program is dense and its cost grows with the fourth power of the states. It
-is the reference that the other ways (:mod:`manyhands.design.levels.environment`) are held against, and what couplings
-of several ports a block and general order need.
+which is facial reduction done by hand. The program is dense and its cost grows with the fourth power of the states.
+Linear couplings with several ports in a block need it. It is also the reference for the tests of the other methods
+(:mod:`manyhands.design.levels.environment`).
 """
 
 from __future__ import annotations
@@ -74,13 +72,15 @@ from manyhands.design.solver import (
     value,
 )
 
+# Necessary conditions on one block of V
+
 _FREQUENCIES = 400
 _ROUNDING = 1e-9  # relative to the largest gain on the circle
-_EDGE = 1e-12  # relative: so near to the limit, exact arithmetic may find a coupling beyond it
+_EDGE = 1e-12  # relative: exact arithmetic may find a coupling that is this near to the limit beyond it
 
 
 def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: float, kappa: float) -> None:
-    """Test K_s > 0, J = Lambda - T/2 K_s > 0 and J - B >= 0: exactly when V_hat of springs and dampers is OSP.
+    """Test K_s > 0, J = Lambda - T/2 K_s > 0 and J - B >= 0: V_hat of springs and dampers is OSP exactly then.
 
     Args:
         name: of the block, for the message.
@@ -143,7 +143,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
     limit = 1.0 / float(np.linalg.eigvalsh(K)[-1])
     for point, meaning in ((1.0, "stiffness"), (-1.0, "stiffness plus 2/T times its damping")):
         compliance = block.response(point).real
-        # only where (z-1)/(Tz) vanishes does a skew part outweigh the symmetric one
+        # (z-1)/(Tz) vanishes at z = 1, so that a skew part, however small, outweighs the symmetric part there
         if point == 1.0 and np.max(np.abs(compliance - compliance.T)) > _ROUNDING * np.max(
             np.abs(compliance), initial=1e-300
         ):
@@ -173,17 +173,20 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
             )
 
 
-GREATEST_LEVELS = (100.0, 1e4)  # of Delta_D, the first that leaves (10) a margin: storage matrices grow with it
-_T_KEPT = (0.9999, 0.995, 0.9, 0.5)  # parts of the best t that the second program keeps, the first with enough room
-_ENOUGH_ROOM = 1e-7  # ten times what the solver leaves open
+# The joint program, and the small program for one block
+
+# caps, as multiples of Delta_D; the first that leaves (10) a margin is used, because storage matrices grow with the cap
+GREATEST_LEVELS = (100.0, 1e4)
+_T_KEPT = (0.9999, 0.995, 0.9, 0.5)  # parts of the best t that the second program tries to keep, in this order
+_ENOUGH_ROOM = 1e-7  # ten times the solver's tolerance
 _LEAST_STORAGE = 1e-9
-_LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 asks OSP levels to be positive, (10) does not
-_MOST_ROOM = 1e-2  # cap on the room asked in the Lemma 1 inequalities, scaled coordinates
+_LEAST_LEVEL = 1e-6  # Delta_V > this times Delta_D: Definition 2 requires positive OSP levels, (10) does not
+_MOST_ROOM = 1e-2  # cap on the room in the inequalities of Lemma 1, in scaled coordinates
 
 
 @dataclass(frozen=True, eq=False)
 class JointLevels:
-    """What the program found, in physical units.
+    """The joint program's answer, in physical units.
 
     Attributes:
         t: the greatest margin of (10), N*s/m.
@@ -216,10 +219,10 @@ class BlockForm:
 
     @classmethod
     def of(cls, block: StateSpace, K: Matrix, T: float, S: Matrix | None = None) -> BlockForm:
-        """The form of a block V_i (stable, V(1) symmetric) for the loop gain K_i; ports scaled by S where given.
+        """The form of a block V_i (stable, V(1) symmetric) for the loop gain K_i; ports are scaled by S if it is given.
 
         Raises:
-            SolverFailure: V(1) cannot be evaluated, for V has a pole at 1.
+            SolverFailure: V(1) cannot be evaluated, because V has a pole at 1.
         """
         m = block.inputs
         inverse: Matrix = np.eye(m) if S is None else np.asarray(np.linalg.inv(S), dtype=np.float64)
@@ -247,7 +250,7 @@ class BlockForm:
         return storage_inequality_expression(self.system, P, Delta=Delta) + fixed
 
     def proved(self, P: Any, Delta: Any) -> bool:
-        """Whether the unknowns' present values are strict in numbers: a solver's "optimal" may be a little outside."""
+        """Whether the unknowns' values fulfil both inequalities strictly; a solver's "optimal" may lie just outside."""
         P, Delta = symmetric_part(value(P)), symmetric_part(value(Delta))
         Pi = value(self.storage(P))
         M = value(self.inequality(P, Delta))
@@ -270,7 +273,7 @@ class BlockLevel:
 def block_level(
     name: str, block: StateSpace, K: Matrix, Delta_D: Matrix, T: float, greatest: float = GREATEST_LEVELS[0]
 ) -> BlockLevel:
-    """The greatest multiple of Delta_D that is an OSP level of one block's V_hat: on one port, its greatest level.
+    """Find the greatest multiple of Delta_D that is an OSP level of one block's V_hat; on one port, its greatest level.
 
     Args:
         name: of the block, for messages.
@@ -278,12 +281,12 @@ def block_level(
         K: loop gain, m_i x m_i, m/N.
         Delta_D: m_i x m_i, N*s/m.
         T: period, s.
-        greatest: cap on the multiple. (10) asks for about need/(share - need), with the parts of Delta_D that the
-            environment needs and that the devices have.
+        greatest: cap on the multiple. (10) asks for about need/(share - need), where the environment needs the part
+            ``need`` of Delta_D, and the devices have the part ``share``.
 
     Raises:
         Infeasible: V_hat,i is OSP at no level.
-        SolverFailure: the solver gave no usable answer, or one without room for a proof.
+        SolverFailure: the solver gave no usable answer, or an answer without room for a proof.
     """
     m, n = block.inputs, block.order
     values, vectors = np.linalg.eigh(Delta_D)
@@ -319,7 +322,7 @@ def joint_levels(
     device: DeviceShare,
     greatest: float = GREATEST_LEVELS[0],
 ) -> JointLevels:
-    """Find the levels with the greatest margin of (10), or a little less where that leaves no room to prove them.
+    """Find the levels with the greatest margin of (10), or slightly less if that margin leaves no room for a proof.
 
     Args:
         loop: the haptic loop.
@@ -398,11 +401,18 @@ def _make_room(
     what: str,
     proved: Callable[[], bool],
 ) -> bool:
-    """The second program, for the greatest part of ``best`` that leaves enough room; whether its answer is proved."""
+    """Solve the second program, for the greatest part of ``best`` that leaves enough room.
+
+    The best t lies on the edge of the feasible set, where a storage inequality is not strict. So a part of it is given
+    up until the inequalities hold strictly.
+
+    Returns:
+        Whether the values left in the unknowns are strict in numbers.
+    """
     for kept in _T_KEPT:
         try:
             found = solve(cp.Problem(cp.Maximize(room), [*constraints, t >= kept * best]), what)
-        except (ProgramInfeasible, SolverFailure):  # the best t is an edge: a solver may stumble there
+        except (ProgramInfeasible, SolverFailure):  # so near to the edge the solver may fail; the next part is smaller
             if kept == _T_KEPT[-1]:
                 raise
         else:
@@ -426,14 +436,14 @@ def _positive(P: Any, n: int) -> list[cp.Constraint]:
     return [P >> _LEAST_STORAGE * np.eye(n)] if n else []
 
 
+# Certification: levels for all parties of a loop
+
 Progress = Callable[[str], None]
 
 MOST_SEARCHED = 250  # order of Rest above which a passive network is proved by its energy instead of a matrix
-MOST_JOINT = (
-    48  # ports and states of Rest up to which the joint program is solved; its cost grows with the fourth power
-)
+MOST_JOINT = 48  # ports and states of Rest up to which the joint program is solved; cost: their fourth power
 _GIVEN_UP = 1e-9  # of a level in closed form, so that it holds in exact arithmetic: far above rounding
-# (2 kappa - 1 - 3 tau/T) T/tau; the share is greatest at 2
+# values of (2 kappa - 1 - 3 tau/T) T/tau to be tried; the share is greatest at 2
 _GAINS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.0, 3.0)
 
 
@@ -449,14 +459,15 @@ def certify_given(
     Args:
         loop: the haptic loop.
         coupling: V's blocks in the partition's order, springs and dampers or linear; ports in the block's order.
-        progress: told what is being done.
-        hint: a gain kappa to be tried first, that the coupling was made for.
-        known: levels of the blocks at that gain which its synthesis has proved already; used where the search for
-            greater ones fails, or finds none that (10) holds with.
+        progress: called with a line of text for each step.
+        hint: the gain kappa that the coupling was made for; it is tried first.
+        known: levels of the blocks at that gain which the synthesis has already proved. They are used if the search for
+            greater levels fails, or finds none with which (10) holds.
 
     Returns:
-        The levels with the greatest margin of (10) that was found; exact but for rounding and small reserves, save for
-        linear blocks of several ports in large sessions, and for environments proved by their energy.
+        The levels with the greatest margin of (10) that was found. The margin is the greatest possible up to rounding
+        and small reserves, except for linear blocks of several ports in large sessions and for environments proved by
+        their energy.
 
     Raises:
         Infeasible: no levels exist; the coupling is not certified.
@@ -479,7 +490,7 @@ def certify_given(
         if best is not None:
             return best
     if hint is not None and known:
-        with suppress(Infeasible, SolverFailure):  # the first failure says more: it is about the greatest levels
+        with suppress(Infeasible, SolverFailure):  # the first failure is more useful: it is about the greatest levels
             return _levels(loop, hint, known, progress)
     raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
 
@@ -490,16 +501,16 @@ def certify_beside(
     environment: Levels,
     hint: DeviceShare | None = None,
 ) -> Levels:
-    """Find levels beside an environment's level that is known already: no delay inside the tick changes it.
+    """Find levels that fit a known level of the environment, which no delay inside the tick changes.
 
     Args:
         loop: the haptic loop.
         coupling: V's blocks, as for :func:`certify_given`.
-        environment: whose Phi_E and storage are taken; proved for the same environment and period.
+        environment: levels whose Phi_E and storage are taken; they are proved for the same environment and period.
         hint: a gain kappa to be tried first.
 
     Returns:
-        The levels at the first gain at which (10) holds, the greatest share first: the quickest, not the best.
+        The levels at the first gain at which (10) holds. The greatest share is tried first: this is quick, not optimal.
 
     Raises:
         Infeasible: there is no such gain.
@@ -522,13 +533,13 @@ def certify_beside(
 
 
 def _caps(coupling: tuple[CouplingBlock, ...]) -> tuple[float, ...]:
-    """The caps on the blocks' levels to be tried in turn: one where every level is in closed form, which has none."""
+    """The caps on the blocks' levels, to be tried in turn; one is enough where closed forms, which ignore it, serve."""
     closed = all(isinstance(part, SpringDamper) for part in coupling)
     return GREATEST_LEVELS[:1] if closed else GREATEST_LEVELS
 
 
 def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
-    """The gains kappa to be tried, the most promising first: one without delay, a handful with one."""
+    """The gains kappa to be tried, the greatest share first: one gain without delay, up to ten with a delay."""
     if loop.tau == 0.0:
         return (DeviceShare(),)
     out = []
@@ -537,14 +548,14 @@ def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
         kappa = least_gain(tau_hat) + gain * tau_hat / 2.0
         try:
             found = device_share(kappa, tau_hat)
-        except ValueError:  # so little above the least gain that nothing is left in floating point
+        except ValueError:  # so near to the least gain that no share is left in floating point
             continue
         out.append(DeviceShare(kappa, found.share, found.c))
     return tuple(sorted(out, key=lambda device: -device.share))
 
 
 def _levels(loop: HapticLoop, device: DeviceShare, own: tuple[BlockLevel, ...], progress: Progress | None) -> Levels:
-    """The levels for one gain kappa, with what the blocks promise there."""
+    """The levels for one gain kappa, with the levels ``own`` that the blocks promise there."""
     Delta_V = tuple(level.Delta for level in own)
     Phi_E, P_E = _environment(loop, device, Delta_V, progress)
     return Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, P_E, tuple(level.P for level in own))
@@ -557,14 +568,14 @@ def _promises(
     device: DeviceShare,
     most: float,
 ) -> tuple[BlockLevel, ...]:
-    """What each block promises for one gain kappa; linear ones levels up to ``most``."""
+    """The level of each block for one gain kappa; the levels of linear blocks are capped at ``most``."""
     gains = loop.loop_gain(device.kappa)
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa)
         else:
             check_block(name, part, K, loop.period, device.kappa)
-    # the greatest level of each block, or levels that go together where they are not comparable
+    # Each block gets its greatest level. Where levels are not comparable, the joint program chooses them together.
     own: list[BlockLevel] = []
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
@@ -582,7 +593,7 @@ def _small(loop: HapticLoop) -> bool:
 
 
 def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) -> Matrix:
-    """Delta_V a hair below the greatest level of a block."""
+    """Delta_V slightly below the greatest level of a block."""
     greatest = greatest_level(coupling, Lambda, T)
     level = symmetric_part((1.0 - _GIVEN_UP) * greatest - _GIVEN_UP * Lambda)
     least = float(np.linalg.eigvalsh(level)[0])
@@ -597,7 +608,7 @@ def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) ->
 def _environment(
     loop: HapticLoop, device: DeviceShare, Delta_V: tuple[Matrix, ...], progress: Progress | None
 ) -> tuple[Matrix, Matrix | Literal["energy", "enforced"]]:
-    """Phi_E and what proves it, or keeps it."""
+    """Phi_E, m x m, and its storage matrix; or the word for what proves or enforces it instead."""
     environment, T, partition = loop.environment, loop.period, loop.partition
     if isinstance(environment, DeclaredEnvironment):
         return _declared(loop, environment, device, Delta_V), ENFORCED
@@ -606,7 +617,7 @@ def _environment(
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
     split = loop.split
-    if network is not None and split.rest.order < environment.order:  # masses that drift: no storage matrix is definite
+    if network is not None and split.rest.order < environment.order:  # no storage matrix of drifting masses is definite
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
     try:
         found, P_E = level_and_storage(
@@ -622,7 +633,11 @@ def _environment(
 def _declared(
     loop: HapticLoop, environment: DeclaredEnvironment, device: DeviceShare, Delta_V: tuple[Matrix, ...]
 ) -> Matrix:
-    """The declared level, where (10) holds with it."""
+    """The declared level, m x m, if (10) holds with it.
+
+    Raises:
+        Infeasible: (10) fails with it.
+    """
     Phi_E = environment.promised()
     left = margin(loop.partition, Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, ENFORCED, ()))
     if left <= 0.0:

@@ -1,43 +1,40 @@
 """Theorem 4 of [Bianchini2010]_: a stabilising coupling of given structure, by cone complementarity linearisation.
 
-Unknown at once: V with the wanted structure, the levels Delta_V and Phi_E, and the storage functions. The
-conditions (13)-(16) are linear matrix inequalities in
+The program searches V with the wanted structure, the levels Delta_V and Phi_E, and the storage functions, all at once.
+The conditions (13)-(16) are linear matrix inequalities in
 
-    P, Phi_E, Delta_V, Sigma, Q, Y, A_V, B_V, C_V, D_V
+    P, Phi_E, Delta_V, Sigma, Q, Y, A_V, B_V, C_V, D_V.
 
-but for Sigma = Delta_V^{-1}, Y = Q^{-1} (17), which :mod:`manyhands.design.theorem4` takes care of. Q, Y, Sigma
-and Delta_V have the structure of V, one small cone for each block. Here stands what every class of V has in common,
-and the spring-damper class (20)-(22), B_V = T A_V, D_V = T C_V; :mod:`manyhands.design.theorem4` has the
-general one.
+Only Sigma = Delta_V^{-1} and Y = Q^{-1} (17) are not linear. Q, Y, Sigma and Delta_V have the structure of V, one small
+cone for each block.
 
-Ports are scaled by S = Delta_D^{-1/2}, where Delta_D = I and K = kappa T I; with B_V/T and D_V/T for unknowns, all of
-(12) is then of order one and T is gone from it. (14) is asked of E_hat without its integrators
-(:mod:`manyhands.design.models.integrators`), which leave it no interior.
+Ports are scaled by S = Delta_D^{-1/2}, so that Delta_D = I and K = kappa T I. With B_V/T and D_V/T as unknowns, all
+entries of (12) are of order one and T drops out. (14) is stated for E_hat without its integrators
+(:mod:`manyhands.design.models.integrators`), because with them it has no interior.
 
-Theorem 4 of [Bianchini2010]_ for linear couplings of any given order per block.
-
-Every block V_i has n_i states and m_i ports, and all of
+**Classes.** In the spring-damper class (20)-(22), B_V = T A_V and D_V = T C_V. In the linear class, block V_i has n_i
+states and m_i ports, and all of
 
     A_V,i (n_i x n_i),   B_V,i (n_i x m_i),   C_V,i (m_i x n_i),   D_V,i (m_i x m_i)
 
 is free: the transformed coupling (12) is linear in them, so (15), (16) are linear matrix inequalities as they
-stand. An order of 0 is a static compliance.
+stand. A block of order 0 is a static compliance.
 
-What this finds is *a* coupling of the set. Without any further aim that is mostly a spring without dynamics (A_V, B_V,
-C_V near zero), the middle of a set that is large; orders pay where something is asked beyond stability.
+The program finds *a* coupling of the set. Without a further aim this is mostly a spring without dynamics (A_V, B_V,
+C_V near zero), in the middle of a large set. Higher orders pay only if something is asked beyond stability.
 
-Cone complementarity linearisation [ElGhaoui1997]_, step 1 to 4 of section 4.1 in [Bianchini2010]_.
+**Cone complementarity linearisation** [ElGhaoui1997]_, steps 1 to 4 of section 4.1 in [Bianchini2010]_, treats (17).
+The program is linear in its unknowns except that pairs of symmetric unknowns must be inverses of each other,
 
-A program is linear in its unknowns but for pairs of symmetric ones that must be inverses of each other,
+    W_i Z_i = I,    W_i, Z_i of the same size, in units that make them of order one.
 
-    W_i Z_i = I,    W_i, Z_i of the same size, in whatever units make them of order one.
-
-Relaxed to the cone [W_i I; I Z_i] >= 0 (18), it is solved once for a feasible point, and then
+Each pair is relaxed to the cone [W_i I; I Z_i] >= 0 (18). The relaxed program is solved once for a feasible point; then
 
     minimise sum_i trace(W_i^j Z_i + Z_i^j W_i)    around the last iterate W^j, Z^j
 
-again and again: on the cone trace(W Z) is least, the size of W, exactly where W Z = I. The objective never grows, but
-nothing promises that it gets there. So there is a cap on iterations, and what was reached is told and handed on.
+is repeated. On the cone, trace(W Z) has its least value, the size of W, exactly where W Z = I. The objective never
+grows, but nothing guarantees that it reaches this value. So the iterations have a cap, and the best iterate is
+reported and returned with the error.
 """
 
 from __future__ import annotations
@@ -66,6 +63,8 @@ from manyhands.design.solver import (
     value,
 )
 
+# Cone complementarity linearisation
+
 TOLERANCE = 1e-4  # on ||W Z - I||, spectral norm
 MOST_ITERATIONS = 200
 
@@ -77,7 +76,7 @@ class Convergence:
     """How the iteration went.
 
     Attributes:
-        residuals: ||W Z - I|| after each iteration, the first one being step 2's; empty before that.
+        residuals: ||W Z - I|| after each program, starting with step 2; empty before step 2 is done.
     """
 
     residuals: tuple[float, ...]
@@ -89,11 +88,11 @@ class Convergence:
 
 
 class Interrupted(DesignError):
-    """Somebody ended the iteration with Ctrl-C.
+    """The user ended the iteration with Ctrl-C.
 
     Attributes:
-        best: what the best iterate so far gave, or None; not proved to be anything.
-        convergence: how far it got.
+        best: the coupling of the best iterate so far, or None; nothing is proved about it.
+        convergence: the residuals until then.
     """
 
     def __init__(self, message: str, best: Any, convergence: Convergence) -> None:
@@ -106,8 +105,9 @@ class StoppedShort(NotConverged):
     """The iteration ended before W Z = I.
 
     Attributes:
-        best: what the best iterate gave, or None; :func:`manyhands.design.theorem3.certify_given` may prove it yet.
-        convergence: how far it got.
+        best: the coupling of the best iterate, or None; :func:`manyhands.design.theorem3.certify_given` may still
+            prove it.
+        convergence: the residuals until then.
     """
 
     def __init__(self, message: str, best: Any, convergence: Convergence) -> None:
@@ -122,7 +122,7 @@ class Pair:
 
     Attributes:
         W: one of them, e.g. Sigma or Q.
-        Z: the other one, e.g. Delta_V or Y.
+        Z: its inverse at the end, e.g. Delta_V or Y.
     """
 
     W: cp.Variable
@@ -134,19 +134,19 @@ class Pair:
         return cp.bmat([[self.W, I], [I, self.Z]]) >> 0
 
     def residual(self) -> float:
-        """||W Z - I||, spectral norm, of the values last found."""
+        """||W Z - I||, spectral norm, at the unknowns' present values."""
         return float(np.linalg.norm(value(self.W) @ value(self.Z) - np.eye(self.W.shape[0]), 2))
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxed(Generic[Found]):
-    """A program whose pairs are relaxed to their cones, and what to take from its solution.
+    """A program whose pairs are relaxed to their cones, and the rule that reads a coupling from its solution.
 
     Attributes:
-        constraints: everything but (18).
+        constraints: all constraints except (18).
         pairs: the pairs of (17).
-        recover: the answer in the unknowns' present values; None where they give none (a singular C_V, say).
-        what: for messages, e.g. "Theorem 4".
+        recover: returns the coupling at the unknowns' present values; None if they give none (a singular C_V, say).
+        what: name of the program for messages, e.g. "Theorem 4".
     """
 
     constraints: Sequence[cp.Constraint]
@@ -166,13 +166,13 @@ def complement(
         progress: called after each program, with a line such as ``iteration 3, |WZ - I| = 1.2e-03``.
 
     Returns:
-        What ``recover`` makes of the last iterate, and the convergence. Up to the tolerance it satisfies the program:
-        the caller has to prove it by other means.
+        What ``recover`` returns for the last iterate, and the convergence. It satisfies the program only up to the
+        tolerance: the caller has to prove it by other means.
 
     Raises:
         ProgramInfeasible: the relaxed program has no solution, hence the program has none (step 2).
-        StoppedShort: the cap was reached, or a solver stumbled on the way; ``best`` is what ``recover`` made
-            of the iterate with the least residual, or None.
+        StoppedShort: the cap was reached, or a solver failed on the way; ``best`` is what ``recover`` returned for the
+            iterate with the least residual, or None.
         Interrupted: KeyboardInterrupt arrived; ``best`` likewise.
         SolverFailure: the solver gave no usable first point.
         ValueError: a negative cap.
@@ -188,7 +188,7 @@ def complement(
 
 
 class _Path(Generic[Found]):
-    """The iterates so far: residuals, and what the best of them gave."""
+    """The iterates so far: their residuals, and the coupling of the best one."""
 
     def __init__(self, relaxed: Relaxed[Found], progress: Callable[[str], None] | None) -> None:
         self.relaxed = relaxed
@@ -198,7 +198,10 @@ class _Path(Generic[Found]):
         self.best: Found | None = None
 
     def follow(self, iterations: int) -> tuple[Found, Convergence]:
-        """Step 2, then step 3 until step 4 is content."""
+        """Step 2, then step 3 until step 4 accepts the iterate.
+
+        The problem is compiled once: W_j and Z_j are parameters, which every iteration sets to the last iterate.
+        """
         pairs, what = self.relaxed.pairs, self.relaxed.what
         constraints = [*self.relaxed.constraints, *(pair.cone() for pair in pairs)]
         solve(cp.Problem(cp.Minimize(0), constraints), f"{what}, first feasible point")
@@ -216,7 +219,7 @@ class _Path(Generic[Found]):
                 W_j.value, Z_j.value = symmetric_part(value(pair.W)), symmetric_part(value(pair.Z))
             try:
                 solve(linearised, f"{what}, iteration {iteration}")
-            except (ProgramInfeasible, SolverFailure) as error:  # it had a solution a moment ago
+            except (ProgramInfeasible, SolverFailure) as error:  # the last iterate is feasible, so the solver is wrong
                 raise self.short(f"the solver found no solution in iteration {iteration}, {self.reached()}") from error
             found = self.arrive()
         if found is None:
@@ -224,7 +227,7 @@ class _Path(Generic[Found]):
         return found, self.convergence()
 
     def short(self, why: str) -> StoppedShort:
-        """The error that says ``why`` the iteration ends here."""
+        """The error for an iteration that ends here, with the reason ``why``."""
         message = f"{self.relaxed.what}: {why}, wanted < {TOLERANCE:.0e}"
         return StoppedShort(message, self.best, self.convergence())
 
@@ -233,7 +236,7 @@ class _Path(Generic[Found]):
         return Convergence(tuple(self.residuals))
 
     def arrive(self) -> Found | None:
-        """Take note of the values that a solver has just left in the unknowns."""
+        """Record the iterate that a solver has just left in the unknowns, and return its coupling."""
         residual = max((pair.residual() for pair in self.relaxed.pairs), default=0.0)
         found = self.relaxed.recover()
         if found is not None and residual < self.least:
@@ -244,7 +247,7 @@ class _Path(Generic[Found]):
         return found
 
     def reached(self) -> str:
-        """How far it got, for messages."""
+        """The iteration and its residual, for messages."""
         if not self.residuals:
             return "before the first feasible point"
         return f"after {len(self.residuals) - 1} iterations at ||W Z - I|| = {self.residuals[-1]:.2e}"
@@ -254,13 +257,15 @@ def _parameter(variable: Any) -> cp.Parameter:
     return cp.Parameter(variable.shape, symmetric=True)
 
 
-_STRICT = 1e-6  # what ">" means to the solver, in scaled coordinates of order one
+# The program, and the spring-damper class
+
+_STRICT = 1e-6  # the solver reads "> 0" as ">= this", in scaled coordinates of order one
 _STRICT_E = 1e-9  # the same for (14): a mode of frequency omega without a damper dissipates (omega T)^2 at most
 
 
 @dataclass(frozen=True, eq=False)
 class BlockUnknowns:
-    """What is searched for one block of V, of n states and m ports, in scaled ports.
+    """The unknowns of one block of V, of n states and m ports, in scaled ports.
 
     Attributes:
         A: A_V, n x n.
@@ -280,13 +285,13 @@ class BlockUnknowns:
 
     @classmethod
     def of(cls, A: Any, B: Any, C: Any, D: Any, n: int) -> BlockUnknowns:
-        """Unknowns for the realisation (A, B, C, D), expressions or, without states, None."""
+        """Unknowns for the realisation (A, B, C, D) of expressions; without states, A, B and C are None."""
         m = D.shape[0]
         return cls(A, B, C, D, Pair(_symmetric(m), _symmetric(m)), Pair(_symmetric(n + m), _symmetric(n + m)))
 
     @classmethod
     def spring_damper(cls, m: int) -> BlockUnknowns:
-        """Of the class (20): B_V = T A_V, D_V = T C_V (21), C_V symmetric."""
+        """Unknowns of the class (20): B_V = T A_V, D_V = T C_V (21), C_V symmetric."""
         A, C = cp.Variable((m, m)), _symmetric(m)
         return cls.of(A, A, C, C, m)
 
@@ -298,12 +303,13 @@ class BlockUnknowns:
     def constraints(self, kappa: float, room: float = 0.0) -> list[cp.Constraint]:
         """(15), (16) for this block, with K = kappa T.
 
-        A constant force u is neutral: deflected by V(1) u, V_hat stands still and gives nothing, whatever V is. In
-        (15) it is the vector (0, u; u; *, *; 0), so the matrix there cannot be definite. ``room`` asks for
+        A constant force u is neutral for every V: the coupling is deflected by V(1) u, and V_hat stands still with zero
+        output. In (15) this force is the vector (0, u; u; *, *; 0), so the matrix there cannot be definite. ``room``
+        asks for
 
-            [Y R^T; R S] >= room * N,    N = the squares of xi, of u - u-, and of Delta_V y,
+            [Y R^T; R S] >= room * N,    N = the squares of xi, of u - u-, and of Delta_V y.
 
-        which all neutral vectors fulfil with equality: strictness on a complement of them.
+        All neutral vectors fulfil this with equality, so it is strictness on a complement of them.
         """
         I, O = np.eye(self.D.shape[0]), np.zeros(self.D.shape)
         D = self.D - kappa * I
@@ -352,16 +358,16 @@ def solve_theorem_4(
     Args:
         loop: the haptic loop; its E_hat, structure and Delta_D are used.
         blocks: unknowns, in the partition's order.
-        recover: the coupling in their present values, or None.
+        recover: returns the coupling at their present values, or None.
         kappa: K = kappa T Delta_D^{-1}, dimensionless.
         share: G_hat is (share Delta_D)-OSP, dimensionless, > 0.
         room: see :meth:`BlockUnknowns.constraints`.
         iterations: cap, see :func:`manyhands.design.theorem4.complement`.
-        progress: see there.
+        progress: as for :func:`complement`.
 
     Raises:
         Infeasible: step 2 has no solution.
-        StoppedShort, Interrupted, SolverFailure: see there.
+        StoppedShort, Interrupted, SolverFailure: as for :func:`complement`.
         ValueError: kappa or share is not positive.
     """
     if not (0.0 < kappa < np.inf and 0.0 < share < np.inf):
@@ -400,13 +406,13 @@ def design_spring_damper(
     Args:
         loop: the haptic loop.
         progress: called with a line of text after each iteration.
-        kappa: of the loop gain K = kappa T Delta_D^{-1}; 1/2 without delay.
+        kappa: factor of the loop gain K = kappa T Delta_D^{-1}; 1/2 without delay.
         share: G_hat is (share Delta_D)-OSP; 1 without delay.
         iterations: cap on the iterations.
 
     Returns:
-        The coupling (symmetric parts of K and B, exactly zero outside the blocks) and the convergence. That it
-        stabilises the loop is for :func:`manyhands.design.theorem3.certify_given` to prove.
+        The coupling (symmetric parts of K and B, exactly zero outside the blocks) and the convergence. The caller lets
+        :func:`manyhands.design.theorem3.certify_given` find the levels for a proof that it stabilises the loop.
 
     Raises:
         Infeasible: step 2 has no solution.
@@ -429,9 +435,9 @@ def design_spring_damper(
 
 
 def _environment(loop: HapticLoop) -> tuple[cp.Expression, list[cp.Constraint]]:
-    """Phi_E in scaled ports, and (14) for it, on what is left of E_hat without its integrators.
+    """Phi_E in scaled ports, and (14) for it, stated for E_hat without its integrators.
 
-    A declared environment has its level for Phi_E, and nothing else.
+    For a declared environment Phi_E is its declared level, without any constraint.
     """
     m, S, T = len(loop.ports), loop.scaling, loop.period
     if isinstance(loop.environment, DeclaredEnvironment):
@@ -445,7 +451,7 @@ def _environment(loop: HapticLoop) -> tuple[cp.Expression, list[cp.Constraint]]:
 
 
 def _spring_damper(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> SpringDamper | None:
-    """K and B by (22), block by block, back in physical ports; None where C_V is singular."""
+    """K and B by (22), block by block, in physical ports again; None if a C_V is singular."""
     parts = []
     for block, S_i in zip(blocks, loop.partition.restrict(loop.scaling), strict=True):
         try:
@@ -462,21 +468,23 @@ def _symmetric(m: int) -> cp.Variable:
     return cp.Variable((m, m), symmetric=True)
 
 
+# The linear class
+
 MOST_STATES = 24  # n_i + m_i of one block: (15) has 2 n_i + 4 m_i rows, and its program grows with their sixth power
-ROOM = 1e-3  # of (15), in scaled ports: what W Z = I up to 1e-4 leaves of it is enough for a proof
+ROOM = 1e-3  # of (15), in scaled ports: W Z = I holds only up to 1e-4, and what it leaves is enough for a proof
 _ROUNDING = 1e-8  # of V/T in scaled ports, which is of order one: far below what W Z = I up to 1e-4 means
 
 
 @dataclass(frozen=True, eq=False)
 class LinearCoupling:
-    """A coupling as Theorem 4 finds it, with static compliances made symmetric.
+    """A linear coupling as Theorem 4 finds it, with static compliances made symmetric.
 
-    V_hat,i can only be output strictly passive where V_i(1) is symmetric. (15) implies it in the limit, where W Z = I
-    exactly; before that, what is left of the skew part is taken off: V_i(1) is stated, and D_V,i follows from it.
+    V_hat,i can only be output strictly passive if V_i(1) is symmetric. (15) implies this in the limit, where W Z = I
+    exactly. Before the limit a skew part remains and is removed: V_i(1) is stated, and D_V,i follows from it.
 
     Attributes:
         blocks: V_i in the partition's order, of the wanted orders, stable, from force (N) to displacement (m).
-        skew: the largest of ||V_i(1) - V_i(1)^T|| / (2 ||V_i(1)||) that was taken off; spectral norms.
+        skew: the largest removed part, ||V_i(1) - V_i(1)^T|| / (2 ||V_i(1)||), in spectral norms.
     """
 
     blocks: tuple[StateSpace, ...]
@@ -494,12 +502,12 @@ def design_linear(
 ) -> tuple[LinearCoupling, Convergence]:
     """Find a stabilising linear coupling with the loop's block structure.
 
-    ``orders`` has n_i >= 0 for each block, in the partition's order. All other arguments, the pair that is returned
-    and the errors are those of :func:`manyhands.design.theorem4.design_spring_damper`, with two errors more.
+    ``orders`` has n_i >= 0 for each block, in the partition's order. All other arguments, the returned pair and the
+    errors are those of :func:`design_spring_damper`; two errors are added.
 
     Raises:
-        TooLarge: a block of more than :data:`MOST_STATES` states and ports.
-        ValueError: not one order >= 0 for each block.
+        TooLarge: a block has more than :data:`MOST_STATES` states and ports.
+        ValueError: ``orders`` is not one number >= 0 for each block.
     """
     partition = loop.partition
     if len(orders) != len(partition.blocks) or min(orders) < 0:
@@ -526,10 +534,10 @@ def design_linear(
 
 
 def recover_linear(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> LinearCoupling | None:
-    """The coupling in the unknowns' present values, in physical ports; None where a block is not stable.
+    """The coupling at the unknowns' present values, in physical ports; None if a block is not stable.
 
-    With scaled forces S^{-1} f, and B_V/T, D_V/T for unknowns, V = S V_scaled S. Dynamics that are nothing but rounding
-    become zeros; the states stay, for the order is part of the wish.
+    With scaled forces S^{-1} f, and with B_V/T and D_V/T as unknowns, V = S V_scaled S. Dynamics that are only rounding
+    become zeros. Their states stay, because the session asks for that order.
     """
     found, skew, T = [], 0.0, loop.period
     for block, S_i in zip(blocks, loop.partition.restrict(loop.scaling), strict=True):
@@ -549,7 +557,7 @@ def recover_linear(loop: HapticLoop, blocks: Sequence[BlockUnknowns]) -> LinearC
 
 
 def _without_rounding(system: StateSpace) -> StateSpace:
-    """The system, with A, B, C zero where ||C (zI - A)^{-1} B|| <= ||C|| ||B|| / (1 - ||A||) is next to nothing."""
+    """The system, with A, B, C zero if ||C (zI - A)^{-1} B|| <= ||C|| ||B|| / (1 - ||A||) is as small as rounding."""
     A, B, C = (float(np.linalg.norm(M, 2)) for M in (system.A, system.B, system.C))
     if B * C >= _ROUNDING * (1.0 - A):
         return system
@@ -557,7 +565,7 @@ def _without_rounding(system: StateSpace) -> StateSpace:
 
 
 def linear_unknowns(n: int, m: int) -> BlockUnknowns:
-    """All matrices of a block of order n >= 0 with m ports."""
+    """The unknowns of a linear block of order n >= 0 with m ports: all entries of its matrices."""
     D = cp.Variable((m, m))
     if n == 0:
         return BlockUnknowns.of(None, None, None, D, 0)

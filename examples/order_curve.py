@@ -4,7 +4,7 @@
     python examples/order_curve.py --orders 0 1 2      # its beginning; under a minute
 
 Each entry is a design of its own, loop shaping (24) with so many states for each port, and each is certified: the
-level printed is proved, and what stands in the table is an upper bound that somebody reached. The search is local, so a
+level printed is proved, and the table's figure is an upper bound that a coupling reached. The search is local, so a
 better coupling of the same order may exist. Fewer states than asked for are used where more gain nothing. A coupling so
 near the edge that it cannot be proved is not in the table, however low its level.
 """

@@ -36,7 +36,7 @@ class Puck:
         self.x = self.v = 0.0
 
     def react(self, x_e: np.ndarray, k: int) -> np.ndarray:
-        """The puck pushes back whoever is inside it; then it moves, by the rule that is known to add energy."""
+        """The puck pushes back every tool inside it; then it moves, by the rule that is known to add energy."""
         depth = np.maximum(self.side * (x_e - self.x), 0.0)
         f = -self.side * self.stiffness * depth  # on the hands
         beyond = np.sign(self.x) * max(abs(self.x) - self.room, 0.0)  # of a wall
@@ -47,7 +47,7 @@ class Puck:
 
 
 def main() -> None:
-    """Run the session with and without its controller, and say what that makes of the hands' speeds."""
+    """Run the session with and without its controller, and print the resulting speeds of the hands."""
     sys.path.append(str(FOLDER))  # where the session's model is
     for enforce in (True, False):
         session = load_session(FOLDER / "puck.yaml", [f"environment.enforce={str(enforce).lower()}"])

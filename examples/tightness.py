@@ -57,7 +57,7 @@ def device(mass: float, spring: float, tau: float) -> tuple[Matrix, Matrix, Matr
 
 
 def shaken(network: Network, tau: float, stiffness: float, hand: tuple[Matrix, Matrix, Matrix]) -> bool:
-    """Whether the loop grows: springs of ``stiffness`` (N/m) between the users, who all hold alike, and E."""
+    """Whether the loop grows: springs of ``stiffness`` (N/m) between the users, whose hands are alike, and E."""
     E, m = network.environment(T), len(network.ports)
     I = np.eye(m)
     free, old, new = (np.kron(I, part) for part in hand)

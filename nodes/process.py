@@ -157,7 +157,7 @@ def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Lif
         except TransportError as error:
             print(f"error: {nodes[0][0].name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
             return EXIT_BAD_INPUT
-        return _ended(members, life, remote)
+        return run_members(members, life, remote)
     except Stopped:
         return EXIT_OK
     finally:
@@ -173,7 +173,7 @@ def _log_of(common: Common) -> Log:
     return log
 
 
-def _ended(members: Sequence[Member], life: Life, remote: bool) -> int:
+def run_members(members: Sequence[Member], life: Life, remote: bool) -> int:
     """Run the nodes to their end, and report how they ended to the supervisor and the log; returns the exit code."""
     common, control = members[0].common, members[0].control
     if remote:

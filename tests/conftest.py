@@ -86,7 +86,7 @@ def leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pyt
     yield
     started = set(threading.enumerate()) - threads
     for thread in started:
-        thread.join(timeout=5.0)  # one that was told to end may need a moment to
+        thread.join(timeout=5.0)  # a thread that was asked to end may need a moment
     left = [f"thread {thread.name}" for thread in started if thread.is_alive()]
     left += [f"process {pid}" for pid in _children() - children]
     left += [f"file {path}" for path in folder.iterdir()]

@@ -8,7 +8,7 @@ interpreter the middleware was installed for.
 
 PLAN is a JSON file: ``roles`` (by node), ``links`` ([binder, connector] each), ``period`` (ns), ``ticks``, ``limit``
 (ns, when to stop though ticks are left), ``folder`` and ``port`` for the middleware. CONTROL is a Unix socket: the node
-says who it is, says that its links are open, hears the epoch, and a device tells how its ticks went.
+sends its name, reports its links as open, and receives the epoch; a device reports its ticks at the end.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def environment(wire: Wire, couplings: list[str]) -> None:
                 if name in frames or (frame := wire.receive(name, WAIT)) is None:
                     continue
                 found, _ = FRAME.unpack(frame)
-                if found > tick:  # somebody has given up a tick that was lost; the others will, too
+                if found > tick:  # one node has given up a lost tick; the others will, too
                     tick, frames = found, {}
                 if found == tick:
                     frames[name] = frame

@@ -36,5 +36,5 @@ class LcmWire:
 
 
 def open_wire(node: str, peers: list[Peer], folder: str, port: int) -> LcmWire:
-    """Join the groups: who has joined is heard."""
+    """Join the groups; only members of a group are received."""
     return LcmWire(peers, port)

@@ -1,4 +1,4 @@
-"""ROS 1's master for one run, on the port that the command line names; says so once it serves."""
+"""ROS 1's master for one run, on the port that the command line names; prints a line once it serves."""
 
 import ctypes
 import signal

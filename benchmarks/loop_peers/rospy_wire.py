@@ -44,7 +44,7 @@ class RospyWire:
 
 
 class _Told(rospy.SubscribeListener):  # type: ignore[misc]
-    """Sets an event when somebody subscribes."""
+    """Sets an event at the first subscription."""
 
     def __init__(self, event: threading.Event) -> None:
         super().__init__()

@@ -1,5 +1,5 @@
 """The passivity level of each party of the loop, and condition (10) that joins them.
 
-Read ``contract`` first (the condition), then ``device``, ``spring_damper`` and ``environment``; ``network`` is what
-a network of masses and springs keeps by its physics alone.
+Read ``contract`` first (the condition), then ``device``, ``spring_damper`` and ``environment``. ``network`` has the
+level that a network of masses and springs keeps by its physics alone.
 """

@@ -1,7 +1,7 @@
 """The contract between the parties: levels, the storage that proves them, and condition (10).
 
-Each party promises a level from data that it sees itself; together they make the loop stable when (10) of
-[Bianchini2010]_ holds. This module is what synthesis and certificates have in common: the words, not the methods.
+Each party promises a level that follows from its own data alone. Together the levels make the loop stable if (10) of
+[Bianchini2010]_ holds. Synthesis and certificates share these definitions, and no method.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, symmetric_part
 
 NO_DELAY_GAIN: Final = 0.5
-"""kappa of (8), K = kappa T Delta_D^{-1}, when force and sample meet in one instant."""
+"""kappa of (8), K = kappa T Delta_D^{-1}, if the force acts at the instant of its sample."""
 
 ENERGY: Final = "energy"
 """The storage of a network that needs no matrix: its mechanical energy."""
 
 ENFORCED: Final = "enforced"
-"""In place of a storage: nothing proves the level, a passivity controller keeps it at run time."""
+"""In place of a storage: the level is not proved; a passivity controller enforces it at run time."""
 
 
 @dataclass(frozen=True)
 class DeviceShare:
-    """What is left of the device's level behind the sampler, with a delay inside the tick.
+    """The part of the device's level that remains behind the sampler, with a delay inside the tick.
 
     G_hat is (share Delta_D)-OSP with K = kappa T Delta_D^{-1}.
 
@@ -55,9 +55,8 @@ class Levels:
         Delta_D: by block of V, m_i x m_i, N*s/m: the devices' level brought to the structure of V.
         Delta_V: by block of V, m_i x m_i, N*s/m: V_hat,i is Delta_V,i-OSP.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
-        P_E: storage matrix of Rest (:mod:`manyhands.design.models.integrators`), n x n, N*s/m in its units; or
-        "energy";
-            or "enforced", where nothing is proved.
+        P_E: storage matrix of Rest (:mod:`manyhands.design.models.integrators`), n x n, N*s/m in the units of its
+            states; or "energy"; or "enforced", where nothing is proved.
         P_V: storage matrix of each linear block, n_i x n_i, in the state zeta = (xi - xi_)/T; None for springs and
             dampers, whose level is in closed form.
     """
@@ -93,7 +92,7 @@ def least_coupling_level(Delta_G: Matrix, Phi_E: Matrix) -> Matrix:
     """Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E: (10) holds for every Delta_V above it (Schur complement).
 
     Raises:
-        ValueError: Delta_G - Phi_E is not positive definite, so that (10) holds for none.
+        ValueError: Delta_G - Phi_E is not positive definite, so that (10) holds for no Delta_V.
     """
     rest = symmetric_part(Delta_G - Phi_E)
     if float(np.linalg.eigvalsh(rest)[0]) <= 0.0:

@@ -1,14 +1,14 @@
-"""What a delay inside the tick costs a device: the gain kappa of the loop transformation, and the share of its level.
+"""The cost of a delay inside the tick: the gain kappa of the loop transformation, and the share of the device's level.
 
 The force computed from the sample at kT acts from kT + tau_k on, 0 <= tau_k <= tau <= T, and tau_k may differ from tick
-to tick. Over the tick before kT the device moves by alpha while f_{k-2} still acts and by beta while f_{k-1} does, and
-it dissipates at least Delta (alpha^2/tau_k + beta^2/(T - tau_k)). With K = kappa T Delta_D^-1 in the transformation (7)
+to tick. Over the tick before kT the device moves by alpha while f_{k-2} still acts, and by beta while f_{k-1} acts. It
+dissipates at least Delta (alpha^2/tau_k + beta^2/(T - tau_k)). With K = kappa T Delta_D^-1 in the transformation (7)
 of [Bianchini2010]_,
 
     y_k = (x_k - x_{k-1} + K g_k)/T,    g_k = f_k - f_{k-1},
 
-the device's storage plus f^T K f/2 + c g^T (T Delta_D^-1) g, and the best split of sigma = alpha + beta, a tick leaves
-(in units with T = Delta_D = 1, t = tau_k/T, g- the force step before g; matrices by congruence with Delta_D^1/2)
+take the device's storage plus f^T K f/2 + c g^T (T Delta_D^-1) g, and the best split of sigma = alpha + beta. A tick
+leaves (in units with T = Delta_D = 1, t = tau_k/T, g- the force step before g; matrices by congruence with Delta_D^1/2)
 
     F_t = sigma^2 + t sigma g- - t(1-t)/4 g-^2 + g sigma + (kappa/2 - c) g^2 + c g-^2 - share (sigma + kappa g)^2.
 
@@ -18,22 +18,25 @@ If F_t >= 0 for every t in [0, tau_hat], tau_hat = tau/T, and one c >= 0, then G
 
     F_t >= 0  <=>  a^2/(b - c) + p^2/(c - q) <= 1 - share,    q <= c <= b,
 
-so a >= 0, and the left side is least, (a + p)^2/(b - q), at c = q + (b - q) p/(a + p). What is left is linear in share:
+so a >= 0, and the left side is least, (a + p)^2/(b - q), at c = q + (b - q) p/(a + p). The rest is linear in share:
 
     share <= v / (v^2 + (1 + 4t) v + 4 t^2),    v = 2 kappa - 1 - 3t.                                           (*)
 
-**A delay that varies costs no more than its longest.** The c of t = tau_hat is c >= q + p(a + p) >= tau_hat/4, and then
-p^2/(c - q) = t^2/(4c - t + t^2), whose derivative in t is t (8c - t)/(4c - t + t^2)^2, grows over all of [0, tau_hat].
+**A varying delay costs no more than its longest value.** The c at t = tau_hat is c >= q + p(a + p) >= tau_hat/4. Then
 
-So share > 0 asks for kappa > 1/2 + 3/2 tau_hat; the greatest share is 1/(1 + 8 tau_hat), at kappa = 1/2 + 5/2 tau_hat;
-and without a delay share = 1/(2 kappa), which is the paper's (8)-(9) at kappa = 1/2.
+    p^2/(c - q) = t^2/(4c - t + t^2)
 
-It is not far from necessary: a heavy mass on its damper, behind a constant delay, needs kappa >= (1 + tau_hat)^2/2 for
-G_hat to be passive, the same at tau_hat = 0 and 1 and less by tau_hat (1 - tau_hat)/2 between.
+grows over all of [0, tau_hat], because its derivative in t is t (8c - t)/(4c - t + t^2)^2. So share > 0 requires
+kappa > 1/2 + 3/2 tau_hat. The greatest share is 1/(1 + 8 tau_hat), at kappa = 1/2 + 5/2 tau_hat. Without a delay
+share = 1/(2 kappa), which is the paper's (8)-(9) at kappa = 1/2.
 
-**In pieces.** A proof need not know any of this. It can cut [0, tau_hat] into pieces, replace t^2 in F_t by its tangent
-at a piece's middle, and test the ends of every piece: with pieces of length h that costs h^2/16 of g-^2 and no more.
-:func:`device_share` gives what :data:`PIECES` pieces prove, checked in exact rational arithmetic.
+The condition is not far from necessary. A heavy mass on its damper, behind a constant delay, needs
+kappa >= (1 + tau_hat)^2/2 for G_hat to be passive. This is the same bound at tau_hat = 0 and 1, and less by
+tau_hat (1 - tau_hat)/2 between.
+
+**In pieces.** A proof does not need this closed form. It can cut [0, tau_hat] into pieces, replace t^2 in F_t by its
+tangent at a piece's middle, and test the ends of every piece. With pieces of length h this costs at most h^2/16 of
+g-^2. :func:`device_share` returns the share that :data:`PIECES` pieces prove, checked in exact rational arithmetic.
 """
 
 from __future__ import annotations
@@ -44,15 +47,15 @@ from fractions import Fraction
 
 PIECES = 16  # of [0, tau_hat]: the least gain rises by tau_hat^2/2048, 0.025 % at a whole tick
 
-_SAFETY = Fraction(1, 10**9)  # of the share, so that rounding it, c and tau/T leaves the claim true
+_SAFETY = Fraction(1, 10**9)  # part of the share given up, so that rounding share, c and tau/T leaves the claim true
 
 Real = float | Fraction
-"""A number that is taken exactly, as what it is in binary."""
+"""A number that is taken exactly: a float stands for its binary value."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a device keeps of its level behind a delay.
+    """The part of its level that a device keeps behind a delay.
 
     Attributes:
         share: G_hat is (share Delta_D)-OSP; in (0, 1].
@@ -92,11 +95,11 @@ def gain_for_share(share: float, tau_hat: float, pieces: int | None = None) -> f
     Args:
         share: 0 ... 1; 0 gives :func:`least_gain`, which is a limit and not reached.
         tau_hat: tau/T, 0 ... 1.
-        pieces: the proof's; None for the limit of ever finer ones. With e = (tau_hat/pieces)^2/4, (*) is then
-            share = (v - e)/(v^2 + (1 + 4t) v + 4t^2 - e).
+        pieces: number of the proof's pieces; None for the limit of infinitely many. With pieces and
+            e = (tau_hat/pieces)^2/4, (*) reads share = (v - e)/(v^2 + (1 + 4t) v + 4t^2 - e).
 
     Returns:
-        kappa, or None where no kappa leaves ``share``.
+        kappa, or None if no kappa leaves ``share``.
 
     Raises:
         ValueError: an argument is outside its range.
@@ -108,7 +111,7 @@ def gain_for_share(share: float, tau_hat: float, pieces: int | None = None) -> f
         return None
     if t == 0.0:
         return 0.5
-    # s v^2 - (1 - s(1 + 4t)) v + 4 s t^2 + (1 - s) e = 0, its discriminant in a form that loses no digits
+    # s v^2 - (1 - s(1 + 4t)) v + 4 s t^2 + (1 - s) e = 0; this form of the discriminant loses no digits
     e = 4.0 * float(_lost(Fraction(t), pieces)) if pieces is not None else 0.0
     half = 1.0 - share * (1.0 + 4.0 * t)
     discriminant = (1.0 - share) * (1.0 - share * (1.0 + 8.0 * t) - 4.0 * share * e)
@@ -119,37 +122,20 @@ def gain_for_share(share: float, tau_hat: float, pieces: int | None = None) -> f
     return (1.0 + 3.0 * t + v) / 2.0
 
 
-def device_share_fixed(kappa: Real, tau_hat: Real) -> Share:
-    """The greatest share (*) for one constant delay, and by the argument above for every delay up to it.
-
-    This is the limit of ever finer pieces: F_t is singular at t = tau_hat, and what is returned is rounded.
-
-    Args:
-        kappa: K = kappa T Delta_D^-1; dimensionless.
-        tau_hat: tau/T, 0 ... 1.
-
-    Raises:
-        ValueError: no positive share, for kappa is not above :func:`least_gain` (at tau_hat = 0: not at least it).
-    """
-    gain, t = _gain(kappa), _tick_fraction(tau_hat)
-    share = _exact_share(gain, t, Fraction(0))
-    return Share(float(share), float(_exact_weight(gain, t, Fraction(0), share)))
-
-
 def device_share(kappa: Real, tau_hat: Real, pieces: int = PIECES) -> Share:
     """The greatest share that ``pieces`` equal pieces of [0, tau_hat] prove for every delay up to tau_hat.
 
-    It is smaller than that by a relative 1e-9, so that every end of every piece is strictly inside. Without a
+    The returned share is smaller by a relative 1e-9, so that every end of every piece is strictly inside. Without a
     delay and with kappa = 1/2, the paper's case, it is exactly share 1 and c 0.
 
     Args:
         kappa: K = kappa T Delta_D^-1; dimensionless.
-        tau_hat: tau/T, 0 ... 1. A Fraction spares the rounding of the quotient.
-        pieces: into how many pieces the proof will cut.
+        tau_hat: tau/T, 0 ... 1. A Fraction avoids the rounding of the quotient.
+        pieces: number of the proof's pieces.
 
     Raises:
-        ValueError: no positive share, for kappa is not above :func:`least_gain` by what the pieces cost,
-            (tau_hat/pieces)^2/8; or pieces is not positive.
+        ValueError: no positive share exists, because kappa does not exceed :func:`least_gain` by the cost of the
+            pieces, (tau_hat/pieces)^2/8; or pieces is not positive.
     """
     gain, t = _gain(kappa), _tick_fraction(tau_hat)
     lost = _lost(t, pieces)
@@ -165,12 +151,12 @@ def device_share(kappa: Real, tau_hat: Real, pieces: int = PIECES) -> Share:
         safety *= 100
     raise ValueError(
         f"kappa: found {float(kappa)!r}, so little above {least_gain(float(t))!r} that double precision does not "
-        f"tell the share, {float(limit):.3g}; expected more"
+        f"resolve the share, {float(limit):.3g}; expected more"
     )
 
 
 def pieces_hold(kappa: Real, tau_hat: Real, claim: Share, pieces: int = PIECES) -> bool:
-    """Whether F_t, with t^2 replaced by its tangents, is >= 0 at both ends of every piece: exact, in rationals.
+    """Whether F_t, with t^2 replaced by its tangents, is >= 0 at both ends of every piece; decided in exact rationals.
 
     Args:
         kappa: K = kappa T Delta_D^-1.
@@ -207,14 +193,14 @@ def _holds_at(kappa: Fraction, share: Fraction, c: Fraction, t: Fraction, q: Fra
 
 
 def _lost(t: Fraction, pieces: int) -> Fraction:
-    """What tangents lose of c at the ends: h^2/16 for pieces of length h."""
+    """The part of c that tangents lose at the ends of pieces of length h: h^2/16."""
     if pieces < 1:
         raise ValueError(f"pieces: found {pieces}, expected 1 or more")
     return (t / pieces) ** 2 / 16
 
 
 def _exact_share(kappa: Fraction, t: Fraction, lost: Fraction) -> Fraction:
-    """(*) with q = t(1-t)/4 + lost."""
+    """The greatest share, (*) with q = t(1-t)/4 + lost."""
     v = 2 * kappa - 1 - 3 * t
     if v - 4 * lost <= 0 and not (t == 0 and v == 0):
         raise ValueError(
@@ -227,7 +213,7 @@ def _exact_share(kappa: Fraction, t: Fraction, lost: Fraction) -> Fraction:
 
 
 def _exact_weight(kappa: Fraction, t: Fraction, lost: Fraction, share: Fraction) -> Fraction:
-    """The c that leaves most room at t with q = t(1-t)/4 + lost."""
+    """The c that leaves the most room at t, with q = t(1-t)/4 + lost."""
     if t == 0:
         return Fraction(0)
     a, p, q = Fraction(1, 2) - share * kappa, t / 2, t * (1 - t) / 4 + lost

@@ -1,50 +1,51 @@
-"""The environment's best level Phi_E for given levels of everybody else: exact, for a hundred ports and more.
+"""The environment's best level Phi_E for given levels of all other parties, exact, for a hundred ports and more.
 
-With H(w) the Hermitian part of E_hat(e^jw), condition (10) of [Bianchini2010]_ and the environment's promise ask for
+With H(w) the Hermitian part of E_hat(e^jw), condition (10) of [Bianchini2010]_ and the environment's promise require
 
     [ Delta_G - Phi_E      -Phi_E        ]
     [     -Phi_E       Delta_V - Phi_E   ]  >= t I    and    H(w) + Phi_E >= 0 for all w.
 
-Nothing has to be searched for in the matrix Phi_E. Of all that satisfy the first inequality there is a *greatest*, the
-parallel sum [Anderson1969]_ of X = Delta_G - t I and Y = Delta_V - t I,
+No search over the matrix Phi_E is necessary. Among all Phi_E that satisfy the first inequality there is a *greatest*,
+the parallel sum [Anderson1969]_ of X = Delta_G - t I and Y = Delta_V - t I,
 
     Phi(t) = X (X + Y)^{-1} Y,        s^T Phi(t) s = min over a + b = s of (a^T X a + b^T Y b),
 
-and the second inequality only gains from a greater Phi_E. Delta_G and Delta_V have the structure of V, hence so has
-Phi(t): each block can be told its own part, and structure costs nothing. What is left is a search over the frequency,
+and a greater Phi_E only helps the second inequality. Delta_G and Delta_V have the structure of V, hence Phi(t) has it
+too: each block can receive its own part alone, and structure costs nothing. What remains is a search over the
+frequency,
 
     t* = min over w of lambda_min [ Delta_G + H(w)      H(w)         ]
                                   [     H(w)        Delta_V + H(w)   ],
 
-a passivity index. It is found from above by a level-set method [Boyd1990]_: every frequency is a bound on t*, and the
-imaginary eigenvalues of a Hamiltonian matrix tell between which frequencies a bound is still violated, off any grid.
+a passivity index. A level-set method [Boyd1990]_ finds it from above. The value at any frequency is a bound on t*, and
+the imaginary eigenvalues of a Hamiltonian matrix show between which frequencies a bound is still violated, without any
+grid. The same search gives the least multiple of a matrix Delta that is admissible as Phi_E. *Some* coupling certifies
+the loop if the environment needs less than all of Delta_G.
 
-The same search gives the least multiple of a matrix Delta that is admissible as Phi_E; the loop can be certified by
-*some* coupling when less than all of Delta_G is needed.
-
-The Hermitian part of E_hat on the unit circle: evaluated fast, and tested for its sign at all frequencies at once.
+**Evaluation.** The Hermitian part of E_hat on the unit circle is
 
     H(w) = He(E_hat(e^jwT)) = He(Rest(e^jwT)) - T/2 E1                    (:mod:`manyhands.design.models.integrators`)
 
-Evaluation puts A into complex Schur form once, after which a frequency costs one triangular solve. The test finds where
-H + Phi is singular by the imaginary eigenvalues of a Hamiltonian matrix [Boyd1989]_, as
-:mod:`manyhands.design.models.statespace` explains.
+A is brought into complex Schur form once; after that a frequency costs one triangular solve. The test for all
+frequencies finds where H + Phi is singular, by the imaginary eigenvalues of a Hamiltonian matrix [Boyd1989]_;
+:mod:`manyhands.design.models.statespace` explains it.
 
-The storage function of a large environment from one discrete Riccati equation, instead of a semidefinite program.
-
-E_hat is (-Phi_E)-ISP when some P > 0 has (:mod:`manyhands.design.models.integrators`, Rest = (A, B, C, D))
+**Storage.** One discrete Riccati equation gives the storage function of a large environment, instead of a semidefinite
+program. E_hat is (-Phi_E)-ISP when some P > 0 has (:mod:`manyhands.design.models.integrators`, Rest = (A, B, C, D))
 
     M(P) = [A B]^T P [A B] - [ P      C^T/2 ]  <= 0,        R = He(D) + Phi_E - T/2 E1.
                              [ C/2    R     ]
 
-The least such P is the available storage [Willems1972]_, solution of a Riccati equation with equality in n of the
-n + m directions: at the edge, of no use for a proof. So the equation of a *tighter* problem is solved, that of
+The least such P is the available storage [Willems1972]_. It solves a Riccati equation with equality in n of the n + m
+directions, so that it lies on the edge and serves no proof. Therefore the equation of a *tighter* problem is solved,
+that of
 
-    A / sqrt(1 - eps),   B / sqrt(1 - eps),   and a loss eps |psi|^2 a tick on states scaled to be reached equally,
+    A / sqrt(1 - eps),   B / sqrt(1 - eps),   and a loss eps |psi|^2 a tick on states scaled to be reached equally.
 
-and P = (tight P)/(1 - eps) has M(P) <= -eps blockdiag(P + I, 0): room in every direction of the state, as the solution
-of the tight equation is strict in the inputs. The equation is solved by doubling [Chu2004]_, whose k-th iterate is the
-energy that can be drawn in 2^k ticks: it grows, and it converges exactly when the tight problem has a solution.
+Then P = (tight P)/(1 - eps) has M(P) <= -eps blockdiag(P + I, 0). This is room in every direction of the state; the
+solution of the tight equation is strict in the inputs already. Doubling [Chu2004]_ solves the equation. Its k-th
+iterate is the energy that can be drawn in 2^k ticks: it grows, and it converges exactly when the tight problem has a
+solution.
 """
 
 from __future__ import annotations
@@ -66,12 +67,14 @@ from manyhands.design.solver import reachability
 
 Angles = NDArray[np.float64]
 
-_SMALL = 64  # states up to which a general solver is no slower, and a triangular one may stall in threads it starts
+# The Hermitian part of E_hat over frequency
+
+_SMALL = 64  # up to so many states a general solver is no slower; a triangular one may stall in the threads it starts
 _GRID = 48  # angles from _LOWEST to pi, in a geometric series; poles are added
 _LOWEST = 1e-5  # rad a tick: 0.01 rad/s at 1 kHz
-_APART = 0.01  # poles whose angles differ by less, relatively, share a place in the grid
-_NEAR_AXIS = 1e-4  # |Re s| / |s| below which an eigenvalue is taken for imaginary; one too many costs one evaluation
-_HAMILTONIAN_ROUNDING = 1e-13  # the same, of the Hamiltonian's norm
+_APART = 0.01  # poles whose angles differ by less, relatively, share a point of the grid
+_NEAR_AXIS = 1e-4  # |Re s| / |s| below which an eigenvalue counts as imaginary; a false one costs one evaluation
+_HAMILTONIAN_ROUNDING = 1e-13  # the same for eigenvalues near 0, relative to the Hamiltonian's norm
 
 
 class Dissipation:
@@ -82,7 +85,7 @@ class Dissipation:
         T: period, s.
 
     Raises:
-        SolverFailure: Rest has a mode that does not decay; no strict inequality holds there.
+        SolverFailure: Rest has a mode that does not decay, for which no strict inequality holds.
     """
 
     def __init__(self, split: Split, T: float) -> None:
@@ -118,9 +121,9 @@ class Dissipation:
         return np.asarray((gain + gain.conj().T) / 2.0 + self._constant)
 
     def angles(self) -> Angles:
-        """Angles at which to look first: 0, pi, a geometric series, and where poles are."""
+        """Angles at which the search starts: 0, pi, a geometric series, and the angles of the poles."""
         poles = np.abs(np.angle(self.poles))
-        poles = np.sort(poles[(poles > _LOWEST) & (np.abs(self.poles) > 0.5)])  # others leave no mark of their own
+        poles = np.sort(poles[(poles > _LOWEST) & (np.abs(self.poles) > 0.5)])  # poles nearer to 0 make no peak
         kept: list[float] = []
         for angle in poles:
             if not kept or angle > kept[-1] * (1.0 + _APART):
@@ -142,7 +145,7 @@ def crossings(dissipation: Dissipation, Phi: Matrix) -> Angles:
         Phi: m x m symmetric, N*s/m.
 
     Returns:
-        Every crossing up to rounding, and possibly some that are none.
+        Every crossing up to rounding, and possibly some false ones.
     """
     if dissipation.split.rest.order == 0:
         return np.zeros(0)
@@ -154,13 +157,15 @@ def crossings(dissipation: Dissipation, Phi: Matrix) -> Angles:
     return crossing_angles(hamiltonian, _NEAR_AXIS, _HAMILTONIAN_ROUNDING * float(np.linalg.norm(hamiltonian)))
 
 
+# The best level
+
 Progress = Callable[[str], None]
 
-_TOLERANCE = 1e-8  # between t* and the bound found, of t* or of _LEAST_SCALE times the levels
-_LEAST_SCALE = 1e-3  # a margin below this part of Delta_G is measured against it, not against itself
-_MOST_TESTS = 40  # each at least halves what is open, most do far better
-_EIGENVALUE_ROUNDING = 1e-10  # relative differences of eigenvalues that mean nothing
-_BRACKET = 1e-7  # relative width to which a minimum's frequency is searched: its value is flat there
+_TOLERANCE = 1e-8  # between t* and the bound found, relative to t*, or to _LEAST_SCALE times the levels if greater
+_LEAST_SCALE = 1e-3  # for a margin below this part of Delta_G, the tolerance is relative to that part
+_MOST_TESTS = 40  # each at least halves the open interval; most tests do far better
+_EIGENVALUE_ROUNDING = 1e-10  # relative differences of eigenvalues below this are rounding
+_BRACKET = 1e-7  # relative width to which a minimum's frequency is searched: the value is flat there
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +178,7 @@ class LevelFound:
         Phi_E: m x m with the wanted structure, N*s/m; H(w) + Phi_E > 0 strictly.
         frequency: where the environment limits t, rad/s.
         tests: number of Hamiltonian tests that were made.
-        margins: the levels that were searched.
+        margins: the family Phi(t) that was searched.
     """
 
     t: float
@@ -184,18 +189,18 @@ class LevelFound:
     margins: LoopMargins
 
     def eased(self, reserve: float) -> LevelFound:
-        """The level that gives up another part of the best t; nothing has to be searched again."""
+        """The level that gives up the part ``reserve`` of the best t instead; no new search is necessary."""
         Phi_E = self.margins.level((1.0 - reserve) * self.best)
         return replace(self, Phi_E=Phi_E, t=self.margins.margin(Phi_E))
 
 
 @dataclass(frozen=True)
 class LackOfPassivity:
-    """How much of a level Delta an environment needs.
+    """The multiple of a level Delta that an environment needs.
 
     Attributes:
         multiple: the least s for which s Delta is admissible as Phi_E; below zero for a strictly passive environment.
-        frequency: where it is needed, rad/s.
+        frequency: where the environment needs it, rad/s.
     """
 
     multiple: float
@@ -219,13 +224,13 @@ def best_level(
         Delta_G: level of the devices behind the transformation, m x m, N*s/m.
         Delta_V: level of V_hat, m x m, N*s/m.
         partition: structure that Phi_E is to have; Delta_G and Delta_V must have it. None: Phi_E may be full.
-        reserve: part of the best t that is given up so that E_hat's inequality is strict by at least half of that: a
+        reserve: part of the best t that is given up, so that E_hat's inequality is strict by at least half of it: a
             storage function that can be verified needs some room.
-        progress: told about every Hamiltonian test.
+        progress: called with a line of text for every Hamiltonian test.
 
     Raises:
-        Infeasible: no Phi_E leaves a positive margin; with the figure and the frequency.
-        SolverFailure: a mode that does not decay; or the search did not end, which rounding alone could cause.
+        Infeasible: no Phi_E leaves a positive margin; the message has the figure and the frequency.
+        SolverFailure: a mode does not decay; or the search did not end, which only rounding could cause.
         ValueError: a level of wrong shape, unsymmetric, not positive definite, or without the structure.
     """
     m = split.rest.inputs
@@ -259,7 +264,7 @@ def lack_of_passivity(split: Split, T: float, Delta: Matrix, progress: Progress 
         split: E_hat, m ports.
         T: period, s.
         Delta: m x m symmetric positive definite, N*s/m; with Delta = Delta_G some coupling can be certified iff s < 1.
-        progress: told about every Hamiltonian test.
+        progress: called with a line of text for every Hamiltonian test.
 
     Raises:
         SolverFailure: as for :func:`best_level`.
@@ -278,7 +283,7 @@ def _require_level(name: str, level: Matrix, m: int) -> None:
 
 
 class _Family(Protocol):
-    """Levels Phi(t), decreasing in t: the greatest admissible t is sought."""
+    """Levels Phi(t), decreasing in t; the search finds the greatest admissible t."""
 
     def limit(self, H: NDArray[np.complex128]) -> float:
         """The greatest t with H + Phi(t) >= 0, for one frequency's m x m Hermitian H."""
@@ -294,7 +299,7 @@ class LoopMargins:
         self._Delta_G, self._Delta_V, self._partition = Delta_G, Delta_V, partition
         zero = np.zeros_like(Delta_G)
         self._levels = np.block([[Delta_G, zero], [zero, Delta_V]])
-        # X + Y > 0: motions of the devices against V_hat, which the environment does not feel, limit t as well
+        # X + Y > 0 limits t as well: the devices may move against V_hat without moving the environment
         self._most = (1.0 - _EIGENVALUE_ROUNDING) * float(np.linalg.eigvalsh((Delta_G + Delta_V) / 2.0)[0])
 
     def limit(self, H: NDArray[np.complex128] | Matrix) -> float:
@@ -316,7 +321,7 @@ class LoopMargins:
 
 
 class _Multiples:
-    """Phi(t) = -t Delta."""
+    """The multiples Phi(t) = -t Delta of one level."""
 
     def __init__(self, Delta: Matrix) -> None:
         self._Delta = Delta
@@ -332,7 +337,11 @@ class _Multiples:
 def _lowest(
     dissipation: Dissipation, family: _Family, floor: float, progress: Progress | None
 ) -> tuple[float, float, int]:
-    """The least of ``family.limit`` over all frequencies, its angle w T, and the number of tests made."""
+    """The least of ``family.limit`` over all frequencies, its angle w T, and the number of tests made.
+
+    A Hamiltonian test at t returns the angles where the bound may be crossed. Between two of them the bound holds or is
+    violated throughout, so that one angle in each gap decides, and lowers t if it is violated there.
+    """
 
     def limit(angle: float) -> float:
         return family.limit(dissipation(angle))
@@ -353,7 +362,7 @@ def _lowest(
         i = int(np.searchsorted(ends, worst))
         t, worst = _refined(limit, ends[max(i - 1, 0)], ends[min(i + 1, len(ends) - 1)], t, worst)
     raise SolverFailure(
-        f"the environment's level is still open after {_MOST_TESTS} tests, "
+        f"the search for the environment's level did not end within {_MOST_TESTS} tests, "
         f"at {t:.6g} and {worst / dissipation.T:.4g} rad/s"
     )
 
@@ -361,7 +370,7 @@ def _lowest(
 def _least_of(
     dissipation: Dissipation, family: _Family, angles: Iterable[float], t: float, worst: float
 ) -> tuple[float, float]:
-    """The least of t and the limits at ``angles``; a Cholesky test spares most of them their eigenvalues."""
+    """The least of t and the limits at ``angles``, with its angle; for most angles a Cholesky test is enough."""
     Phi = family.level(t) if np.isfinite(t) else None
     for angle in angles:
         H = dissipation(angle)
@@ -383,7 +392,7 @@ def _positive(M: NDArray[np.complex128]) -> bool:
 
 
 def _refined(limit: Callable[[float], float], low: float, high: float, t: float, worst: float) -> tuple[float, float]:
-    """The least of t and what a bounded search between two angles finds."""
+    """The least of t and the minimum that a bounded search finds between two angles, with its angle."""
     if not low < high:
         return t, worst
     result = minimize_scalar(limit, bounds=(low, high), method="bounded", options={"xatol": _BRACKET * high})
@@ -391,14 +400,16 @@ def _refined(limit: Callable[[float], float], low: float, high: float, t: float,
     return (float(result.fun), float(result.x)) if better else (t, worst)
 
 
-MOST_TIGHTENED = 5e-4  # eps to begin with
-LEAST_TIGHTENED = 1e-12  # below, rounding is as large
+# The storage function
+
+MOST_TIGHTENED = 5e-4  # the first eps
+LEAST_TIGHTENED = 1e-12  # the last eps: below it, rounding is as large
 ENOUGH_ROOM = 1e-10  # least eigenvalue of -M and of P, scaled to unit diagonal: a million times double precision's
-RESERVES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts of the best margin given up for room, the first that is enough
-_STEP = 0.3  # from one eps to the next
+RESERVES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts of the best margin given up; the first that leaves enough room
+_STEP = 0.3  # factor from one eps to the next
 _MOST_DOUBLINGS = 60  # 2^60 ticks
 _CONVERGED = 1e-14  # relative change of the storage in one doubling
-_UNREACHED = 1e-12  # of the largest variance: a state that inputs reach less is scaled as if they reached it as much
+_UNREACHED = 1e-12  # of the largest variance: a state that the inputs reach less is scaled as if they reached it so far
 
 
 def level_and_storage(
@@ -409,12 +420,12 @@ def level_and_storage(
     partition: Partition | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[LevelFound, Matrix]:
-    """The environment's best level with a storage function that proves it: as little given up as leaves enough room.
+    """The environment's best level with a storage function that proves it; it gives up as little margin as it can.
 
-    Slow modes of large environments dissipate so little in a tick that a level at the very edge of what is possible
-    cannot be told from one beyond it.
+    Slow modes of large environments dissipate very little in a tick. Floating point cannot distinguish a level on the
+    very edge of what is possible from a level beyond it.
 
-    Arguments and errors as for :func:`manyhands.design.levels.environment.best_level`.
+    Arguments and errors are those of :func:`best_level`.
 
     Returns:
         The level, and P in the coordinates of Rest.
@@ -443,17 +454,17 @@ def storage(
     Args:
         split: E_hat, m ports, order n of Rest, stable.
         T: period, s.
-        Phi_E: m x m symmetric, N*s/m; strictly admissible, as :func:`manyhands.design.levels.environment.best_level`
-            returns it.
-        progress: told about every eps tried.
-        frequency: where Phi_E is needed most, rad/s, as the same function returns it: a hint, with which eps to begin;
-            without it the frequencies are searched for the place.
+        Phi_E: m x m symmetric, N*s/m; strictly admissible, as :func:`best_level` returns it.
+        progress: called with a line of text for every eps tried.
+        frequency: where the environment needs Phi_E most, rad/s, as :func:`best_level` returns it: a hint for the first
+            eps. Without it a grid of frequencies is searched.
 
     Returns:
-        P, n x n, in the coordinates of Rest (energy over T: N*s/m times the square of what the states count).
+        P, n x n, in the coordinates of Rest. psi^T P psi is an energy over T; the entries are N*s/m over the squares
+        of the states' units.
 
     Raises:
-        SolverFailure: there is none, or none with room.
+        SolverFailure: no storage function exists, or none with room.
     """
     rest, n = split.rest, split.rest.order
     R = symmetric_part(rest.D) + Phi_E - T / 2.0 * split.stiffness
@@ -462,7 +473,7 @@ def storage(
         raise SolverFailure("Phi_E is less than the environment needs: He(D) + Phi_E - T/2 E1 is not positive definite")
     if n == 0:
         return np.zeros((0, 0))
-    ports = vectors / np.sqrt(values)  # w = ports @ (scaled w): there R is the identity
+    ports = vectors / np.sqrt(values)  # w = ports @ (scaled w): in scaled ports R is the identity
     A, B, C = rest.A, rest.B @ ports, ports.T @ rest.C
     radius = float(np.max(np.abs(np.linalg.eigvals(A))))
     if not radius < 1.0:
@@ -497,7 +508,7 @@ def _tightest_angle(split: Split, T: float, Phi_E: Matrix, ports: Matrix) -> flo
 
 
 def _first_tightened(A: Matrix, B: Matrix, C: Matrix, point: complex, eps: float) -> float:
-    """The first eps, downwards from ``eps``, that leaves half of what the environment dissipates at ``point``."""
+    """The first eps, downwards from ``eps``, that leaves half of the environment's dissipation at ``point``."""
 
     def least(eps: float) -> float:
         root = np.sqrt(1.0 - eps)
@@ -513,7 +524,7 @@ def _first_tightened(A: Matrix, B: Matrix, C: Matrix, point: complex, eps: float
 
 
 def room(split: Split, T: float, Phi_E: Matrix, P: Matrix) -> float:
-    """Least eigenvalue of -M(P) and of P, each scaled to a unit diagonal; negative or zero: not proved."""
+    """Least eigenvalue of -M(P) and of P, each scaled to a unit diagonal; if it is not positive, P proves nothing."""
     return min(_scaled_least(P), _scaled_least(-split.dissipation(P, Phi_E, T)))
 
 
@@ -528,14 +539,14 @@ def _scaled_least(M: Matrix) -> float:
 
 
 def _available_storage(A: Matrix, B: Matrix, C: Matrix, loss: float) -> Matrix | None:
-    """The least P with [A B]^T P [A B] - [P - loss I, C^T/2; C/2, I] <= 0; None when there is none.
+    """The least P with [A B]^T P [A B] - [P - loss I, C^T/2; C/2, I] <= 0, by doubling; None if no P exists.
 
     With X = -P this is X = F^T X (I + G X)^{-1} F + Q for F = A - B C/2, G = B B^T, Q = -(C^T C/4 + loss I).
     """
     n, m = B.shape
     F, G, X = A - B @ C / 2.0, B @ B.T, -(C.T @ C / 4.0 + loss * np.eye(n))
     for _ in range(_MOST_DOUBLINGS):
-        # what is drawn in 2^k ticks must cost the inputs something: I - B^T P B > 0
+        # If I - B^T P B > 0 fails, inputs draw unbounded energy in 2^k ticks, and no P exists.
         if not np.all(np.isfinite(X)) or np.linalg.eigvalsh(np.eye(m) + B.T @ X @ B)[0] <= 0.0:
             return None
         solved = np.linalg.solve(np.eye(n) + G @ X, np.hstack([F, G @ F.T]))

@@ -1,7 +1,7 @@
-"""What a spring-mass-damper network dissipates by its physics alone, without any program, sparse to a thousand ports.
+"""The level that a spring-mass-damper network keeps by its physics alone: no program, sparse, up to a thousand ports.
 
-The mechanical energy over T is a storage function of E_hat, and in a tick with port velocities w and mass velocities v
-a network discretised by backward Euler dissipates at least
+The mechanical energy over T is a storage function of E_hat. In a tick with port velocities w and mass velocities v, a
+network discretised by backward Euler dissipates at least
 
     [w; v]^T Z [w; v],       Z = B + T/2 K  >= 0       (K, B as in :mod:`manyhands.design.models.network`, ports first).
 
@@ -9,9 +9,9 @@ Hence Phi_E is admissible wherever Z + blockdiag(Phi_E, 0) >= 0. The least such 
 of Z onto the ports. Z grows with every stiffness and damping and does not contain the masses, so a level that holds at
 the lower ends of intervals holds for every network between them.
 
-Z is a sum of links, none of which is positive off the diagonal. Such a matrix is positive semidefinite when some y > 0
-has Z y >= 0 in every row [Berman1994]_, which takes one sparse solve to find and one pass over the links to check
-exactly. :func:`structured_level` uses it for levels with the structure of V.
+Z is a sum of links, and no link has a positive entry off the diagonal. Such a matrix is positive semidefinite when some
+y > 0 has Z y >= 0 in every row [Berman1994]_. One sparse solve finds y, and one pass over the links checks it exactly.
+:func:`structured_level` uses this for levels with the structure of V.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from manyhands.design.models.coupling import Partition
 from manyhands.design.models.network import GROUND, Network
 from manyhands.design.models.statespace import Matrix, symmetric_part
 
-MOST_EXACT = 64  # ports and masses that hang together up to which their inequality is quickly proved in exact numbers
+MOST_EXACT = 64  # size of a connected group, ports and masses, up to which an exact proof of its inequality is quick
 
-_RESERVE = 1e-6  # part of the best margin given up, which leaves half of it as room in Z + blockdiag(Phi_E, 0)
-_ROUNDING = 1e-12  # of a row's diagonal: a row sum below it is that of a node without a link to ground
-_INNER_SLACK = 1e-9  # of a mass's own Z: what its row of Z y is above zero, so that rounding leaves it there
+_RESERVE = 1e-6  # part of the best margin given up; half of it becomes room in Z + blockdiag(Phi_E, 0)
+_ROUNDING = 1e-12  # of a row's diagonal: a node with a smaller row sum has no link to ground
+_INNER_SLACK = 1e-9  # of a mass's own Z: its row of Z y is above zero by this, so that rounding keeps it positive
 _OUTER_SLACK = 1e-6  # part of a port's level given up for the same reason
-_ITERATIONS = 60  # each a sparse solve; levels are within a few per cent of their limit long before, and valid at once
-_COLUMNS = 128  # right-hand sides solved at a time: bounds the dense memory
+_ITERATIONS = 60  # each a sparse solve; every level is valid, and soon within a few per cent of its limit
+_COLUMNS = 128  # right-hand sides solved at a time, which bounds the dense memory
 
 
 def link_matrices(network: Network) -> tuple[csc_array, csc_array]:
@@ -76,11 +76,11 @@ def port_dissipation(Z: csc_array, m: int) -> Matrix:
         Z: :func:`dissipation_matrix` of the network.
         m: number of ports.
     """
-    felt = _felt_masses(Z, m)
+    tied = _tied_masses(Z, m)
     S = Z[:m, :m].toarray()
-    if len(felt):
-        Z_qu = csc_array(Z[felt][:, :m])
-        solver = splu(csc_array(Z[felt][:, felt]))
+    if len(tied):
+        Z_qu = csc_array(Z[tied][:, :m])
+        solver = splu(csc_array(Z[tied][:, tied]))
         for first in range(0, m, _COLUMNS):
             chosen = slice(first, first + _COLUMNS)
             S[:, chosen] -= Z_qu.T @ solver.solve(Z_qu[:, chosen].toarray())
@@ -92,12 +92,12 @@ def physical_level(
 ) -> Matrix:
     """The Phi_E, proved by the network's energy, that leaves condition (10) the greatest margin.
 
-    With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.levels.environment`, and no frequency
-    has to be searched. This is done for each group of ports that hang together, by links or by blocks of V. Groups
-    of more than :data:`MOST_EXACT` ports and masses get Phi_E = 0, for which nothing is left to prove.
+    With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.levels.environment`, and no search
+    over the frequency is necessary. Each group of ports that links or blocks of V connect gets its own part of Phi_E.
+    A group of more than :data:`MOST_EXACT` ports and masses gets Phi_E = 0, which needs no further proof.
 
     Args:
-        network: the network, or that at the lower ends of all its intervals.
+        network: the network; of a network known up to intervals, the one at all lower ends.
         T: period, s.
         Delta_G: level of the devices behind the transformation, block by block, N*s/m.
         Delta_V: level of V_hat, block by block, N*s/m.
@@ -141,8 +141,8 @@ class StructuredLevel:
 
     Attributes:
         blocks: one m_i x m_i matrix >= 0 for each block of the partition, N*s/m.
-        witness: y > 0, m + n entries: off its diagonal Z - blockdiag(blocks, 0) has nothing positive, and times y it
-            has no negative row; it is therefore positive semidefinite. A check needs additions only, link by link.
+        witness: y > 0, m + n entries. Z - blockdiag(blocks, 0) has no positive entry off its diagonal, and its product
+            with y has no negative row; it is therefore positive semidefinite. A check adds up link by link.
     """
 
     blocks: tuple[Matrix, ...]
@@ -152,15 +152,15 @@ class StructuredLevel:
 def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None = None) -> StructuredLevel:
     """A level with the structure of V by weighted diagonal dominance, for networks of any size.
 
-    Inverse iteration y = Z^{-1} (weights * y at the ports, 0 at the masses) keeps y > 0 and nears the motion in which
-    the network dissipates least for the weights. Whatever y it stops at, (Z y)_i / y_i at the ports are a diagonal
-    level; to them come the links within a block. In the limit they are s * weights with the greatest admissible s. A
-    network that floats freely, without any link to ground, keeps nothing.
+    Inverse iteration y = Z^{-1} (weights * y at the ports, 0 at the masses) keeps y > 0 and approaches the motion in
+    which the network dissipates least for the weights. At every iterate y, the numbers (Z y)_i / y_i at the ports are a
+    diagonal level, to which the links within a block are added. In the limit the numbers are s * weights with the
+    greatest admissible s. A network that floats freely, without any link to ground, keeps no level.
 
     Args:
         Z: :func:`dissipation_matrix` of the network.
         partition: of its m ports.
-        weights: what the levels are to be proportional to, such as the devices' levels, m entries > 0; equal if None.
+        weights: m entries > 0, such as the devices' levels; the levels are to be proportional to them. None: all equal.
     """
     m, size = partition.size, Z.shape[0]
     _, component = connected_components(Z, directed=False)
@@ -176,7 +176,7 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
             np.maximum.at(greatest, component, y)
             y /= greatest[component]
         kept = (1.0 - _OUTER_SLACK) * (Z[:m] @ y) / y[:m]
-    # what is as small as the masses' slack may be rounding: its component then keeps nothing, with y = 1 as witness
+    # A level as small as the masses' slack may be rounding: its component then keeps nothing, with y = 1 as witness.
     empty = np.isin(component, component[:m][kept <= inner[:m]])
     y[empty] = 1.0
     kept = np.where(empty[:m], 0.0, kept)
@@ -190,15 +190,15 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
 
 
 def _grounded(Z: csc_array) -> NDArray[np.bool_]:
-    """Which ports and masses have a link to ground: their rows have a sum."""
+    """Which ports and masses have a link to ground: the sum of their row of Z is positive."""
     return np.asarray(Z @ np.ones(Z.shape[0]) > _ROUNDING * Z.diagonal())
 
 
-def _felt_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
-    """Indices of the masses whose part of Z is regular: all but groups that nothing ties to a port or to ground."""
+def _tied_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
+    """Indices of the masses whose part of Z is regular: all masses that links join to a port or to ground."""
     _, component = connected_components(Z, directed=False)
-    tied = _grounded(Z)
-    tied[:m] = True
-    felt = np.isin(component, component[tied])
-    felt[:m] = False
-    return np.flatnonzero(felt)
+    anchored = _grounded(Z)
+    anchored[:m] = True
+    tied = np.isin(component, component[anchored])
+    tied[:m] = False
+    return np.flatnonzero(tied)

@@ -1,7 +1,7 @@
 """The spring-damper class without iteration: its greatest level in closed form, and synthesis as one exact program.
 
-Let Lambda = Delta_D / (2 kappa) (Delta_D itself without delay), so that the loop's K = T/2 Lambda^{-1}, and for a
-coupling of stiffness K_s and damping B (symmetric)
+Let Lambda = Delta_D / (2 kappa), which is Delta_D itself without delay, so that the loop gain is K = T/2 Lambda^{-1}.
+For a coupling of stiffness K_s and damping B (symmetric) let
 
     J = Lambda - (T/2) K_s.
 
@@ -13,15 +13,15 @@ Sufficiency: with the deflection d, u = (d - d_)/T and g = u - u_ (an underscore
 
     (d^T K_s d - f^T K f)/(2T) + u^T B J^{-1} B u / 2 >= 0
 
-grows by exactly f^T y - y^T Delta_V* y - g^T B J^{-1} (J - B) J^{-1} B g / 4 a tick. Put into (10), with
-share Delta_D = a Lambda, the level disappears by congruence and leaves
+grows by exactly f^T y - y^T Delta_V* y - g^T B J^{-1} (J - B) J^{-1} B g / 4 a tick. In (10), with
+share Delta_D = a Lambda, the level disappears by congruence, which leaves
 
     [ a Lambda - Phi_E    -a J       0            ]
     [      .              J + B      sqrt(1-a) J  ]  > 0,        linear in (K_s, B, Phi_E),        (*)
     [      .                .        Lambda       ]
 
-whose last row and column vanish without delay (a = 1). Feasibility, the stiffest coupling and any convex
-aim over the class are one small program, exact, and separate for every block where Phi_E is.
+Without delay (a = 1) the last row and column decouple. Feasibility, the stiffest coupling and any convex aim over the
+class are each one small exact program. The blocks are separate programs if Phi_E has their structure.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.solver import ProgramInfeasible, solve, symmetric, value
 
-ROOM = 1e-4  # of Lambda: how far inside the strict conditions an aim may push; in stiffness, as much of its limit
+ROOM = 1e-4  # of Lambda: the distance of an aim to the strict conditions; K_s stays below its limit by the same part
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class ClassConditions:
 
 
 def greatest_level(coupling: SpringDamper, Lambda: Matrix, T: float) -> Matrix:
-    """Delta_V* of the module, m x m, N*s/m; the caller has made sure that J > 0."""
+    """Delta_V* of the module's head, m x m, N*s/m; the caller has to ensure J > 0."""
     J = Lambda - T / 2.0 * coupling.stiffness
     X = np.linalg.solve(J, Lambda)
     return symmetric_part(X.T @ (J + coupling.damping) @ X - Lambda)
@@ -91,7 +91,7 @@ class ClassMember:
 
     Attributes:
         coupling: K_s and B.
-        distance: how far inside the class and (*) it is, in ports where Lambda = I.
+        distance: the least slack in the conditions of the class and in (*), in ports where Lambda = I.
     """
 
     coupling: SpringDamper
@@ -111,7 +111,7 @@ def centred(Lambda: Matrix, Phi_E: Matrix, part: float, T: float, name: str) -> 
         name: of the block, for messages.
 
     Raises:
-        Infeasible: the class is empty: Phi_E is not below a Lambda.
+        Infeasible: no coupling satisfies the conditions, because Phi_E is not below a Lambda.
     """
     return _member(Lambda, Phi_E, part, T, name, stiff=False)
 
@@ -119,7 +119,7 @@ def centred(Lambda: Matrix, Phi_E: Matrix, part: float, T: float, name: str) -> 
 def stiffest(Lambda: Matrix, Phi_E: Matrix, part: float, T: float, name: str) -> ClassMember:
     """The stiffest certified coupling of one block: the greatest trace of T/2 K_s Lambda^{-1}, ``ROOM`` inside.
 
-    Arguments and errors as for :func:`centred`.
+    Arguments and errors are those of :func:`centred`.
     """
     return _member(Lambda, Phi_E, part, T, name, stiff=True)
 
@@ -131,7 +131,7 @@ def _member(Lambda: Matrix, Phi_E: Matrix, part: float, T: float, name: str, sti
     headroom = float(np.linalg.eigvalsh(part * np.eye(m) - Phi)[0])
     if headroom <= 0.0:
         raise Infeasible(
-            f"coupling {name}: no spring-damper satisfies Theorem 3, for the environment lacks passivity: "
+            f"coupling {name}: no spring-damper satisfies Theorem 3, because the environment lacks passivity: "
             f"Phi_E exceeds the device's level by {-headroom / part:.3g} of it",
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         )
@@ -175,7 +175,7 @@ def _program(part: float, Phi: Matrix, stiff: bool, name: str) -> tuple[Matrix, 
 
 
 def _scalar(part: float, phi: float, stiff: bool) -> tuple[Matrix, Matrix, float] | None:
-    """The same for one port, where it is a curve; J, B, distance in ports where Lambda = 1.
+    """The program of one port in closed form: J, B and distance in ports where Lambda = 1; None without a solution.
 
     The best damping is B = J - s. By Schur complements (*) >= s is then 2 J - 2 s >= q J^2 with
     q = a^2/(a - phi - s) + (1 - a)/(1 - s): J is the least root for the stiffest, 1/q for the greatest s.

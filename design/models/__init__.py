@@ -1,5 +1,5 @@
 """Systems of one tick: state space, devices, couplings, environments, operators, weights.
 
-Read ``statespace`` first, then ``coupling``, ``device`` and ``environment``; ``network`` and ``integrators`` are what
-an environment is made of, ``operators`` and ``weights`` serve simulations and objectives.
+Read ``statespace`` first, then ``coupling``, ``device`` and ``environment``. Environments are built from ``network``
+and ``integrators``; ``operators`` serves simulated hands, and ``weights`` the transparency objectives.
 """

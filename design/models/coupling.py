@@ -1,30 +1,28 @@
 """Virtual couplings V, from force f_v (N) to the displacement between hand and tool (m): a compliance.
 
-The spring-damper class (20) of [Bianchini2010]_,
+**Spring-damper class** (20) of [Bianchini2010]_. The coupling
 
     V(z) = [K + B (z-1)/(Tz)]^{-1},    K stiffness (N/m), B damping (N*s/m), both symmetric,
 
-is realised with xi+ = A_V xi + B_V f, y = C_V xi + D_V f, one state a port, by
+is realised with xi+ = A_V xi + B_V f, y = C_V xi + D_V f, one state per port, by
 
-    C_V = (T K + B)^{-1},   A_V = B C_V,   B_V = T A_V,   D_V = T C_V,        (21), mended
+    C_V = (T K + B)^{-1},   A_V = B C_V,   B_V = T A_V,   D_V = T C_V,        (21), corrected
     K = (I - A_V) C_V^{-1} / T,   B = A_V C_V^{-1}.                           (22)
 
-A_V = B C_V in this order: the other one makes V(1) unsymmetric for noncommuting K and B, and no such V
-can be output strictly passive after the transformation (7).
+The order in A_V = B C_V matters. The reverse order makes V(1) unsymmetric if K and B do not commute, and no such V can
+be output strictly passive after the transformation (7).
 
-The block structure BD(m; m_1, ..., m_N) of the virtual coupling: which ports belong to which block.
+**Block structure** BD(m; m_1, ..., m_N). It states which ports belong to which block of V. Blocks need not be
+contiguous, nor follow the devices ([Bianchini2010]_, Remark 4). A matrix *has the structure* when every entry between
+ports of different blocks is exactly zero.
 
-Blocks need not be contiguous, nor follow the devices ([Bianchini2010]_, Remark 4). A matrix *has the
-structure* when every entry between ports of different blocks is exactly zero.
-
-The loop transformation (7)-(9) of [Bianchini2010]_.
-
-With a constant K (m x m, m/N) the haptic loop of G (device with hand, sampled), V and E becomes one of
+**Loop transformation** (7)-(9) of [Bianchini2010]_. With a constant K (m x m, m/N), the haptic loop of G (device with
+hand, sampled), V and E becomes a loop of
 
     G_hat = (z-1)/(Tz) [G + K],   V_hat = (z-1)/(Tz) [V - K],   E_hat = Tz/(z-1) E,
 
-from force to velocity, force to velocity, velocity to force. The signals f_v are those of the original
-loop. The choice K = T/2 Delta_D^{-1} (8) makes G_hat Delta_D-OSP (9).
+from force to velocity, force to velocity, velocity to force. The forces f_v of both loops are the same. The choice
+K = T/2 Delta_D^{-1} (8) makes G_hat Delta_D-OSP (9).
 """
 
 from __future__ import annotations
@@ -65,7 +63,7 @@ class Partition:
         return sum(len(block) for block in self.blocks)
 
     def mask(self) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-        """M x m, true where an entry joins two ports of the same block."""
+        """A matrix, m x m, true where an entry joins two ports of the same block."""
         out = np.zeros((self.size, self.size), dtype=np.bool_)
         for block in self.blocks:
             out[np.ix_(block, block)] = True
@@ -147,11 +145,11 @@ class SpringDamper:
         return cls(symmetric_part((np.eye(m) - A_V) @ inverse / T), symmetric_part(A_V @ inverse))
 
     def scaled(self, S: Matrix) -> SpringDamper:
-        """The coupling seen from ports scaled by the symmetric S (f = S^{-1} f_s, x = S x_s): S K S, S B S."""
+        """The coupling in ports scaled by the symmetric S (f = S^{-1} f_s, x = S x_s): S K S, S B S."""
         return SpringDamper(symmetric_part(S @ self.stiffness @ S), symmetric_part(S @ self.damping @ S))
 
     def restrict(self, partition: Partition) -> tuple[SpringDamper, ...]:
-        """The coupling's blocks.
+        """The coupling's blocks, in the partition's order.
 
         Raises:
             ValueError: the coupling does not have the structure.
@@ -190,7 +188,7 @@ def transformed_device(G: StateSpace, K: Matrix, T: float) -> StateSpace:
 def transformed_coupling(V: StateSpace, K: Matrix, T: float) -> StateSpace:
     """V_hat = (z-1)/(Tz) [V - K], from force (N) to velocity (m/s), in the realisation (12).
 
-    The state is (xi, u_{k-1}): that of V, then the force of the tick before.
+    The state is (xi, u_{k-1}): the state of V, then the force of the tick before.
     """
     return _difference(StateSpace(V.A, V.B, V.C, V.D - K), T)
 
@@ -198,7 +196,7 @@ def transformed_coupling(V: StateSpace, K: Matrix, T: float) -> StateSpace:
 def transformed_environment(E: StateSpace, T: float) -> StateSpace:
     """E_hat = Tz/(z-1) E, from velocity (m/s) to force (N), with the state (eta, x_e of the tick before).
 
-    General, but not minimal where E itself remembers x_e; a network has a minimal one of its own,
+    This realisation is general, but not minimal if the state of E contains x_e already. A network has a minimal one,
     :meth:`manyhands.design.models.network.Network.transformed_environment`.
     """
     n, m = E.order, E.inputs

@@ -3,15 +3,16 @@
     M x'' = f_v + f_int - b x' - f_h,
     f_h   = H(s) w + b_h w + k_h d,     d' = w = x' - v_m,
 
-with M the mass of device and hand (kg), b the device's damping (N*s/m, at least its OSP level), H the hand's
-passive operator, b_h and k_h its damper and spring, f_int the intended force (N) and v_m the intended
-velocity (m/s). f_v, f_int and v_m are held over a tick, so that the sampled system is exact.
+Here M is the mass of device and hand (kg), b the device's damping (N*s/m, at least its OSP level), H the hand's passive
+operator, b_h and k_h its damper and spring, f_int the intended force (N) and v_m the intended velocity (m/s). f_v,
+f_int and v_m are held over a tick, so that the sampled system is exact.
 
-The hand is passive but for its intention, and the work W that the intention does over a tick,
+The hand is passive except for its intention. The work W that the intention does over a tick,
 
     W = f_int dx - v_m * integral of f_h dt,    integral of f_h dt = (f_v + f_int) T - b dx - M dv,
 
-follows from the momentum balance without approximation; a ledger adds it to keep the promise of the rest apart.
+follows from the momentum balance without approximation. A ledger adds up W, so that the passivity of the rest is
+checked separately from the intention.
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ class HeldDevice:
         return int(self.mass.shape[0])
 
     def continuous(self) -> StateSpace:
-        """From (force f_v + f_int, intended velocity v_m) to (x, x'); states (x, x', operator's, d).
+        """The system from (force f_v + f_int, intended velocity v_m) to (x, x'); 2m inputs, 2m outputs.
 
-        2m inputs, 2m outputs.
+        The states are (x, x', the operator's states, d).
         """
         m, h = self.axes, self.operator.order
         inverse_mass = np.diag(1.0 / self.mass)

@@ -1,15 +1,14 @@
 """Virtual environments E, from tool displacement x_e (m) to the force that the tools must exert (N).
 
-Three kinds, one interface: :class:`Environment` gives E as a discrete system, which the environment's process runs,
-and E_hat split (:mod:`manyhands.design.models.integrators`), which the design needs. Networks of masses, springs and
-dampers are the kind whose physics is a proof: their energy is a storage function whatever the parameters are.
+All kinds have one interface, :class:`Environment`. It gives E as a discrete system, which the environment's process
+runs, and E_hat without its integrators (:mod:`manyhands.design.models.integrators`), which the design needs. A network
+of masses, springs and dampers is proved passive by its physics: its energy is a storage function whatever its
+parameters are.
 
-An environment of which nothing is known but the level that it promises, and that somebody keeps it at run time.
-
-A physics engine or a neural simulator has no matrices to prove anything about. Condition (10) of [Bianchini2010]_ asks
-for no more than its level: a controller at its ports that keeps E_hat (-Phi_E)-ISP makes Theorem 3 hold as well as a
-proof would, for the passivity argument cares neither for linearity nor for time invariance. A certificate of such a
-loop is conditional, and says so.
+A declared environment, such as a physics engine or a neural simulator, has no matrices to prove anything about. Only
+its level is known, and a passivity controller at its ports enforces that level at run time. Condition (10) of
+[Bianchini2010]_ needs no more: with E_hat (-Phi_E)-ISP, by proof or by a controller, Theorem 3 holds. Its passivity
+argument needs neither linearity nor time invariance. The certificate of such a loop is conditional, and states so.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 
 
 class Environment(Protocol):
-    """What the design and the environment's process ask of an environment with m ports."""
+    """An environment with m ports, as the design and the environment's process use it."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -36,21 +35,21 @@ class Environment(Protocol):
 
     @property
     def passive_network(self) -> Network | None:
-        """The network whose energy proves this environment passive; None where physics proves nothing."""
+        """The network whose energy proves this environment passive; None if physics proves nothing."""
 
     @property
     def order(self) -> int:
-        """The order of Rest, or a little more: what a storage matrix would have to be."""
+        """The order of Rest, or slightly more: the size that a storage matrix would have."""
 
     def environment(self, T: float) -> StateSpace:
         """E, discrete with period T (s)."""
 
     def split(self, T: float) -> Split:
-        """E_hat without its integrators; raises Infeasible where E_hat is passive at no level."""
+        """E_hat without its integrators; raises Infeasible if E_hat is passive at no level."""
 
 
 class WithoutEnergy:
-    """An environment whose passivity no energy proves: physics arrives late in it, or is not what it is given by."""
+    """An environment whose passivity no energy proves: its forces are late, or it is not given by its physics."""
 
     @property
     def passive_network(self) -> None:
@@ -59,7 +58,7 @@ class WithoutEnergy:
 
 
 class _Discretised(WithoutEnergy, ABC):
-    """An environment that is discretised first and delayed then."""
+    """An environment that is discretised first and then delayed."""
 
     delay: int
 
@@ -68,11 +67,11 @@ class _Discretised(WithoutEnergy, ABC):
         """E without its delay, discrete with period T (s)."""
 
     def environment(self, T: float) -> StateSpace:
-        """E z^-d."""
+        """E z^-d, discrete with period T (s)."""
         return delayed_system(self.discrete(T), self.delay)
 
     def split(self, T: float) -> Split:
-        """E_hat z^-d, split."""
+        """E_hat z^-d without its integrators."""
         return delayed_split(split_system(self.discrete(T), T), self.delay, T)
 
 
@@ -81,11 +80,11 @@ class NetworkBox:
     """Every network whose parameters lie between those of two of the same structure.
 
     Attributes:
-        low: every mass, stiffness and damping at its lower end.
-        high: at its upper end.
+        low: the network with every mass, stiffness and damping at its lower end.
+        high: the network with all of them at their upper ends.
 
     Raises:
-        ValueError: the two differ in more than their parameters, or a lower end is above its upper one.
+        ValueError: the two differ in more than their parameters, or a lower end is above its upper end.
     """
 
     low: Network
@@ -113,17 +112,17 @@ class NetworkBox:
 
     @property
     def passive_network(self) -> Network:
-        """The lower corner: what it dissipates, every network of the box dissipates."""
+        """The network at all lower ends: every network of the box dissipates at least as much."""
         return self.low
 
     @property
     def order(self) -> int:
-        """Of the networks' Rest."""
+        """The order of the networks' Rest."""
         return self.low.order
 
     @property
     def nominal(self) -> Network:
-        """The network in the middle, which a session runs."""
+        """The network in the middle of all intervals; a session runs this one."""
         low, high = self.low, self.high
         return Network(
             low.ports,
@@ -139,7 +138,7 @@ class NetworkBox:
         return self.nominal.environment(T)
 
     def split(self, T: float) -> Split:
-        """Of the nominal network: for pictures; what is proved for the box is proved by its energy."""
+        """E_hat of the nominal network without its integrators: for plots only, as the energy proves the box."""
         return self.nominal.split(T)
 
 
@@ -166,15 +165,15 @@ class DelayedNetwork(WithoutEnergy):
 
     @property
     def order(self) -> int:
-        """Of the network's Rest, and the chain of late velocities."""
+        """The order of the network's Rest and of the chain of late velocities."""
         return self.network.order + self.delay * len(self.ports)
 
     def environment(self, T: float) -> StateSpace:
-        """E z^-d."""
+        """E z^-d, discrete with period T (s)."""
         return delayed_system(self.network.environment(T), self.delay)
 
     def split(self, T: float) -> Split:
-        """E_hat z^-d, split."""
+        """E_hat z^-d without its integrators."""
         return delayed_split(self.network.split(T), self.delay, T)
 
 
@@ -185,7 +184,7 @@ class StateSpaceEnvironment(_Discretised):
     Attributes:
         ports: names of the m ports.
         system: (A, B, C, D), m inputs (m), m outputs (N).
-        method: how the continuous system is discretised; None for one that is discrete already.
+        method: how the continuous system is discretised; None for a system that is discrete already.
         delay: whole ticks by which its forces are late.
     """
 
@@ -222,7 +221,7 @@ class StateSpaceEnvironment(_Discretised):
 
 @dataclass(frozen=True)
 class TransferEnvironment(_Discretised):
-    """An environment given by rational functions of s, k + b s + M s^2 and the like.
+    """An environment given by rational functions of s, such as k + b s + M s^2.
 
     Attributes:
         ports: names of the m ports.
@@ -245,26 +244,26 @@ class TransferEnvironment(_Discretised):
 
     @property
     def order(self) -> int:
-        """Of Rest: the degree of every entry, and the delay's chain."""
+        """The order of Rest: the degrees of all entries and the chain of the delay."""
         degrees = (max(len(num), len(den)) - 1 for row in self.entries for num, den in row)
         return sum(degrees) + self.delay * len(self.ports)
 
     def discrete(self, T: float) -> StateSpace:
-        """E without its delay, one companion form an entry."""
+        """E without its delay, one companion form per entry."""
         return realise(tuple(tuple(substitute(entry, self.method, T) for entry in row) for row in self.entries))
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredEnvironment(WithoutEnergy):
-    """An environment known by its declared level alone.
+    """An environment of which only its declared level is known.
 
     Attributes:
         ports: names of the m ports.
         level: Phi_E, m x m symmetric, N*s/m; 0 for a passive environment, above 0 for one that lacks passivity.
-        enforced: whether a passivity controller keeps that level at run time.
+        enforced: whether a passivity controller enforces that level at run time.
 
     Raises:
-        ValueError: the level is not symmetric, or has not the ports' size.
+        ValueError: the level is not symmetric, or not m x m.
     """
 
     ports: tuple[str, ...]
@@ -295,11 +294,11 @@ class DeclaredEnvironment(WithoutEnergy):
         """The level that a design may count on.
 
         Raises:
-            Infeasible: nobody keeps it.
+            Infeasible: no controller enforces it.
         """
         if not self.enforced:
             raise Infeasible(
-                "the environment is a model of which nothing is proved, and its level is not enforced",
+                "nothing is proved about the environment's model, and its level is not enforced",
                 ("set 'enforce: true' in environment",),
             )
         return self.level
@@ -322,9 +321,9 @@ class DeclaredEnvironment(WithoutEnergy):
 
     def _refuse(self) -> NoReturn:
         raise Infeasible(
-            "this needs the dynamics of the environment, and of a model nothing is known but its declared level",
+            "this needs the dynamics of the environment, but only the declared level of its model is known",
             (
-                "use an objective that asks nothing of the environment's dynamics: feasible or stiffest",
+                "use an objective that does not need the environment's dynamics: feasible or stiffest",
                 "give the environment as a network or as matrices",
             ),
         )

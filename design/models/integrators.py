@@ -1,6 +1,6 @@
 """The transformed environment E_hat = Tz/(z-1) E with its integrators split off exactly.
 
-E_hat has an integrator for each port, which stores energy and can never be strictly dissipative. With the static
+E_hat has an integrator for each port. An integrator stores energy and is never strictly dissipative. With the static
 stiffness E1 = E(1) and a stable E,
 
     E_hat(z) = T/(z-1) E1 + Rest(z),        Re T/(e^jw - 1) = -T/2,
@@ -11,7 +11,7 @@ no integrator left: its inequality,
     [ A^T P A - P          A^T P B - C^T/2                                 ]
     [ B^T P A - C/2        B^T P B - (D + D^T)/2 - Phi_E + (T/2) E1        ]  <= 0,      P > 0,
 
-(Lemma 1 of [Bianchini2010]_ for Rest = (A, B, C, D)) can be strict, and P is all that a certificate has to store.
+(Lemma 1 of [Bianchini2010]_ for Rest = (A, B, C, D)) can be strict, and a certificate only has to store P.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.passivity.storage import storage_inequality
 
-_ASYMMETRY = 1e-9  # of E1, relative: more than that is no rounding of somebody's matrices
+_ASYMMETRY = 1e-9  # of E1, relative: a greater one is not the rounding of the given matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Split:
     rest: StateSpace
 
     def environment(self, T: float) -> StateSpace:
-        """E put together again, in the state (eta, u_) of Rest's and the displacement of the tick before.
+        """E with its integrators again, in the state (eta, u_): Rest's state and the displacement of the tick before.
 
         A = [A_r -B_r/T; 0 0], B = [B_r/T; I], C = [C_r  E1 - D_r/T], D = D_r/T: stable also where masses drift freely.
         """
@@ -60,8 +60,8 @@ class Split:
 def split_system(E: StateSpace, T: float) -> Split:
     """Split E_hat for a stable discrete environment E, from displacement (m) to force (N), with period T (s).
 
-    Rest = (A, -T A (I - A)^{-1} B, C, T D), in the state of E less its steady state under the displacement of the
-    tick before.
+    Rest = (A, -T A (I - A)^{-1} B, C, T D). Its state is the state of E minus the steady state of E under the
+    displacement of the tick before.
 
     Raises:
         Infeasible: E is not stable, or its static stiffness E(1) is not symmetric or not positive semidefinite:
@@ -76,7 +76,7 @@ def split_system(E: StateSpace, T: float) -> Split:
         )
     steady = np.linalg.solve(np.eye(n) - E.A, E.B)
     stiffness = E.C @ steady + E.D
-    # what cancels in E(1), of which a free mass leaves nothing but rounding
+    # the size of the terms that cancel in E(1); of a free mass only their rounding remains
     scale = max(float(np.max(np.abs(E.C) @ np.abs(steady) + np.abs(E.D), initial=0.0)), 1e-300)
     if float(np.max(np.abs(stiffness - stiffness.T), initial=0.0)) > _ASYMMETRY * scale:
         raise Infeasible(
@@ -88,14 +88,14 @@ def split_system(E: StateSpace, T: float) -> Split:
         raise Infeasible(
             f"the environment's static stiffness has the negative eigenvalue {least:.4g} N/m, so that E_hat is "
             "passive at no level",
-            ("remove what pushes the tools away from rest",),
+            ("remove the negative stiffness, which pushes the tools away from rest",),
         )
     rest = StateSpace(E.A, -T * E.A @ steady, E.C, T * E.D)
     return Split(matrix(symmetric_part(stiffness)), rest)
 
 
 def delayed_split(split: Split, ticks: int, T: float) -> Split:
-    """The split of E_hat z^-d, for d = ``ticks``: T/(z-1) E1 + [z^-d Rest - E1 T (z^-1 + ... + z^-d)].
+    """The split of E_hat z^-d, for d = ``ticks``, which is T/(z-1) E1 + [z^-d Rest - E1 T (z^-1 + ... + z^-d)].
 
     The states are those of Rest, then the velocities w_{k-1}, ..., w_{k-d}.
     """
@@ -108,11 +108,11 @@ def delayed_split(split: Split, ticks: int, T: float) -> Split:
 
 
 def delayed_system(E: StateSpace, ticks: int) -> StateSpace:
-    """E z^-d, for d = ``ticks``, with the states of E, then the inputs of the last d ticks, the latest first."""
+    """E z^-d, for d = ``ticks``. The states are those of E, then the inputs of the last d ticks, the latest first."""
     n, m, d = E.order, E.inputs, ticks
     if d == 0:
         return E
-    last = n + m * (d - 1)  # where the input of d ticks ago stands
+    last = n + m * (d - 1)  # index of the input of d ticks ago
     A, B = np.zeros((n + m * d, n + m * d)), np.zeros((n + m * d, m))
     A[:n, :n] = E.A
     A[:n, last:] = E.B

@@ -1,33 +1,29 @@
 """Environments made of masses, springs and dampers, in any topology, discretised by backward Euler.
 
-The tool positions u = x_e (m ports) and the masses' positions q (n masses) are joined by links of
-stiffness k_l (N/m) and damping b_l (N*s/m). With the incidence of the links these give
+Links of stiffness k_l (N/m) and damping b_l (N*s/m) join the tool positions u = x_e (m ports) and the masses'
+positions q (n masses). With the incidence of the links they give
 
     K, B in R^{(m+n) x (m+n)},    energy = 1/2 [u; q]^T K [u; q] + 1/2 q'^T M q',
 
-and E maps u to the force that the tools must exert, so f_v = -E u. Backward Euler, s = (z-1)/(Tz)
-[Bianchini2010]_, makes the mechanical energy a storage function of the *transformed* environment
-E_hat = E * Tz/(z-1), from tool velocity to force: it is passive by construction. E_hat is given in
-coordinates in which that energy is (T times) half the squared norm of the state, the scaling in which the
-solvers are honest.
+and E maps u to the force that the tools must exert, so f_v = -E u. Backward Euler, s = (z-1)/(Tz) [Bianchini2010]_,
+makes the mechanical energy a storage function of the *transformed* environment E_hat = E * Tz/(z-1), from tool velocity
+to force: it is passive by construction. E_hat is given in coordinates in which that energy is T times the squared
+norm of the state, because solvers are most accurate in this scaling.
 
-From continuous to discrete environments, and what each way does to passivity.
-
-An environment E maps displacement to force; what the loop needs to be passive is E_hat = Tz/(z-1) E, the map from
-the backward-difference velocity.
+**Discretisation.** Other environments E come in continuous time too. The loop needs passivity of E_hat = Tz/(z-1) E,
+the map from the backward-difference velocity to force. Each method treats it in its own way.
 
 - *Backward Euler*, s = (z-1)/(Tz), maps E(s)/s, the impedance from velocity, to E_hat itself, and the right half
   plane to the outside of a disc inside the unit disc: a passive E(s)/s gives a passive E_hat, with damping to spare.
   It also takes improper entries, k + b s + M s^2.
-- *Tustin*, s = 2(z-1)/(T(z+1)), keeps the passivity of E(s)/s when that is paired with the trapezoidal velocity, not
-  with the backward difference: E_hat gains the factor 2z/(z+1). A spring stays passive, a damper keeps a pole at
-  z = -1 and a mass a double one, so that what is not proper is refused, and what is proper can lose passivity near the
-  Nyquist frequency.
+- *Tustin*, s = 2(z-1)/(T(z+1)), keeps the passivity of E(s)/s only with the trapezoidal velocity. With the backward
+  difference, E_hat gains the factor 2z/(z+1). A spring stays passive. A damper keeps a pole at z = -1 and a mass a
+  double one, so that improper entries are refused. Proper entries can lose passivity near the Nyquist frequency.
 - *Zero-order hold* is exact at the ticks for a displacement that is held. E_hat is then T times the sampled impulse
-  response of the impedance E(s)/s: its Hermitian part is the sum of that of E(s)/s over all frequencies that sampling
-  makes one, and half the first sample. What is passive and proper stays passive.
+  response of the impedance E(s)/s. Its Hermitian part is the sum of that of E(s)/s over all frequencies that sampling
+  makes equal, and half the first sample. A passive and proper impedance stays passive.
 
-What was kept or lost is not assumed but computed: Phi_E is searched for whatever E results.
+The design does not assume any of this: it computes Phi_E for the E that results.
 """
 
 from __future__ import annotations
@@ -147,13 +143,13 @@ class Network:
 
     @property
     def order(self) -> int:
-        """The order of Rest: two for each mass that a port moves; less where masses float freely."""
-        return 2 * len(self.felt().masses)
+        """The order of Rest: two for each mass that a port moves; less if masses float freely."""
+        return 2 * len(self.reachable().masses)
 
-    def felt(self) -> Network:
-        """The network without the masses that no chain of links joins to a port: no port ever moves them.
+    def reachable(self) -> Network:
+        """The network without the masses that no chain of links joins to a port, because no port ever moves them.
 
-        A link without stiffness and damping joins nothing, and the ground passes no motion on.
+        A link without stiffness and damping joins nothing, and the ground transmits no motion.
         """
         links = [link for link in self.links if link.stiffness or link.damping]
         beside: dict[str, list[str]] = {}
@@ -173,22 +169,22 @@ class Network:
         )
 
     def split(self, T: float) -> Split:
-        """E_hat = T/(z-1) E1 + Rest, with Rest stable and without a state that the ports never feel.
+        """E_hat = T/(z-1) E1 + Rest, with Rest stable and without a state that the ports cannot reach.
 
-        Masses that no port moves are left out. Of the others, with I a set of r = rank K_qq masses such that K_II is
-        nonsingular, and R = K_II^{-1} K_I:, the state is (e, v): e in R^r the deflection of the masses in I from the
-        static equilibrium of the tick before (m), v in R^n the velocities (m/s). I are all masses, but the last of each
-        group joined by springs that no spring holds to a port or to the ground:
+        Masses that no port moves are left out. Let I be a set of r = rank K_qq of the other masses with K_II
+        nonsingular, and R = K_II^{-1} K_I:. The state is (e, v): e in R^r is the deflection of the masses in I from the
+        static equilibrium of the tick before (m), v in R^n are the velocities (m/s). I contains all masses except the
+        last mass of each group that springs join and that no spring holds to a port or to the ground:
 
             (M/T + B_qq + T K_qq) v+ = M v / T - K_qI e - (B_qu + T K_qu) w
             e+ = e + T (R v+ + K_II^{-1} K_Iu w)
             f  = [E1 x-] + K_uI e + (B_uq + T K_uq) v+ + (B_uu + T K_uu) w,     E1 = K_uu - K_uI K_II^{-1} K_Iu.
 
-        The order is 2n where every mass is moved by a port and held by springs, however far away; else it is less.
+        The order is 2n if a port moves every mass and springs hold it, directly or through others; otherwise less.
         """
-        felt = self.felt()
-        if len(felt.masses) < len(self.masses):
-            return felt.split(T)
+        reachable = self.reachable()
+        if len(reachable.masses) < len(self.masses):
+            return reachable.split(T)
         m, n = len(self.ports), len(self.masses)
         K, B, M = self.stiffness_matrix(), self.damping_matrix(), self.mass_matrix()
         chosen = self._deflected()
@@ -231,8 +227,8 @@ class Network:
         """E_hat = E * Tz/(z-1), from tool velocity (m/s) to force (N), in energy coordinates.
 
         With K = L L^T of full column rank r, the state is psi = (L^T [u; q], M^{1/2} q') / sqrt(2 T), of
-        order r + n, so that the mechanical energy divided by T is psi^T psi. Directions that
-        store no energy (a network floating freely) are unobservable in E_hat and are left out.
+        order r + n, so that the mechanical energy divided by T is psi^T psi. Directions that store no energy (of a
+        network that floats freely) are unobservable in E_hat and are left out.
         """
         m, n = len(self.ports), len(self.masses)
         L = full_rank_factor(self.stiffness_matrix())
@@ -270,11 +266,11 @@ class Network:
 def full_rank_factor(K: Matrix) -> Matrix:
     """L of full column rank with K = L L^T, for symmetric K >= 0 (pivoted Cholesky).
 
-    The factor is unique for its order of pivots, so the same K gives the same L on every machine up to
-    rounding; an eigenvalue factor would not where eigenvalues coincide.
+    The factor is unique for its order of pivots, so the same K gives the same L on every machine up to rounding. An
+    eigenvalue factor is not unique if eigenvalues coincide.
 
     Raises:
-        ValueError: K has a negative direction.
+        ValueError: K is not positive semidefinite.
     """
     remainder = np.array(K, dtype=np.float64)
     scale = float(np.max(np.abs(remainder), initial=0.0))
@@ -302,7 +298,7 @@ _SINGULAR = 1e12  # condition above which a discretisation does not exist
 
 
 def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
-    """The discrete system of a continuous one (A, B, C, D) for the period T (s).
+    """The discrete system of the continuous ``system`` (A, B, C, D) for the period T (s).
 
     Backward Euler: with R = (I - T A)^{-1}, (R, T R B, C R, D + T C R B) in the state of the tick before.
     Tustin: with R = (I - T A/2)^{-1}, (R (I + T A/2), T R B, C R, D + T/2 C R B).
@@ -329,8 +325,8 @@ def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
 def substitute(entry: Rational, method: Literal["backward-euler", "tustin"], T: float) -> Rational:
     """Numerator and denominator in z, descending, of an entry in s with s = (z-1)/(Tz) or 2(z-1)/(T(z+1)).
 
-    Multiplied out by the method's denominator to the entry's degree, the larger one of numerator and denominator
-    without their leading zeros; improper entries are fine.
+    Both are multiplied by the method's denominator to the power of the entry's degree: the larger degree of numerator
+    and denominator without leading zeros. Improper entries are allowed.
     """
     entry = (_trimmed(entry[0]), _trimmed(entry[1]))
     below = np.array([T, 0.0]) if method == "backward-euler" else np.array([T, T])
@@ -351,14 +347,14 @@ def substitute(entry: Rational, method: Literal["backward-euler", "tustin"], T: 
 def realise(entries: tuple[tuple[Rational, ...], ...]) -> StateSpace:
     """A discrete state space of a matrix of rational functions of z, in the companion forms of its entries.
 
-    Every entry keeps its states, also one that is a plain gain: who rebuilds the system exactly has then no zero to
-    decide.
+    Every entry keeps its states, also an entry that is a plain gain. A proof that rebuilds the system exactly then does
+    not have to decide which numbers are zero.
 
     Args:
         entries: rows of (numerator, denominator) of equal length, as :func:`substitute` gives them.
 
     Raises:
-        Infeasible: an entry is improper in z: its output would lead its input.
+        Infeasible: an entry is improper in z, so that its output would need a future input.
     """
     for i, row in enumerate(entries):
         for j, (_, den) in enumerate(row):
@@ -371,7 +367,7 @@ def realise(entries: tuple[tuple[Rational, ...], ...]) -> StateSpace:
 
 
 def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Without leading zeros; the zero polynomial keeps one."""
+    """The coefficients without leading zeros; the zero polynomial keeps one."""
     for i, c in enumerate(coefficients):
         if c != 0.0:
             return coefficients[i:]

@@ -5,9 +5,9 @@ operator. For a stable proper H(s) that is
 
     H(jw) + H(jw)^* >= 0    for all real w,
 
-which is checked exactly (:mod:`manyhands.design.passivity.frequency`), and besides on a frequency grid, dense around
-every pole, so that operators too large or too badly scaled for the exact test are still judged by their own response:
-whatever frequency either finds, the figure reported is that of the rational functions there.
+which is checked exactly (:mod:`manyhands.design.passivity.frequency`), and also on a frequency grid that is dense
+around every pole. The grid serves operators that are too large or too badly scaled for the exact test. At whatever
+frequency either test finds the least eigenvalue, the reported figure is that of the rational functions there.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ Rational = tuple[tuple[float, ...], tuple[float, ...]]
 _POINTS_PER_DECADE = 400
 _DECADES_BEYOND = 3
 _EXACT_ORDER = 64  # states of the largest realisation that is tested exactly; the eigenvalue problem is twice as large
-_ROUNDING = 1e-12  # of the largest gain: below that, a negative eigenvalue is rounding of the evaluation
+_ROUNDING = 1e-12  # of the largest gain: a smaller negative eigenvalue is rounding
 
 
 @dataclass(frozen=True)
 class PassivityFinding:
-    """What the passivity check of an operator found.
+    """The result of the passivity check of an operator.
 
     Attributes:
         passive: whether H is passive.
         smallest: the least eigenvalue of the Hermitian part of H(jw) over w, in N*s/m.
-        frequency: where it is reached, in rad/s; inf when it is the limit.
-        reason: one sentence, also when passive.
+        frequency: where it is reached, in rad/s; inf when it is the limit at high frequencies.
+        reason: one sentence, also for a passive operator.
     """
 
     passive: bool
@@ -81,7 +81,7 @@ class RationalMatrix:
         return len(self.entries)
 
     def response(self, frequencies: Matrix) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-        """H(jw), frequencies x m x m, for ``frequencies`` w in rad/s; inf is the limit."""
+        """H(jw), frequencies x m x m, for ``frequencies`` w in rad/s; inf gives the limit."""
         w = np.asarray(frequencies, dtype=np.float64)
         beyond = np.isinf(w)
         s = 1j * np.where(beyond, 0.0, w)
@@ -102,7 +102,7 @@ class RationalMatrix:
         return companion_forms(self.entries, idle=False)
 
     def passivity(self) -> PassivityFinding:
-        """Check passivity; see the module's equation."""
+        """Check passivity by the module's equation."""
         poles = self.poles()
         unstable = poles[poles.real >= 0.0]
         if unstable.size:
@@ -141,7 +141,7 @@ class RationalMatrix:
         return min(found, key=lambda each: each[1])
 
     def components(self) -> tuple[RationalMatrix, ...]:
-        """The diagonal blocks that no entry joins: axes, or groups of axes, that the operator keeps apart."""
+        """The diagonal blocks that no entry joins: axes, or groups of axes, that the operator does not couple."""
         joined = np.array([[bool(num) for num, _ in row] for row in self.entries]) | np.eye(self.size, dtype=np.bool_)
         reached = joined | joined.T
         while np.any((further := reached @ reached) != reached):
@@ -150,11 +150,11 @@ class RationalMatrix:
         return tuple(RationalMatrix(tuple(tuple(self.entries[i][j] for j in group) for i in group)) for group in groups)
 
     def exactly_least(self) -> float | None:
-        """Where the least eigenvalue of the Hermitian part is, rad/s; None for what floating point cannot take."""
+        """The frequency of the least eigenvalue of the Hermitian part, rad/s; None if floating point cannot decide."""
         from manyhands.design.passivity.frequency import least_hermitian_eigenvalue
 
         try:
-            with np.errstate(all="ignore"):  # what overflows is refused as not finite
+            with np.errstate(all="ignore"):  # an overflow is refused below as not finite
                 system = self.realisation()
             if system.order > _EXACT_ORDER:
                 return None
@@ -163,7 +163,7 @@ class RationalMatrix:
             return None
 
     def _on_grid(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:
-        """The best of a grid: a frequency (rad/s) and the least eigenvalue there."""
+        """The least eigenvalue on the grid: its frequency (rad/s) and its value."""
         corners: list[float] = [float(abs(p)) for p in poles]
         for row in self.entries:
             for num, _ in row:
@@ -190,12 +190,12 @@ class RationalMatrix:
 
 
 def _at(frequency: float) -> str:
-    """Where, for a message."""
+    """The frequency (rad/s) in the words of a message."""
     return "at high frequencies" if np.isinf(frequency) else f"at {frequency:.3g} rad/s"
 
 
 def _around(pole: complex) -> Matrix:
-    """Frequencies around a pole's own (rad/s), spaced by its decay rate: a resonance is as narrow as that."""
+    """Frequencies around a pole's own (rad/s), spaced by its decay rate, which is the width of its resonance."""
     rate, centre = abs(pole.real), abs(pole.imag)
     widest = max(centre / rate, 1.0) if rate > 0.0 else 1.0
     steps = np.logspace(-2.0, np.log10(widest), int(20 * (np.log10(widest) + 2.0)) + 2)
@@ -204,7 +204,7 @@ def _around(pole: complex) -> Matrix:
 
 
 def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Drop leading zeros."""
+    """The coefficients without leading zeros."""
     for i, c in enumerate(coefficients):
         if c != 0.0:
             return tuple(float(x) for x in coefficients[i:])
@@ -212,15 +212,15 @@ def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:
-    """A state space of a matrix of proper rational functions, of s or of z: one companion form an entry, row by row.
+    """A state space of a matrix of proper rational functions of s or of z: one companion form per entry, row by row.
 
     Entry (i, j) with den of degree n has n states, xi' = A xi + b u_j, in the controllable form: ones above the
-    diagonal of A, -den (made monic) reversed, constant term first, in its last row, b the last unit vector. Not minimal
-    in general.
+    diagonal of A, -den (made monic) reversed, constant term first, in its last row, b the last unit vector. The state
+    space is not minimal in general.
 
     Args:
         entries: m rows of p (numerator, denominator), descending powers, proper, no leading zero in the denominator.
-        idle: whether an entry whose output is a plain gain keeps its states all the same.
+        idle: whether an entry whose output is a plain gain keeps its idle states.
     """
     m, p = len(entries), len(entries[0])
     A_parts: list[Matrix] = []

@@ -1,12 +1,11 @@
-"""Linear systems in state space, the common currency of this room.
+"""Linear systems in state space, the type that all models of the design share.
 
-A system (A, B, C, D) has n states, p inputs and m outputs. Whether it is read in discrete time
-(psi+ = A psi + B u) or in continuous time (d psi/dt = A psi + B u) is said where it is made; nothing
-here depends on it but :meth:`StateSpace.simulate`, which is discrete.
+A system (A, B, C, D) has n states, p inputs and m outputs. The code that makes a system states whether it is read in
+discrete time (psi+ = A psi + B u) or in continuous time (d psi/dt = A psi + B u). Of :class:`StateSpace` itself, only
+:meth:`StateSpace.simulate` depends on it: it is discrete.
 
-Continuous and discrete time are one matter: the Cayley transform keeps storage functions and supply rates.
-
-For a rate a > 0 (1/s), with s = a (z - 1)/(z + 1) and R = (a I - A)^{-1},
+**From continuous to discrete time and back.** The Cayley transform keeps storage functions and supply rates. For a rate
+a > 0 (1/s), with s = a (z - 1)/(z + 1) and R = (a I - A)^{-1},
 
     A_d = (a I + A) R,    B_d = sqrt(2a) R B,    C_d = sqrt(2a) C R,    D_d = D + C R B
 
@@ -15,15 +14,16 @@ same in both, d psi/dt = sqrt(a/2) (psi_d+ - psi_d), so that
 
     2 psi^T P d psi/dt = psi_d+^T P psi_d+ - psi_d^T P psi_d :
 
-the continuous storage inequality with P is a congruence of the discrete one with the same P. Unlike Tustin's
-rule, whose rate is 2/T, nothing is approximated: the rate is free, and only decides which frequency comes to the
-middle of the circle.
+the continuous storage inequality with P is a congruence of the discrete one with the same P. In contrast to Tustin's
+rule, whose rate is 2/T, nothing is approximated. The rate is free; it only decides which frequency comes to the middle
+of the circle.
 
-The other way, at the rate 1, z = (1 + s)/(1 - s) takes the circle to the imaginary axis, where the frequencies at which
-a level is crossed are the imaginary eigenvalues of a Hamiltonian matrix ([Boyd1989]_, [Bruinsma1990]_). Between two of
-them the level is kept or violated throughout, so that one frequency in each gap decides: the searches for a norm
-(:mod:`manyhands.design.passivity.hinfinity`), for the environment's level (:mod:`manyhands.design.levels.environment`)
-and for a supply ratio (:mod:`manyhands.design.passivity.frequency`) need no grid.
+In the inverse direction, at the rate 1, z = (1 + s)/(1 - s) takes the circle to the imaginary axis. There the
+frequencies at which a level is crossed are the imaginary eigenvalues of a Hamiltonian matrix ([Boyd1989]_,
+[Bruinsma1990]_). Between two of them the level is kept or violated throughout, so that one frequency in each gap
+decides. Three searches need no grid for this reason: for a norm (:mod:`manyhands.design.passivity.hinfinity`), for the
+environment's level (:mod:`manyhands.design.levels.environment`) and for a supply ratio
+(:mod:`manyhands.design.passivity.frequency`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Matrix = NDArray[np.float64]
 
-_POINTS_AT_ONCE = 4096  # frequencies, so that memory stays bounded
+_POINTS_AT_ONCE = 4096  # frequencies evaluated together, so that memory stays bounded
 
 
 def matrix(data: ArrayLike, rows: int | None = None, columns: int | None = None) -> Matrix:
@@ -71,8 +71,8 @@ class StateSpace:
         B: n x p.
         C: m x n.
         D: m x p.
-        static_gain: m x p, what the system answers to a constant input; None where D is what was stated. Where it is
-            stated, D is what it leaves, and a proof takes the gain, not D, for exact.
+        static_gain: m x p, the output per constant input, if it is stated instead of D; otherwise None. D then follows
+            from it, and a proof takes the gain, not D, as exact.
 
     Raises:
         ValueError: shapes that do not fit each other, or an entry that is not finite.
@@ -102,7 +102,7 @@ class StateSpace:
         """The system whose static gain is exactly ``gain``: D = gain - C (I - A)^-1 B, or gain + C A^-1 B.
 
         Raises:
-            ValueError: there is no static gain, for there is a pole at z = 1, or at s = 0.
+            ValueError: the system has a pole at z = 1, or at s = 0, and so no static gain.
         """
         static = matrix(gain)
         m, p = static.shape
@@ -189,7 +189,7 @@ def parallel_blocks(systems: Sequence[StateSpace]) -> StateSpace:
 Time = Literal["discrete", "continuous"]
 """How a :class:`StateSpace` is read: psi+ = A psi + B u, or d psi/dt = A psi + B u."""
 
-_FASTEST_RATIO = 1e-8  # eigenvalues below this part of the largest are integrators and say nothing about the rate
+_FASTEST_RATIO = 1e-8  # eigenvalues below this part of the largest are integrators and do not count for the rate
 
 
 def natural_rate(system: StateSpace) -> float:
@@ -202,7 +202,7 @@ def natural_rate(system: StateSpace) -> float:
 
 
 def cayley(system: StateSpace, rate: float) -> StateSpace:
-    """The discrete system with the same storage matrices as the continuous ``system``; see the module.
+    """The discrete system with the same storage matrices as the continuous ``system``; see the module's head.
 
     Args:
         system: (A, B, C, D) in continuous time, m x m.
@@ -229,7 +229,7 @@ def cayley(system: StateSpace, rate: float) -> StateSpace:
 
 
 def axis_image(system: StateSpace) -> StateSpace:
-    """The continuous system that has at s the response that a discrete one has at z = (1 + s)/(1 - s).
+    """The continuous system whose response at s is that of the discrete ``system`` at z = (1 + s)/(1 - s).
 
     It is the inverse of :func:`cayley` at the rate 1. With R = (A + I)^{-1} it reads
 
@@ -252,8 +252,8 @@ def crossing_angles(hamiltonian: Matrix, relative: float, absolute: float = 0.0)
 
     Args:
         hamiltonian: 2n x 2n, in the coordinates of :func:`axis_image`.
-        relative: an eigenvalue counts as imaginary up to |Re s| = relative |s| + absolute. A false crossing costs an
-            evaluation, a missed one the result, so that generous figures are right.
+        relative: an eigenvalue counts as imaginary up to |Re s| = relative |s| + absolute. Large tolerances are right:
+            a false crossing costs one evaluation, and a missed crossing makes the result wrong.
         absolute: the same for eigenvalues near 0, for rounding.
     """
     values = np.linalg.eigvals(hamiltonian)
@@ -262,7 +262,7 @@ def crossing_angles(hamiltonian: Matrix, relative: float, absolute: float = 0.0)
 
 
 def gaps(crossings: Sequence[float] | Matrix) -> tuple[Matrix, Matrix]:
-    """The gaps that crossings leave on the upper half circle: their ends, 0 and pi among them, and their middles.
+    """The gaps between crossings on the upper half circle: their ends, including 0 and pi, and their middles.
 
     Args:
         crossings: angles in [0, pi], in any order.
@@ -272,7 +272,7 @@ def gaps(crossings: Sequence[float] | Matrix) -> tuple[Matrix, Matrix]:
 
 
 def in_discrete_time(system: StateSpace, time: Time) -> tuple[StateSpace, float]:
-    """``system`` as a discrete one, and the rate a (1/s) that took it there; 1 for one that was discrete."""
+    """``system`` in discrete time, and the rate a (1/s) of its Cayley transform; 1 if it was discrete already."""
     if time == "discrete":
         return system, 1.0
     rate = natural_rate(system)

@@ -1,12 +1,11 @@
-"""Weights W_1, W_2 of the transparency problems (23), (24) of [Bianchini2010]_: scalar stable filters in z.
+"""Transparency of the coupling: the two H-infinity problems of section 5 of [Bianchini2010]_, and their weights.
 
-A weight stands for the filter times the identity, one copy a port. It is large where the tool should follow the hand
-closely. Filters designed in continuous time are discretised by backward Euler, s = (z-1)/(Tz), which keeps them stable.
+    loop shaping    minimise ||W_1 E V W_2||_inf                                     (24)
+    closed loop     minimise ||W_1 (F(E,V) - E) W_2||_inf,   F = (I + E V)^{-1} E    (23)
 
-Transparency of the coupling: the two H-infinity problems of section 5 of [Bianchini2010]_.
-
-loop shaping    minimise ||W_1 E V W_2||_inf                                     (24)
-closed loop     minimise ||W_1 (F(E,V) - E) W_2||_inf,   F = (I + E V)^{-1} E    (23)
+The weights W_1, W_2 are scalar stable filters in z. A weight stands for the filter times the identity, one copy for
+each port. It is large at frequencies where the tool should follow the hand closely. Filters designed in continuous time
+are discretised by backward Euler, s = (z-1)/(Tz), which keeps them stable.
 """
 
 from __future__ import annotations
@@ -21,9 +20,7 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import Matrix, StateSpace, frequency_response, matrix
 
 MOST_DEGREE = 16  # companion forms of higher degree lose their poles to rounding
-_STATIC_TOLERANCE = (
-    1e-3  # n poles of w rad/s make the static gain lose 1e-16/(w T)^n: more than this is not a rounding error
-)
+_STATIC_TOLERANCE = 1e-3  # relative; n poles of w rad/s lose 1e-16/(w T)^n of the static gain by rounding
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,8 @@ class Filter:
             T: period, s.
 
         Raises:
-            ValueError: as the class, for the discretised filter; or its coefficients, rounded, are another filter's.
+            ValueError: the discretised filter is refused by the class; or rounding its coefficients changes its static
+                gain.
         """
         if not (isfinite(T) and T > 0.0):
             raise ValueError(f"period: found {T}, expected a positive one")
@@ -155,7 +153,7 @@ Objective = Literal["loop-shaping", "closed-loop"]
 
 @dataclass(frozen=True)
 class Transparency:
-    """What the coupling is optimised for.
+    """The transparency problem that a coupling is optimised for.
 
     Attributes:
         objective: "loop-shaping" (24) or "closed-loop" (23).
@@ -175,7 +173,7 @@ class Transparency:
 def weighted(loop_E: StateSpace, V: StateSpace, aim: Transparency) -> StateSpace:
     """W_1 E V W_2, or W_1 (F(E,V) - E) W_2 = -W_1 E V (I + E V)^{-1} E W_2, as a system.
 
-    Both are series connections, states in the order in which the signal passes,
+    Both are series connections. The states stand in the order in which the signal passes the systems,
 
         loop shaping    W_2, V, E, W_1
         closed loop     W_2, E, L, W_1,    L = -E V (I + E V)^{-1} with the states of V, then those of a second E:
@@ -221,7 +219,7 @@ def _lost(E: StateSpace, V: StateSpace) -> StateSpace:
 
 
 def _series(*systems: StateSpace) -> StateSpace:
-    """The first system's output into the second's input, and so on; states in that order."""
+    """The series connection, the first system's output into the second's input and so on; states in that order."""
     total = systems[0]
     for s in systems[1:]:
         total = StateSpace(
@@ -269,6 +267,6 @@ class WeightedLoop:
         return np.concatenate([np.linalg.eigvals(self.E.A), *(np.roots(den) for den in filters)]).astype(np.complex128)
 
     def poles_with(self, V: StateSpace) -> ComplexArray:
-        """The poles that the coupling brings: its own, or those of F(E,V)."""
+        """The poles that the coupling adds to the response: its own poles, or those of F(E,V)."""
         A = V.A if self.aim.objective == "loop-shaping" else _lost(self.E, V).A
         return np.linalg.eigvals(A).astype(np.complex128)

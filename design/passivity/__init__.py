@@ -1,5 +1,5 @@
 """The passivity lemmas of [Bianchini2010]_ for any system: part of the public API of ``manyhands.design``.
 
-Read ``storage`` first (supply rates and storage functions), then ``lemma1`` and ``lemma2``; ``best_level`` searches a
-level, ``frequency`` and ``hinfinity`` confirm it by frequency responses, ``continuous`` is Lemma 3.
+Read ``storage`` first (supply rates and storage functions), then ``lemma1`` and ``lemma2``. ``best_level`` searches the
+greatest level. ``frequency`` and ``hinfinity`` search over frequency, and ``continuous`` has Lemma 3 and Theorem 1.
 """

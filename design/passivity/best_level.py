@@ -1,26 +1,25 @@
 """The best passivity levels of a system: the greatest Delta with which it is OSP, the greatest Phi for ISP.
 
-Both are searched with Lemma 1 of [Bianchini2010]_, in which the level enters linearly,
+Both levels are searched with Lemma 1 of [Bianchini2010]_, in which the level enters linearly,
 
-    maximise  d (level d I)   or   trace of the level    subject to   P > 0,  M(P) <= 0,
+    maximise  d (level d I)   or   trace of the level    subject to   P > 0,  M(P) <= 0.
 
-and may come out negative: what a system lacks. The optimum of the program is an edge, so the level is lowered by as
-little as lets :func:`~manyhands.design.passivity.lemma1.analyse` find and check a storage matrix. What is returned is
-proved, and for the shape "scalar" held against a figure that no storage matrix can beat,
+The level may be negative: the system then lacks so much passivity. The optimum of the program lies on an edge. So the
+level is lowered, as little as possible, until :func:`~manyhands.design.passivity.lemma1.analyse` finds and checks a
+storage matrix. The returned level is proved. For the shape "scalar" it comes with a bound that no storage matrix can
+exceed,
 
     d <= least (w^* y - w^* Phi w) / y^* y    (output),      d <= least (w^* y - y^* Delta y) / w^* w    (input)
 
 over all pairs of the unit circle, exactly (:mod:`manyhands.design.passivity.frequency`).
 
-Some directions can have no positive level whatever the rest does: the output of an undamped mode (an integrator of
-E_hat), the input at a zero on the circle (the differentiator of V_hat). Where the level 0 is possible there, it is set
-exactly, and the search goes on in the other directions.
+Some directions have no positive level in any case: the output of an undamped mode (an integrator of E_hat), and the
+input at a zero on the circle (the differentiator of V_hat). If the level 0 is possible in such directions, it is set
+exactly, and the search continues in the other directions.
 
-The program behind the best levels: Lemma 1 with a level to be found, and the proof of what it finds.
-
-The level is L = sum_a p_a L_a with given symmetric L_a; the aim is d = p for L = d I, and the trace of L otherwise. The
-program is solved in scaled coordinates (:mod:`manyhands.design.passivity.lemma1`), again in those that its own storage
-matrix suggests, and every optimum is lowered until :func:`~manyhands.design.passivity.lemma1.analyse` confirms it.
+**The program.** The level is L = sum_a p_a L_a with given symmetric L_a. The aim is d = p for L = d I, and the trace of
+L otherwise. The program is solved in scaled coordinates (:mod:`manyhands.design.passivity.lemma1`), and then again in
+the coordinates of the storage matrix that it has found.
 """
 
 from __future__ import annotations
@@ -57,25 +56,25 @@ from manyhands.design.solver import ProgramInfeasible, affine, solve, value
 
 Role = Literal["output", "input"]
 
-_LOWERED = (1e-7, 1e-6, 1e-5, 1e-4)  # of the level's scale: the first that leaves room for a checked storage matrix
-_SILENT = 1e-9  # of the largest: an output, or an input, smaller than that is none
+_LOWERED = (1e-7, 1e-6, 1e-5, 1e-4)  # of the level's scale; the first that leaves room for a checked storage matrix
+_SILENT = 1e-9  # of the largest: a smaller output or input counts as zero
 _NEUTRAL = 1e-12  # of the supply form's norm
-_PASSES = 3  # solutions of the program, each in the coordinates that the one before suggests
+_PASSES = 3  # solutions of the program, each in the coordinates of the storage matrix before
 _SETTLED = 1e-6  # relative: a pass that gains less is the last
 _LEAST_STORAGE = 1e-9
-_VERY_LOW = (1e4, 1e3, 1e2)  # times the natural size of a level: what has none above minus that counts as having none
+_VERY_LOW = (1e4, 1e3, 1e2)  # times the natural size of a level: without a level above minus this, a system has none
 
 
 @dataclass(frozen=True, eq=False)
 class ProvedLevel:
-    """A level, proved.
+    """A level with its proof.
 
     Attributes:
         matrix: the level, m x m: N*s/m for an output level of a system from force to velocity.
         value: what was maximised: d for the shape "scalar", the trace for the others.
         P: the storage matrix that proves it, n x n.
-        bound: no greater d is possible (exact over frequency, up to its rounding); None for other shapes than
-            "scalar". A level well below its bound is held back by P > 0.
+        bound: no greater d is possible (exact over frequency, up to its rounding); None for shapes other than "scalar".
+            If a level is well below its bound, P > 0 limits it.
     """
 
     matrix: Matrix
@@ -86,16 +85,16 @@ class ProvedLevel:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What stays the same in one search.
+    """The data of one search for a level.
 
     Attributes:
-        system: as given.
+        system: the system as given.
         time: how it is read.
-        discrete: the same in discrete time.
+        discrete: the same system in discrete time.
         role: which level is searched.
-        fixed: the other one, m x m.
-        basis: the shape, symmetric matrices k x m x m whose span it is.
-        scalar: whether d is maximised, or the trace.
+        fixed: the given level of the other role, m x m.
+        basis: symmetric matrices, k x m x m, whose span is the shape of the level.
+        scalar: whether d is maximised; otherwise the trace.
     """
 
     system: StateSpace
@@ -107,11 +106,11 @@ class Search:
     scalar: bool
 
     def levels(self, level: Matrix) -> tuple[Matrix, Matrix]:
-        """(Delta, Phi) with ``level`` as the searched one."""
+        """(Delta, Phi) with ``level`` in the searched role."""
         return (level, self.fixed) if self.role == "output" else (self.fixed, level)
 
     def in_units(self, units: Scaled, level: Matrix, role: Role) -> Matrix:
-        """A level in scaled ports."""
+        """The ``level`` of this role in scaled ports, m x m."""
         return units.output_level(level) if role == "output" else units.input_level(level)
 
     def supply(self, units: Scaled) -> Matrix:
@@ -120,7 +119,7 @@ class Search:
         return supply_form(units.system, *((None, fixed) if self.role == "output" else (fixed, None)))
 
     def rows(self, units: Scaled) -> Matrix:
-        """What the searched level acts on, y or u, as rows over (psi, u)."""
+        """The signal that the searched level weights, y or u, as rows over (psi, u)."""
         return output_rows(units.system) if self.role == "output" else input_rows(units.system)
 
 
@@ -134,11 +133,12 @@ def frequency_bound(search: Search) -> float:
 def idle_directions(search: Search) -> Matrix:
     """Directions, m x k, in which the searched level cannot be positive.
 
-    They are the y (or u) of pairs that exchange nothing at the level 0: a positive level would draw from them.
+    They are the y (or u) of pairs that exchange nothing at the level 0. At a positive level, such a pair would supply
+    energy.
     """
     units = scaled(search.discrete)
     Q, rows = search.supply(units), search.rows(units)
-    back = 1.0 / units.S if search.role == "output" else units.S  # to the ports as they are
+    back = 1.0 / units.S if search.role == "output" else units.S  # back to unscaled ports
     seen_by = back[:, None] * rows
     found = []
     for z in _points(units.system):
@@ -159,7 +159,7 @@ def _points(system: StateSpace) -> list[complex]:
 
 
 def best_level(search: Search, bound: float | None) -> ProvedLevel | None:
-    """The best level in the span of a search; None when there is none."""
+    """The best level in the span of a search; None if the span has no level."""
     units = scaled(search.discrete)
     if len(search.basis) == 0:
         m = search.system.inputs
@@ -184,7 +184,7 @@ def best_level(search: Search, bound: float | None) -> ProvedLevel | None:
         except np.linalg.LinAlgError:
             break
     if best is None and not _hopeless(search, units):
-        raise SolverFailure("the best level found does not survive its check, nor do levels a little below it")
+        raise SolverFailure("neither the best level found nor slightly lower levels survive their check")
     return best
 
 
@@ -195,19 +195,19 @@ def _hopeless(search: Search, units: Scaled) -> bool:
         try:
             return not analyse(search.system, *search.levels(-low * down), search.time).holds
         except SolverFailure:
-            continue  # so low a level may be beyond floating point: try a higher one
+            continue  # floating point may not decide so low a level: try a higher one
     return False
 
 
 def _downwards(search: Search, units: Scaled) -> tuple[Matrix, Matrix]:
-    """The span's levels in scaled ports, and the level, in the ports as they are, that is nearest I in scaled ones."""
+    """The span's basis in scaled ports, and the span's level that is nearest to I there, in unscaled ports."""
     own = np.stack([search.in_units(units, L, search.role) for L in search.basis])
     nearest = np.linalg.lstsq(own.reshape(len(own), -1).T, np.eye(own.shape[1]).ravel(), rcond=None)[0]
     return own, symmetric_part(np.tensordot(nearest, search.basis, axes=1))
 
 
 def _optimum(search: Search, units: Scaled) -> tuple[Matrix, Matrix] | None:
-    """The best level and its storage matrix by the program, in the ports and states as given; None: there is none."""
+    """The program's best level and storage matrix, in unscaled ports and states; None if the span has no level."""
     system = units.system
     Q, rows = search.supply(units), search.rows(units)
     own, _ = _downwards(search, units)
@@ -234,7 +234,7 @@ def _optimum(search: Search, units: Scaled) -> tuple[Matrix, Matrix] | None:
 
 
 def _always_neutral(system: StateSpace, Q: Matrix, seen: Matrix) -> Pairs:
-    """Pairs that exchange nothing at any level of the span: the supply without it and all of ``seen`` vanish."""
+    """Pairs that exchange nothing at any level of the span: the supply without the level and ``seen`` x both vanish."""
     pairs: Pairs = []
     scale = float(np.linalg.norm(Q, 2))
     for z in _points(system):
@@ -246,7 +246,7 @@ def _always_neutral(system: StateSpace, Q: Matrix, seen: Matrix) -> Pairs:
 
 
 def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -> ProvedLevel | None:
-    """A level just below ``level`` with a storage matrix that was checked; None when there is none near."""
+    """A level slightly below ``level`` with a checked storage matrix; None if none is found."""
     _, down = _downwards(search, units)
     size = max(1.0, float(np.linalg.norm(search.in_units(units, level, search.role), 2)))
     for part in _LOWERED:
@@ -254,7 +254,7 @@ def _proved(search: Search, units: Scaled, level: Matrix, bound: float | None) -
         try:
             analysis = analyse(search.system, *search.levels(lowered), search.time)
         except SolverFailure:
-            continue  # nearer to the edge than floating point can decide: a little further down
+            continue  # too near to the edge for floating point: try a lower level
         if analysis.P is not None:
             figure = float(lowered[0, 0]) if search.scalar else float(np.trace(lowered))
             return ProvedLevel(lowered, figure, analysis.P, bound)
@@ -273,12 +273,12 @@ def greatest_output_level(
     Args:
         system: (A, B, C, D), m x m.
         shape: which Delta are allowed; d is maximised for "scalar", the trace for the others.
-        Phi: m x m input level that is to hold besides; zero by default.
+        Phi: m x m input level that has to hold at the same time; zero by default.
         time: how ``system`` is read.
 
     Raises:
-        Infeasible: no level of this shape.
-        ValueError: an argument of the wrong shape, or an output that is zero in some direction, where any level holds.
+        Infeasible: no level of this shape exists.
+        ValueError: an argument has the wrong shape, or the output is zero in some direction, where any level holds.
         SolverFailure: the solver gave no usable answer.
     """
     return _greatest(system, shape, "output", Phi, time)
@@ -292,12 +292,12 @@ def greatest_input_level(
     Args:
         system: (A, B, C, D), m x m.
         shape: which Phi are allowed; d is maximised for "scalar", the trace for the others.
-        Delta: m x m output level that is to hold besides; zero by default.
+        Delta: m x m output level that has to hold at the same time; zero by default.
         time: how ``system`` is read.
 
     Raises:
-        Infeasible: no level of this shape, as for an unstable system.
-        ValueError: an argument of the wrong shape.
+        Infeasible: no level of this shape exists, as for an unstable system.
+        ValueError: an argument has the wrong shape.
         SolverFailure: the solver gave no usable answer.
     """
     return _greatest(system, shape, "input", Delta, time)

@@ -39,7 +39,7 @@ from manyhands.design.models.statespace import (
 from manyhands.design.passivity.best_level import ProvedLevel, Shape, greatest_output_level
 from manyhands.design.passivity.lemma1 import analyse, checked_levels
 
-_ROUNDING = 1e-8  # what an inequality with equalities in it may be off, in states where P = I, of its largest term
+_ROUNDING = 1e-8  # of its largest term, in states where P = I: allowed excess of an inequality that contains equalities
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,10 @@ class Dissipative:
     Attributes:
         system: (A, B, C, D), force to velocity for a device, velocity to force for a hand.
         P: n x n positive definite.
-        Delta: m x m output level; zero for a system that is passive and no more.
+        Delta: m x m output level; zero for a system that is only passive.
 
     Raises:
-        ValueError: P or Delta of the wrong shape, P not positive definite, or N(P) <= 0 not true.
+        ValueError: P or Delta has the wrong shape, P is not positive definite, or N(P) <= 0 fails.
     """
 
     system: StateSpace
@@ -111,7 +111,7 @@ def device_level(system: StateSpace, shape: Shape = "matrix") -> ProvedLevel:
         shape: which Delta_D are allowed.
 
     Raises:
-        Infeasible: there is none.
+        Infeasible: no level of this shape exists.
         SolverFailure: the solver gave no usable answer.
     """
     return greatest_output_level(system, shape, time="continuous")
@@ -140,8 +140,8 @@ def passive_operator(system: StateSpace) -> Dissipative:
     """A hand, velocity to force, with a storage matrix that proves it passive: Assumption 1(b).
 
     Raises:
-        Infeasible: it is not passive.
-        SolverFailure: too near the edge to be decided.
+        Infeasible: the hand is not passive.
+        SolverFailure: the hand is too near to the edge for a decision.
     """
     return _proved(system, np.zeros((system.inputs, system.inputs)), "the hand is not a passive operator")
 
@@ -150,8 +150,8 @@ def device_with_level(system: StateSpace, Delta_D: Matrix) -> Dissipative:
     """A device, force to velocity, with a storage matrix that proves it Delta_D-OSP: Assumption 1(a).
 
     Raises:
-        Infeasible: it is not.
-        SolverFailure: too near the edge to be decided.
+        Infeasible: the device is not Delta_D-OSP.
+        SolverFailure: the device is too near to the edge for a decision.
     """
     return _proved(system, Delta_D, "the device is not output strictly passive with this level")
 
@@ -162,7 +162,7 @@ def _proved(system: StateSpace, Delta: Matrix, otherwise: str) -> Dissipative:
         raise Infeasible(f"Assumption 1: {otherwise}: {finding.reason}", ())
     try:
         return Dissipative(system, finding.P, Delta)
-    except ValueError as error:  # proved in discrete time, and lost in the rounding of the way back
+    except ValueError as error:  # proved in discrete time, but lost by rounding on the way back to continuous time
         raise SolverFailure(f"Assumption 1: the storage matrix found does not survive its check ({error})") from error
 
 
@@ -206,7 +206,7 @@ def lemma3(device: Dissipative, operator: Dissipative) -> Dissipative:
         ValueError: sizes differ, the loop is not well posed, or the hand's level is not >= 0.
     """
     if float(np.linalg.eigvalsh(operator.Delta)[0]) < 0.0:
-        raise ValueError("expected a passive hand: its output level lacks something")
+        raise ValueError("found a hand with a negative output level, expected a passive hand")
     whole = feedback_with_passive(device.system, operator.system)
     return Dissipative(whole, block_diagonal([device.P, operator.P]), device.Delta)
 

@@ -1,19 +1,19 @@
 """Supply over frequency, exactly: the least value on the unit circle by level sets, without a grid.
 
-A *pair* (psi, w) at z, |z| = 1, has A psi + B w = z psi: a state and an input that come back to themselves, turned.
-Whatever P is, its storage does not change, so that Lemma 1 of [Bianchini2010]_ leaves of the inequality (2) only
+A *pair* (psi, w) at z, |z| = 1, has A psi + B w = z psi: after a tick, the state is the same up to a phase. For every
+P its storage does not change. Of the inequality (2) in Lemma 1 of [Bianchini2010]_, only this remains:
 
     w^* y - y^* Delta y - w^* Phi w = x^* Q x >= 0,    x = (psi, w),  y = C psi + D w,
 
     Q = -M(0) = [ -C^T Delta C        C^T/2 - C^T Delta D                  ]
                 [  .                  (D + D^T)/2 - D^T Delta D - Phi      ].
 
-A pair with x^* Q x < 0 therefore refutes every P at once, and one with x^* Q x = 0 is *neutral*. This holds at
+A pair with x^* Q x < 0 therefore refutes every P at once, and a pair with x^* Q x = 0 is *neutral*. This holds at
 poles on the circle too, where a frequency response is not defined.
 
-The least of x^* Q x / |R x|^2 over all pairs, for rows R, is found as H-infinity norms are ([Boyd1990]_,
-[Bruinsma1990]_): the points of the circle where Q - g R^T R is singular on the pairs are generalised eigenvalues,
-and between two neighbours the ratio is below g or above it throughout.
+The least of x^* Q x / |R x|^2 over all pairs, for rows R, is found in the same way as H-infinity norms ([Boyd1990]_,
+[Bruinsma1990]_). The points of the circle where Q - g R^T R is singular on the pairs are generalised eigenvalues.
+Between two neighbouring points, the ratio is below g or above g throughout.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from manyhands.design.passivity.storage import storage_inequality
 
 Complex = NDArray[np.complex128]
 
-_ON_CIRCLE = 1e-6  # relative distance of a crossing from |z| = 1: what is counted too much is only evaluated once more
-_LEVEL_STEP = 1e-12  # how far below the least value found a level is tried, of the forms' scale
-_ROUNDS = 60  # level sets; convergence is quadratic, a handful is usual
-_RANK = 1e-12  # singular values below this, of the largest, are zero: only of modes that no input reaches
-_SILENT = 1e-13  # of R's norm: directions that R does not see
-_SILENT_AT = 1e-11  # the same, for a point of the circle to count as one where R is silent
-_NEAR_SILENT = 1e-4  # from a point where R is silent, the ratio is rounding / 1e-8, and its limit as near
+_ON_CIRCLE = 1e-6  # relative distance of a crossing from |z| = 1; a false crossing only costs one more evaluation
+_LEVEL_STEP = 1e-12  # of the forms' scale: the next level lies this far below the least value found
+_ROUNDS = 60  # level sets; convergence is quadratic, and fewer than ten are usual
+_RANK = 1e-12  # of the largest: smaller singular values count as zero; they belong to modes that no input reaches
+_SILENT = 1e-13  # of R's norm: directions in which R x counts as zero
+_SILENT_AT = 1e-11  # of R's norm: at such a point of the circle, R counts as silent
+_NEAR_SILENT = 1e-4  # distance from a silent point that is left out: nearer, the ratio is rounding / 1e-8
 _PROBES = 7  # generic points that are tried before any level set
 _POLE_ON_CIRCLE = 1e-8
 
@@ -48,8 +48,8 @@ class LeastRatio:
 
     Attributes:
         value: the least ratio.
-        angle: where it is taken, z = e^{j angle} with 0 <= angle <= pi.
-        pair: the pair x = (psi, w) that takes it, n+m complex entries: anyone can evaluate the ratio on it.
+        angle: where it is reached, z = e^{j angle} with 0 <= angle <= pi.
+        pair: the pair x = (psi, w) that reaches it, n+m complex entries; a check can evaluate the ratio on it.
     """
 
     value: float
@@ -58,7 +58,7 @@ class LeastRatio:
 
 
 def supply_form(system: StateSpace, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
-    """Q of the module, (n+m) x (n+m): the supply y^T u - y^T Delta y - u^T Phi u as a form of (psi, u)."""
+    """Q of the module's head, (n+m) x (n+m): the supply y^T u - y^T Delta y - u^T Phi u as a form of (psi, u)."""
     return -storage_inequality(system, np.zeros((system.order, system.order)), Delta, Phi)
 
 
@@ -97,23 +97,23 @@ def special_points(system: StateSpace) -> list[complex]:
 
 
 def generic_points(count: int) -> list[complex]:
-    """``count`` points of the open upper half circle that no system was built around."""
+    """``count`` points of the open upper half circle at which no system has a special structure by design."""
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     return [complex(np.exp(1j * np.pi * ((k * golden + 0.237) % 1.0))) for k in range(1, count + 1)]
 
 
 def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
-    """The least of x^* Q x / |R x|^2 over all pairs x of a discrete system; see the module.
+    """The least of x^* Q x / |R x|^2 over all pairs x of a discrete system; see the module's head.
 
     Args:
         system: (A, B, C, D), n states, m inputs.
         Q: symmetric form of (psi, w), (n+m) x (n+m).
-        R: k x (n+m). Pairs that it does not see are left out, and what is within 1e-4 of them on the circle, where the
-            ratio is 0/0. The root is asked for, and not R^T R: beside a sharp resonance w is so much smaller than psi
-            that its square is lost.
+        R: k x (n+m). Silent pairs, R x = 0, are left out with all points within 1e-4 of theirs on the circle, because
+            the ratio is 0/0 there. The argument is R and not R^T R: beside a sharp resonance w is so much smaller than
+            psi that its square would be lost.
 
     Raises:
-        ValueError: R sees no pair at all.
+        ValueError: every pair is silent.
     """
     size = max(_norm(R), 1e-150)
     N = R.T @ R
@@ -125,6 +125,8 @@ def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
     best = _least_of(system, Q, R, start, silent)
     if best is None:
         raise ValueError("every pair is silent: there is nothing to compare the supply with")
+    # A level slightly below the best value is crossed only if a lower value exists. Between two crossings the ratio is
+    # above or below this level throughout, so that one point in each gap shows where it is lower.
     for _ in range(_ROUNDS):
         step = _LEVEL_STEP * max(scale, abs(best.value))
         angles = _crossings(system, Q - (best.value - step) * N)
@@ -138,13 +140,13 @@ def least_ratio(system: StateSpace, Q: Matrix, R: Matrix) -> LeastRatio:
 
 
 def least_hermitian_eigenvalue(system: StateSpace, time: Time = "discrete") -> tuple[float, float]:
-    """The least eigenvalue of (G + G^*)/2 over all frequencies, and where it is.
+    """The least eigenvalue of (G + G^*)/2 over all frequencies, and its frequency.
 
-    For a stable system it is the greatest Phi I with which it is input strictly passive.
+    A stable system is (phi I)-ISP for every phi up to this eigenvalue.
 
     Args:
-        system: (A, B, C, D), m x m, without poles on the circle (the imaginary axis).
-        time: how it is read.
+        system: (A, B, C, D), m x m, without poles on the circle (in continuous time, on the imaginary axis).
+        time: how ``system`` is read.
 
     Returns:
         The eigenvalue, in the response's unit, and the frequency in rad a tick or rad/s (inf where it is the limit).
@@ -155,7 +157,7 @@ def least_hermitian_eigenvalue(system: StateSpace, time: Time = "discrete") -> t
 
 
 def _smallest(system: StateSpace, R: Matrix, z: complex) -> float:
-    """The least that R sees of a unit pair at z."""
+    """The least |R x| over the unit pairs x at z."""
     X = pairs_at(system, z)
     return float(np.linalg.svd(R @ X, compute_uv=False)[-1]) if X.shape[1] <= len(R) else 0.0
 
@@ -163,7 +165,7 @@ def _smallest(system: StateSpace, R: Matrix, z: complex) -> float:
 def _least_of(
     system: StateSpace, Q: Matrix, R: Matrix, points: Iterable[complex], silent: list[complex]
 ) -> LeastRatio | None:
-    """The least ratio over the pairs at ``points`` that R sees and that are not too near ``silent`` ones."""
+    """The least ratio over the pairs at ``points`` with R x not zero; points too near ``silent`` ones are left out."""
     best: LeastRatio | None = None
     unseen = _SILENT * _norm(R)
     for z in points:
@@ -203,7 +205,7 @@ def _ratios(left: Matrix, right: Matrix) -> list[complex]:
     """Finite generalised eigenvalues of the pencil left - z right.
 
     Raises:
-        SolverFailure: the iteration that looks for them did not converge.
+        SolverFailure: the eigenvalue iteration did not converge.
     """
     if left.size == 0:
         return []

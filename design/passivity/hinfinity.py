@@ -2,9 +2,9 @@
 
     ||S||_inf = max over theta in [0, pi] of sigma_max(S(e^{j theta}))
 
-A fine grid finds the peaks, narrowed down one by one; that no peak escaped between two points is then checked
-without a grid ([Bruinsma1990]_): gamma is a singular value of S(e^{j theta}) for some theta iff a Hamiltonian matrix
-has an imaginary eigenvalue, and that eigenvalue shows where (:mod:`manyhands.design.models.statespace`).
+A fine grid finds the peaks, and each peak is narrowed down. A check without a grid then shows that no peak is hidden
+between two points ([Bruinsma1990]_): gamma is a singular value of S(e^{j theta}) for some theta iff a Hamiltonian
+matrix has an imaginary eigenvalue, and that eigenvalue gives theta (:mod:`manyhands.design.models.statespace`).
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from manyhands.design.solver import reachability
 
 ComplexArray = NDArray[np.complex128]
 
-_TOLERANCE = 1e-7  # relative height that a peak between grid points must have to be looked for
-_ON_AXIS = 1e-5  # eigenvalues this close to the axis are tried: a false one costs an evaluation, a missed one the peak
-_UNREACHED = 1e-14  # of the farthest: a state that inputs take less far is reached by rounding alone
-_HARDLY_REACHED = 1e-10  # of the greatest variance: directions below are scaled as if they had that much
-_SLACKS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # parts of gamma tried for strictness, the greatest that leaves a solution
-_KEPT_SLACK = 0.1  # of a slack squared, which the equation of the worst input leaves: the rest is for rounding
+_TOLERANCE = 1e-7  # relative: a peak between grid points is searched only if it is higher by this
+_ON_AXIS = 1e-5  # an eigenvalue this close to the axis counts: a false one costs an evaluation, a missed one a peak
+_UNREACHED = 1e-14  # of the farthest: a state that the inputs move less far is reached by rounding only
+_HARDLY_REACHED = 1e-10  # of the greatest variance: directions with less are scaled as if they had this much
+_SLACKS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # parts of gamma given up for strictness; the first with a solution is used
+_KEPT_SLACK = 0.1  # of a slack squared: the strictness that the result must keep; the rest is for rounding
 _LYAPUNOV = "bilinear"  # the direct method squares the order and the condition number
 _MOST_POLICIES = 60
 _MOST_ROUNDS = 20
 
 
 def frequency_grid(poles: ComplexArray, per_decade: int = 40) -> Matrix:
-    """Angles in [0, pi] that see every resonance: logarithmic, and dense around each pole's own angle.
+    """Angles in [0, pi] that resolve every resonance: logarithmic, and dense around each pole's own angle.
 
     Args:
         poles: poles in the z plane.
@@ -100,7 +100,7 @@ def hinf_norm(system: StateSpace, T: float = 1.0) -> tuple[float, float]:
         The norm, with a relative error of about 1e-7 at most, and the frequency in rad/s.
 
     Raises:
-        ValueError: the system is not stable, so that it has no such norm.
+        ValueError: the system is not stable, so that it has no H-infinity norm.
     """
     poles = np.linalg.eigvals(system.A).astype(np.complex128) if system.order else np.zeros(0, dtype=np.complex128)
     radius = float(np.max(np.abs(poles), initial=0.0))
@@ -127,18 +127,18 @@ def hinf_norm(system: StateSpace, T: float = 1.0) -> tuple[float, float]:
 
 
 def bounded_real_storage(system: StateSpace, gamma: float) -> Matrix:
-    """A storage matrix P > 0 that proves ||S||_inf < gamma, for the states as they stand.
+    """A storage matrix P > 0 that proves ||S||_inf < gamma, in the given states.
 
         [A B]^T P [A B] - blockdiag(P, gamma^2 I) + [C D]^T [C D] < 0                (bounded real lemma)
 
-    From the discrete Riccati equation of the worst input, with a little of gamma's room spent on strictness.
+    P solves the discrete Riccati equation of the worst input, for a slightly smaller gamma so that P is strict.
 
     Args:
         system: stable, n states.
-        gamma: above the norm.
+        gamma: a number above the norm.
 
     Raises:
-        SolverFailure: no such P was found; gamma is not above the norm, or too little.
+        SolverFailure: no such P was found; gamma is not above the norm, or is too close to it.
     """
     n, p = system.order, system.inputs
     scaled, X, inverse = _input_balanced(system)
@@ -148,7 +148,7 @@ def bounded_real_storage(system: StateSpace, gamma: float) -> Matrix:
         if found is None:
             continue  # no room left for this slack
         P = symmetric_part(gamma**2 * inverse.T @ found @ inverse)
-        found = symmetric_part(X.T @ P @ X) / gamma**2  # what rounding has left of it
+        found = symmetric_part(X.T @ P @ X) / gamma**2  # in the given states; rounding is checked next
         M = left.T @ found @ left + out.T @ out
         M[:n, :n] -= found
         M[n:, n:] -= np.eye(p)
@@ -159,11 +159,11 @@ def bounded_real_storage(system: StateSpace, gamma: float) -> Matrix:
 
 
 def _worst_input_storage(system: StateSpace, gamma: float, slack: float) -> Matrix | None:
-    """The bounded real Riccati equation for S/gamma by policy iteration; None where an input gains without end.
+    """Solve the bounded real Riccati equation for S/gamma by policy iteration; None if an input gains without bound.
 
-    For the input w = F psi the storage is a Lyapunov equation's solution; the next F is the input that is worst under
-    it. From F = 0 the storages grow to the stabilising solution if ||S||_inf < gamma, quadratically at the end, and
-    rounding of one step is mended by the next, where a pencil's invariant subspace may be lost.
+    For the input w = F psi, the storage solves a Lyapunov equation. The next F is the worst input for this storage.
+    From F = 0 the storages grow to the stabilising solution if ||S||_inf < gamma, and converge quadratically. Each step
+    corrects the rounding of the step before; the invariant subspace of a pencil may be lost to rounding.
     """
     A, B, C, D = system.A, system.B, system.C / gamma, system.D / gamma
     n, p = system.order, system.inputs
@@ -185,14 +185,14 @@ def _worst_input_storage(system: StateSpace, gamma: float, slack: float) -> Matr
 
 
 def _balanced(system: StateSpace) -> StateSpace:
-    """The same system in multiples of its states that inputs reach alike."""
+    """The same system with each state scaled so that the inputs reach all states equally far."""
     scale = _units(system, reachability(system.A, system.B))
     A, B, C = system.A * scale[None, :] / scale[:, None], system.B / scale[:, None], system.C * scale[None, :]
     return StateSpace(A, B, C, system.D)
 
 
 def _input_balanced(system: StateSpace) -> tuple[StateSpace, Matrix, Matrix]:
-    """The system in states z, x = X z, with reachability Gramian about I; X, and its inverse."""
+    """The system in states z, x = X z, whose reachability Gramian is about I; then X and its inverse."""
     gramian = reachability(system.A, system.B)
     unit = _units(system, gramian)
     values, vectors = np.linalg.eigh(gramian / np.outer(unit, unit))
@@ -203,7 +203,7 @@ def _input_balanced(system: StateSpace) -> tuple[StateSpace, Matrix, Matrix]:
 
 
 def _units(system: StateSpace, gramian: Matrix) -> Matrix:
-    """How far unit inputs take each state, n entries; of one that they do not reach, what shows as much as an input."""
+    """The distance that unit inputs move each state, n entries; for an unreached state, its scale at the outputs."""
     reached = np.sqrt(np.diag(gramian))
     seen = np.sqrt(np.diag(reachability(system.A.T, system.C.T)))
     most = float(np.max(reached, initial=0.0))
@@ -213,7 +213,7 @@ def _units(system: StateSpace, gramian: Matrix) -> Matrix:
 
 
 def _crossings(system: StateSpace, gamma: float) -> Matrix:
-    """Angles in [0, pi] at which gamma may be a singular value of S(e^{j theta}); none only if it is not."""
+    """Angles in [0, pi] at which gamma may be a singular value of S(e^{j theta}); if empty, gamma is none."""
     image = axis_image(system)
     A, B, C, D = image.A, image.B, image.C / gamma, image.D / gamma
     R = np.linalg.inv(D.T @ D - np.eye(system.inputs))

@@ -1,48 +1,45 @@
 """Lemma 1 of [Bianchini2010]_ as an analysis: is a given system Delta-OSP and Phi-ISP?
 
 Sigma = (A, B, C, D) has the levels Delta and Phi (Definitions 1, 2) iff some P > 0 satisfies M(P) <= 0, the
-inequality (2). The answer is one of three, and none of them is the solver's word:
+inequality (2). The analysis has one of three results, and none of them relies on the solver's status:
 
-- *yes*, with P, which is put back into the inequality: P > 0, the neutral equalities of
-  :mod:`manyhands.design.passivity.storage` at rounding level, and M(P) < 0 on a complement of the neutral pairs;
-- *no*, because of a pair on the unit circle that draws energy out (a frequency), because the neutral equalities
-  contradict each other, or because of a moment matrix Z >= 0 of (psi, w) whose state does not shrink while it
-  draws energy,
+- *yes*, with P, which is checked in the inequality: P > 0, the neutral equalities of
+  :mod:`manyhands.design.passivity.storage` hold up to rounding, and M(P) < 0 on a complement of the neutral pairs;
+- *no*, because a pair on the unit circle draws energy (at a frequency), because the neutral equalities contradict each
+  other, or because a moment matrix Z >= 0 of (psi, w) has a state that does not shrink while it draws energy,
 
       Y = [A, B] Z [A, B]^T - [I, 0] Z [I, 0]^T >= 0    and    tr(Q Z) < 0  (or = 0 with Y not 0),
 
   which no P > 0 allows, since 0 >= tr(Z M(P)) = tr(P Y) - tr(Q Z);
-- *undecided*, a :class:`~manyhands.design.errors.SolverFailure`: too near the edge for floating point.
+- *undecided*, a :class:`~manyhands.design.errors.SolverFailure`: the system is too near to the edge for floating point.
 
-Continuous systems (Definition 1) are analysed as the discrete ones with the same P,
+Continuous systems (Definition 1) are analysed as the discrete systems with the same P,
 :mod:`manyhands.design.models.statespace`.
 
-What a system does by itself: motions that its inputs do not cause and its outputs do not show, taken apart.
-
-Two equal masses on equal springs at one port swing against each other unseen. Such a motion, psi_u+ = A_u psi_u,
-stands beside the rest,
+**Unreachable motions.** Some motions are neither caused by the inputs nor visible at the outputs. Two equal masses on
+equal springs at one port, for example, can swing against each other. Such a motion, psi_u+ = A_u psi_u, is independent
+of the rest,
 
     psi = T (psi_f, psi_u),    T^{-1} A T = diag(A_f, A_u),    T^{-1} B = (B_f, 0),    C T = (C_f, 0),
 
-so that Lemma 1 of [Bianchini2010]_ parts, too: a storage matrix of the whole exists iff one of the felt part
-(A_f, B_f, C_f, D) does, at the same levels, and some P_u > 0 has A_u^T P_u A_u <= P_u. Nothing that is measured at the
-ports can tell how large P_u ought to be, and a program that is asked for both at once is lost in that freedom.
+so that Lemma 1 separates, too. A storage matrix of the whole system exists iff the reachable part (A_f, B_f, C_f, D)
+has one, at the same levels, and some P_u > 0 has A_u^T P_u A_u <= P_u. The ports do not determine the size of P_u, and
+this freedom makes a program for both parts at once ill-conditioned.
 
-The unreachable states are found as a subspace N that is invariant and unobservable, beside an invariant one that holds
-every state which inputs can reach, the kernel of L^T; both by a staircase, one singular value
-decomposition for each step, each decided for itself. N is used where L^T N is square and far from singular,
-which it is in all that is reciprocal, as networks are. Elsewhere nothing is taken apart.
+The unreachable motions are found as a subspace N that is invariant and unobservable, complementary to an invariant
+subspace that contains every state which the inputs can reach, the kernel of L^T. A staircase finds each of the two,
+with one singular value decomposition and one rank decision for each step. N is used if L^T N is square and far from
+singular, which holds for reciprocal systems such as networks. Otherwise the system is not separated.
 
-Coordinates in which a solver can be trusted further: storage near I, gains near 1.
-
-States psi' = X psi and ports u' = S^{-1} u, y' = S y, with S diagonal, leave the exchanged power y^T u as it is:
+**Coordinates.** Solvers are more reliable if storage is near I and gains are near 1. States psi' = X psi and ports
+u' = S^{-1} u, y' = S y, with S diagonal, do not change the exchanged power y^T u:
 
     A' = X A X^{-1},  B' = X B S,  C' = S C X^{-1},  D' = S D S,
     P' = X^{-T} P X^{-1},  Delta' = S^{-1} Delta S^{-1},  Phi' = S Phi S.
 
-X comes from P_g = W_c^{-1} # W_o, the geometric mean of the Gramians. It has the unit of an energy over the square of
-a state, whatever the units of states and ports, and P_g = X^T X is I in the new states. Once some storage
-matrix P is known, its own factor is better still (:func:`with_storage`).
+X comes from P_g = W_c^{-1} # W_o, the geometric mean of the Gramians. P_g has the unit of an energy over the square of
+a state, whatever the units of states and ports, and P_g = X^T X is I in the new states. When a storage matrix P is
+known, its own factor is a better X (:func:`with_storage`).
 """
 
 from __future__ import annotations
@@ -68,8 +65,10 @@ from manyhands.design.passivity.frequency import generic_points, least_ratio, pa
 from manyhands.design.passivity.storage import StorageFace, storage_face_of, storage_inequality
 from manyhands.design.solver import ProgramInfeasible, affine, solve, value
 
-_INSIDE = 0.9995  # the spectral radius to which A is shrunk, where greater, for the Gramians to exist
-_UNSEEN = 1e-9  # part of the largest eigenvalue of a Gramian below which a direction counts as unseen
+# Coordinates
+
+_INSIDE = 0.9995  # an A of greater spectral radius is shrunk to this radius, so that the Gramians exist
+_UNSEEN = 1e-9  # part of the largest eigenvalue of a Gramian below which a direction counts as unobservable
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +76,7 @@ class Scaled:
     """A discrete system in scaled coordinates.
 
     Attributes:
-        system: the scaled one.
+        system: the scaled system.
         X: n x n, scaled states = X states.
         S: the diagonal of S, m entries.
     """
@@ -100,7 +99,7 @@ class Scaled:
 
 
 def scaled(system: StateSpace) -> Scaled:
-    """A discrete ``system`` in ports and states of its own size."""
+    """A discrete ``system`` in ports and states scaled by its own gains and Gramians."""
     d = state_units(system)
     system = StateSpace(system.A * d / d[:, None], system.B / d[:, None], system.C * d, system.D)
     controllable, observable = _gramians(system)
@@ -138,9 +137,9 @@ def _changed(system: StateSpace, X: Matrix, S: Matrix) -> Scaled:
 
 
 def state_units(system: StateSpace) -> Matrix:
-    """Powers of two d, n of them: in states psi / d the rows and columns of [A B; C 0] are of a size.
+    """Powers of two d, n entries: in states psi / d the rows and columns of [A B; C 0] have similar sizes.
 
-    Without them the equations of the Gramians of a system in extreme units are too ill-conditioned to be solved.
+    Without them, the Gramian equations of a system in extreme units are too ill-conditioned to be solved.
     """
     n, m = system.order, system.inputs
     joined = np.block([[system.A, system.B], [system.C, np.zeros((system.outputs, m))]])
@@ -149,7 +148,7 @@ def state_units(system: StateSpace) -> Matrix:
 
 
 def _gramians(system: StateSpace) -> tuple[Matrix, Matrix]:
-    """Controllability and observability Gramians, of the system with A shrunk into the circle where need be."""
+    """Controllability and observability Gramians of the system; an A outside the circle is shrunk into it first."""
     n = system.order
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, 0))
@@ -162,10 +161,10 @@ def _gramians(system: StateSpace) -> tuple[Matrix, Matrix]:
 
 
 def _mean(controllable: Matrix, observable: Matrix) -> Matrix:
-    """W_c^{-1} # W_o = W_c^{-1/2} (W_c^{1/2} W_o W_c^{1/2})^{1/2} W_c^{-1/2}, unseen directions lifted."""
+    """W_c^{-1} # W_o = W_c^{-1/2} (W_c^{1/2} W_o W_c^{1/2})^{1/2} W_c^{-1/2}, with a floor for small eigenvalues."""
     if controllable.size == 0:
         return controllable
-    # one unit for each state first, so that "unseen" does not depend on units
+    # one unit for each state first, so that the floor does not depend on units
     d = np.where(np.diag(controllable) > 0.0, np.diag(controllable), 1.0) ** -0.5
     root = _root(controllable * np.outer(d, d))
     middle = _root(root @ (observable / np.outer(d, d)) @ root)
@@ -174,7 +173,7 @@ def _mean(controllable: Matrix, observable: Matrix) -> Matrix:
 
 
 def _root(M: Matrix) -> Matrix:
-    """The square root of a positive semidefinite matrix, with eigenvalues not below the floor of unseen directions."""
+    """The square root of a positive semidefinite matrix, its eigenvalues raised to the floor :data:`_UNSEEN`."""
     values, vectors = np.linalg.eigh(symmetric_part(M))
     floor = _UNSEEN * max(float(values[-1]), 0.0) if values[-1] > 0.0 else 1.0
     return np.asarray(vectors * np.sqrt(np.maximum(values, floor)) @ vectors.T)
@@ -185,16 +184,18 @@ def _factor(P: Matrix) -> Matrix:
     return np.asarray(np.linalg.cholesky(P).T) if P.size else P
 
 
-_RADIUS_ROUNDING = 1e-11  # of a spectral radius: no farther from 1 is on the circle; of a port's row: there is none
-UNREACHABLE = 1e-11
-"""Of A's norm: what is felt by less is rounding."""
+# Unreachable motions
 
-_APART = 1e-4  # least cosine between N and L: T's condition stays below its inverse
-_INDEPENDENT = 1e-6  # the same for the eigenvectors of a motion that is to be stored mode by mode
+_RADIUS_ROUNDING = 1e-11  # a spectral radius this near to 1 counts as on the circle; a port's row this small as zero
+UNREACHABLE = 1e-11
+"""Relative to A's norm: a smaller coupling to the ports is rounding."""
+
+_APART = 1e-4  # least cosine between N and L; the condition of T stays below its inverse
+_INDEPENDENT = 1e-6  # the same for the eigenvectors of a motion whose storage is built mode by mode
 
 
 @dataclass(frozen=True, eq=False)
-class Parted:
+class Separated:
     """A discrete system and its unreachable motions.
 
     Attributes:
@@ -208,24 +209,24 @@ class Parted:
     P_u: Matrix
 
     def storage(self, P_f: Matrix) -> Matrix:
-        """The whole system's storage matrix, from one of its felt part."""
+        """The whole system's storage matrix, n x n, from a storage matrix ``P_f`` of the reachable part."""
         reachable, unreachable = self.T_inverse[: len(P_f)], self.T_inverse[len(P_f) :]
         return symmetric_part(reachable.T @ P_f @ reachable + unreachable.T @ self.P_u @ unreachable)
 
 
-def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
-    """Take the unreachable motions of a discrete ``system`` apart, as far as they have a storage of their own.
+def separated(system: StateSpace, tolerance: float = UNREACHABLE) -> Separated:
+    """Separate the unreachable motions of a discrete ``system``, if they have a storage matrix of their own.
 
-    Where there is none, or none with a storage matrix, ``reachable`` is the system itself.
+    If the system has no such motions, or they have no storage matrix, ``reachable`` is the system itself.
 
     Args:
         system: (A, B, C, D).
-        tolerance: of A's norm in balanced units; a step of the staircase below that leads nowhere. Above
-            :data:`UNREACHABLE` what is felt a little is taken for unreachable: a storage matrix that is found so may
-            still be the whole's, if it is put into the inequality, but what is refused for the felt part is not for the
-            whole.
+        tolerance: relative to A's norm in balanced units; smaller steps of the staircase count as zero. Above
+            :data:`UNREACHABLE`, weakly coupled motions count as unreachable too. A storage matrix found this way may
+            still serve the whole system, and the inequality decides that. A refutation of the reachable part does not
+            hold for the whole.
     """
-    whole = Parted(system, np.eye(system.order), np.zeros((0, 0)))
+    whole = Separated(system, np.eye(system.order), np.zeros((0, 0)))
     if system.order == 0:
         return whole
     d = state_units(system)
@@ -241,14 +242,14 @@ def parted(system: StateSpace, tolerance: float = UNREACHABLE) -> Parted:
     if P_u is None:
         return whole
     reached = back[: M.shape[1]]
-    return Parted(StateSpace(reached @ A @ M, reached @ B, C @ M, system.D), back / d, P_u)
+    return Separated(StateSpace(reached @ A @ M, reached @ B, C @ M, system.D), back / d, P_u)
 
 
 def storage_of_motion(A: Matrix) -> Matrix | None:
-    """Some P > 0 with A^T P A <= P, n x n, with as much room as there is; None where there is none to be had.
+    """Some P > 0 with A^T P A <= P, n x n, with as much room as possible; None if no P is found.
 
-    Where A has independent eigenvectors V, P = (V V^*)^{-1}: every mode loses its own 1 - |z|^2. Otherwise, within
-    the circle, the P of A^T P A - r^2 P = -I, with r half-way between A's spectral radius and 1 (in their squares).
+    If A has independent eigenvectors V, P = (V V^*)^{-1}: every mode loses its own 1 - |z|^2. Otherwise, if A lies
+    inside the circle, P solves A^T P A - r^2 P = -I, with r^2 half-way between the square of A's spectral radius and 1.
     """
     values, vectors = np.linalg.eig(A)
     radius = float(np.max(np.abs(values), initial=0.0))
@@ -264,9 +265,9 @@ def storage_of_motion(A: Matrix) -> Matrix | None:
 
 
 def _unobservable(A: Matrix, C: Matrix, tolerance: float) -> Matrix:
-    """An orthonormal basis, n x d, of the greatest A-invariant subspace that C does not see."""
+    """An orthonormal basis, n x d, of the greatest A-invariant subspace in the kernel of C."""
     sizes = np.linalg.norm(C, axis=1)
-    # each port in a unit of its own
+    # each port is scaled by its own row
     rows = C[sizes > _RADIUS_ROUNDING * max(float(np.max(sizes, initial=0.0)), 1e-300)]
     N = _kernel(rows / np.linalg.norm(rows, axis=1)[:, None], tolerance)
     least = tolerance * max(float(np.linalg.norm(A, 2)), 1e-300)
@@ -286,39 +287,42 @@ def _orthogonal_to(L: Matrix) -> Matrix:
 
 
 def _kernel(M: Matrix, tolerance: float) -> Matrix:
-    """An orthonormal basis of what M takes to less than ``tolerance`` of its length."""
+    """An orthonormal basis of the directions that M shortens to less than ``tolerance`` of their length."""
     if M.shape[0] == 0:
         return np.eye(M.shape[1])
     _, values, right = np.linalg.svd(M, full_matrices=True)
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
 
 
+# The analysis
+
 Pairs = list[tuple[complex, NDArray[np.complex128]]]
 
-_NEUTRAL = 1e-12  # of the supply form's norm: an exchange below that is none
-_REFUTED = 1e-11  # of the same: a supply below minus this is energy drawn
+_NEUTRAL = 1e-12  # of the supply form's norm: a smaller exchange counts as zero
+_REFUTED = 1e-11  # of the supply form's norm: with a supply below minus this, a pair draws energy
 _FACE = 1e-8  # relative residual of the neutral equalities
 _SUM_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)  # of a sum of a few dozen products, relative to its largest term
-_HARDLY_FELT = (1e-8, 1e-5)  # as far as motions are left to themselves where nothing else leads to an answer
-_PASSES = 4  # solutions of the program, each in the coordinates that the one before suggests
-_STORAGE_PART = 1e-2  # P >= this times the room in the dissipation: both strict where one can be
+_WEAKLY_COUPLED = (1e-8, 1e-5)  # tolerances of :func:`separated` to be tried if the analysis is undecided
+_PASSES = 4  # solutions of the program, each in the coordinates of the storage matrix before
+_STORAGE_PART = 1e-2  # P >= this times the room in the dissipation, so that P > 0 is strict too
 _TRUSTED_GAIN = 1e-7  # energy that a moment matrix must draw, per unit of its trace
 _NOTHING = 1e-8  # the solver's own zero, per unit of trace
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """Whether a system has the levels asked for, and why.
+    """Whether a system has the given levels, and why.
 
     Attributes:
-        holds: whether it has.
-        P: a storage matrix that proves it, n x n; None when it does not hold.
-        margin: when it holds, the least eigenvalue of -M(P) on the complement of the neutral pairs, in states where
-            P = I and ports of gain near 1 (0 where nothing is left, as in a lossless system). When it does not, the
-            negative supply, in such coordinates, of the pair or moment matrix that refutes it; -inf where the
-            neutral equalities contradict each other.
+        holds: whether the system has the levels.
+        P: a storage matrix that proves it, n x n; None if it does not hold.
+        margin: if it holds, the least eigenvalue of -M(P) on the complement of the neutral pairs, in states where
+            P = I and ports of gain near 1 (0 if the complement is empty, as in a lossless system). If it does not hold,
+            the negative supply, in such coordinates, of the pair or moment matrix that refutes it; -inf if the neutral
+            equalities contradict each other.
         reason: one sentence.
-        frequency: where energy is drawn, rad a tick or rad/s; None when it is not a matter of one frequency.
+        frequency: where the system supplies energy, rad a tick or rad/s; None if the refutation has no single
+            frequency.
     """
 
     holds: bool
@@ -331,7 +335,7 @@ class Analysis:
 def analyse(
     system: StateSpace, Delta: Matrix | None = None, Phi: Matrix | None = None, time: Time = "discrete"
 ) -> Analysis:
-    """Decide whether ``system`` is Delta-OSP and Phi-ISP, Lemma 1; see the module.
+    """Decide whether ``system`` is Delta-OSP and Phi-ISP by Lemma 1; see the module's head.
 
     Args:
         system: (A, B, C, D), m x m; u and y such that y^T u is a power.
@@ -340,17 +344,17 @@ def analyse(
         time: how ``system`` is read.
 
     Raises:
-        ValueError: the system is not square, or a level not symmetric m x m.
-        SolverFailure: too near the edge to be decided in floating point.
+        ValueError: the system is not square, or a level is not symmetric m x m.
+        SolverFailure: the system is too near to the edge for a decision in floating point.
     """
     Delta, Phi = checked_levels(system, Delta, Phi)
     discrete, rate = in_discrete_time(system, time)
-    parts = parted(discrete)
+    parts = separated(discrete)
     finding = _decide(discrete, parts, Delta, Phi, time, rate)
     if finding is None or not (finding.holds or finding.frequency is not None):
-        # with a storage matrix that is checked on the whole, what is felt a little may be left to itself, too
-        for tolerance in _HARDLY_FELT:
-            fewer = parted(discrete, tolerance)
+        # The storage matrix is checked on the whole system, so that weakly coupled motions may be separated as well.
+        for tolerance in _WEAKLY_COUPLED:
+            fewer = separated(discrete, tolerance)
             if fewer.reachable.order < parts.reachable.order:
                 parts = fewer
                 other = _decide(discrete, parts, Delta, Phi, time, rate)
@@ -358,14 +362,16 @@ def analyse(
                     return other
     if finding is None:
         raise SolverFailure(
-            "Lemma 1: too near the edge to be decided in floating point: neither a storage function nor a refutation "
-            "survives its check. Ask for slightly lower levels, or state the system in better units"
+            "Lemma 1: the system is too near the edge to be decided in floating point: neither a storage function nor "
+            "a refutation survives its check. Ask for slightly lower levels, or state the system in better units"
         )
     return finding
 
 
-def _decide(whole: StateSpace, parts: Parted, Delta: Matrix, Phi: Matrix, time: Time, rate: float) -> Analysis | None:
-    """Decide it for the felt part of a discrete system, and where the answer is yes check it on the whole."""
+def _decide(
+    whole: StateSpace, parts: Separated, Delta: Matrix, Phi: Matrix, time: Time, rate: float
+) -> Analysis | None:
+    """Analyse the reachable part of a discrete system, and check a positive result on the whole; None: undecided."""
     discrete = parts.reachable
     units = scaled(discrete)
     Q = supply_form(units.system, units.output_level(Delta), units.input_level(Phi))
@@ -388,7 +394,7 @@ def _decide(whole: StateSpace, parts: Parted, Delta: Matrix, Phi: Matrix, time: 
         pairs = neutral_pairs_at(units.system, Q, _near(least.angle, least.value, size))
         face = storage_face_of(units.system, -Q, pairs)
         if face is None and attempt:
-            break  # the coordinates of a poor P make neutral what is not
+            break  # in the coordinates of a poor P, pairs that are not neutral look neutral
         if face is None:
             return Analysis(False, None, -np.inf, "the steady states and lossless motions admit no storage function")
         P, refused = _strictest(units, face, Q)
@@ -409,10 +415,10 @@ def _decide(whole: StateSpace, parts: Parted, Delta: Matrix, Phi: Matrix, time: 
 
 
 def checked_levels(system: StateSpace, Delta: Matrix | None, Phi: Matrix | None) -> tuple[Matrix, Matrix]:
-    """The levels as m x m matrices, zero where None.
+    """The levels as m x m matrices; None becomes zero.
 
     Raises:
-        ValueError: the system is not square, or a level not symmetric m x m.
+        ValueError: the system is not square, or a level is not symmetric m x m.
     """
     m = system.inputs
     if system.outputs != m or m == 0:
@@ -430,10 +436,10 @@ def checked_levels(system: StateSpace, Delta: Matrix | None, Phi: Matrix | None)
 
 
 def neutral_pairs_at(system: StateSpace, Q: Matrix, extra: list[complex]) -> Pairs:
-    """Pairs (z, x) of a discrete system that exchange nothing, x^* Q x = 0, where x^* Q x >= 0 over the circle.
+    """Pairs (z, x) of a discrete system that exchange nothing, x^* Q x = 0, given that x^* Q x >= 0 over the circle.
 
-    Looked for at the special points, at ``extra`` ones, and at generic ones, which find what is lossless at every
-    frequency.
+    The search looks at the special points, at the ``extra`` points, and at generic points. The generic points find
+    pairs that are lossless at every frequency.
     """
     tolerance = _NEUTRAL * float(np.linalg.norm(Q, 2))
     pairs: Pairs = []
@@ -446,7 +452,7 @@ def neutral_pairs_at(system: StateSpace, Q: Matrix, extra: list[complex]) -> Pai
 
 
 def verified_margin(system: StateSpace, P: Matrix, Delta: Matrix, Phi: Matrix) -> float | None:
-    """Put ``P`` into Lemma 1 for a discrete ``system``: the margin of :class:`Analysis`, or None when it fails.
+    """Check ``P`` in Lemma 1 for a discrete ``system``: the margin of :class:`Analysis`, or None if a condition fails.
 
     Everything is evaluated in states where P = I, so that nothing depends on the units of the realisation.
     """
@@ -478,12 +484,12 @@ def verified_margin(system: StateSpace, P: Matrix, Delta: Matrix, Phi: Matrix) -
 
 
 def _near(angle: float, supply: float, size: float) -> list[complex]:
-    """The point of least supply, where that is nothing."""
+    """The point of least supply, if its supply counts as zero; otherwise no point."""
     return [complex(np.exp(1j * angle))] if abs(supply) <= _NEUTRAL * size else []
 
 
 def _strictest(units: Scaled, face: StorageFace, Q: Matrix) -> tuple[Matrix | None, Analysis | None]:
-    """The P' of a face with the most room in P' > 0 and M(P') < 0; or None and, where it survives, a refutation."""
+    """The P' of a face with the most room in P' > 0 and M(P') < 0; or None, with a checked refutation if possible."""
     system, n = units.system, units.system.order
     W = face.complement
     room, p = cp.Variable(), cp.Variable(max(len(face.directions), 1))
@@ -497,7 +503,7 @@ def _strictest(units: Scaled, face: StorageFace, Q: Matrix) -> tuple[Matrix | No
     constraints += [c for c in (dissipation, positive) if c is not None]
     try:
         best = solve(cp.Problem(cp.Maximize(room), constraints), "Lemma 1")
-    except (ProgramInfeasible, SolverFailure):  # always feasible, at a negative room: the solver stumbled
+    except (ProgramInfeasible, SolverFailure):  # the program is feasible with a negative room, so the solver failed
         return None, None
     found = symmetric_part(value(P)) if best > 0.0 else None
     if best > _NOTHING:
@@ -507,7 +513,7 @@ def _strictest(units: Scaled, face: StorageFace, Q: Matrix) -> tuple[Matrix | No
 
 
 def dissipation_on(system: StateSpace, face: StorageFace, Q: Matrix) -> tuple[Matrix, Matrix]:
-    """W^T M(P) W over a face, P = P_0 + sum_i p_i N_i: its constant, c x c, and its directions, d x c x c.
+    """W^T M(P) W over a face, P = P_0 + sum_i p_i N_i: the constant part, c x c, and the directions, d x c x c.
 
     M(P) = [A, B]^T P [A, B] - [I, 0]^T P [I, 0] - Q.
     """
@@ -519,7 +525,7 @@ def dissipation_on(system: StateSpace, face: StorageFace, Q: Matrix) -> tuple[Ma
 
 
 def _clipped(constraint: cp.Constraint | None, size: int) -> Matrix:
-    """A constraint's dual matrix, its negative eigenvalues (rounding) removed."""
+    """A constraint's dual matrix with its negative eigenvalues, which are rounding, removed."""
     if constraint is None or constraint.dual_value is None:
         return np.zeros((size, size))
     values, vectors = np.linalg.eigh(symmetric_part(np.asarray(constraint.dual_value, dtype=np.float64)))
@@ -527,7 +533,7 @@ def _clipped(constraint: cp.Constraint | None, size: int) -> Matrix:
 
 
 def _refutation(system: StateSpace, face: StorageFace, Q: Matrix, Z: Matrix, Y: Matrix) -> Analysis | None:
-    """Check the moment matrix ``Z`` of the module: with it, tr(Z M(P)) > 0 for every P = P_0 + sum p_i N_i >= 0."""
+    """Check the moment matrix ``Z`` of the module's head: tr(Z M(P)) > 0 for every P = P_0 + sum p_i N_i >= 0."""
     n = system.order
     G = np.hstack([system.A, system.B])
     growth = symmetric_part(G @ Z @ G.T - Z[:n, :n])

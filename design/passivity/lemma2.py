@@ -96,7 +96,7 @@ def lemma2_expression(Q: Any, AQ: Any, B: Any, CQ: Any, D: Any, Sigma: Any, Phi:
 
 
 def storage_by_lemma2(system: StateSpace, Delta: Matrix, Phi: Matrix | None = None) -> Matrix | None:
-    """P = Q^{-1} for the Q that leaves (3) the most room, checked in Lemma 1 itself; None when (3) has no solution.
+    """P = Q^{-1} for the Q that leaves (3) the most room, checked in Lemma 1 itself; None if (3) has no solution.
 
     Args:
         system: (A, B, C, D), discrete, m x m, without neutral pairs.
@@ -105,7 +105,7 @@ def storage_by_lemma2(system: StateSpace, Delta: Matrix, Phi: Matrix | None = No
 
     Raises:
         ValueError: Delta is not positive definite, or a level of the wrong shape.
-        SolverFailure: the solver's Q does not survive its check.
+        SolverFailure: the solver's Q does not survive its check in Lemma 1.
     """
     Delta, Phi = _strict_levels(system, Delta, Phi)
     units = scaled(system)
@@ -124,12 +124,12 @@ def storage_by_lemma2(system: StateSpace, Delta: Matrix, Phi: Matrix | None = No
         return None
     P = units.storage(np.asarray(np.linalg.inv(symmetric_part(value(Q))))) if n else np.zeros((0, 0))
     if verified_margin(system, P, Delta, Phi) is None:
-        raise SolverFailure("Lemma 2: the solver's Q does not survive its check: (3) is at its edge here")
+        raise SolverFailure("Lemma 2: the solver's Q does not survive its check: the system is at the edge of (3)")
     return P
 
 
 def _strict_levels(system: StateSpace, Delta: Matrix, Phi: Matrix | None) -> tuple[Matrix, Matrix]:
     Delta, Phi = checked_levels(system, Delta, Phi)
     if float(np.linalg.eigvalsh(Delta)[0]) <= 0.0:
-        raise ValueError("Delta: expected a positive definite matrix, since Lemma 2 contains its inverse")
+        raise ValueError("Delta: expected a positive definite matrix, because Lemma 2 contains its inverse")
     return Delta, Phi

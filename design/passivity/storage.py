@@ -5,24 +5,24 @@ Sigma = (A, B, C, D) is Delta-OSP and Phi-ISP (Definition 2) with storage psi^T 
     M(P) = [ A^T P A - P + C^T Delta C        A^T P B - C^T/2 + C^T Delta D               ]
            [ B^T P A - C/2 + D^T Delta C      B^T P B - (D + D^T)/2 + D^T Delta D + Phi  ]  <= 0.    (2)
 
-(2) is printed with <, which neither E_hat (an integrator a port) nor V_hat (a differentiator a port) can
-satisfy. A *neutral* pair (psi, w), one with
+The paper prints (2) with <, which neither E_hat (an integrator per port) nor V_hat (a differentiator per port) can
+satisfy. A *neutral* pair (psi, w) has
 
-    A psi + B w = psi    and    w = 0 (at the input of E_hat) or C psi + D w = 0 (at the output of V_hat),
+    A psi + B w = psi    and    w = 0 (at the input of E_hat) or C psi + D w = 0 (at the output of V_hat).
 
-neither stores nor exchanges anything, so its quadratic form is zero whatever P is, and M(P) <= 0 forces
-M(P) (psi, w) = 0: linear equalities on P. They are imposed exactly, by writing P = P_0 + sum_i p_i N_i, and
-strictness is asked on a complement of the neutral pairs only. Handed the unreduced (2), a solver has no interior point.
+It neither stores nor exchanges energy, so its quadratic form is zero for every P. M(P) <= 0 then forces
+M(P) (psi, w) = 0, which are linear equalities on P. They are imposed exactly, by P = P_0 + sum_i p_i N_i, and
+strictness is required only on a complement of the neutral pairs. Without this reduction, (2) has no interior point for
+a solver.
 
-More generally every pair with A psi + B w = z psi, |z| = 1, that exchanges nothing at the levels Delta, Phi is neutral
-(:mod:`manyhands.design.passivity.frequency`), complex ones included: :func:`storage_face_of`.
+More generally, every pair with A psi + B w = z psi, |z| = 1, that exchanges nothing at the levels Delta, Phi is neutral
+(:mod:`manyhands.design.passivity.frequency`), also a complex one. :func:`storage_face_of` is for all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +31,6 @@ from manyhands.design.models.statespace import Matrix, StateSpace
 
 _RANK_TOLERANCE = 1e-9  # static directions differ from slow ones (omega T of 1e-6 and more) by far more
 _EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution
-
-NeutralAt = Literal["input", "output"]
-"""Where a neutral pair is silent: E_hat's have no input (w = 0), V_hat's no output (C psi + D w = 0)."""
 
 
 def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
@@ -60,12 +57,12 @@ def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = Non
 
 @dataclass(frozen=True, eq=False)
 class StorageFace:
-    """The affine set of storage matrices P that the neutral pairs allow, and where to ask strictness.
+    """The affine set of storage matrices P that the neutral pairs allow, and the directions for strictness.
 
     Attributes:
-        P_0: one of them, n x n symmetric.
+        P_0: one matrix of the set, n x n symmetric.
         directions: N_i stacked, d x n x n, symmetric: P = P_0 + sum_i p_i N_i.
-        complement: W, (n+m) x c with orthonormal columns: W^T M(P) W < 0 is what is left of (2).
+        complement: W, (n+m) x c with orthonormal columns: on the set, (2) becomes W^T M(P) W < 0.
     """
 
     P_0: Matrix
@@ -73,70 +70,20 @@ class StorageFace:
     complement: Matrix
 
 
-def neutral_pairs(system: StateSpace, at: NeutralAt) -> Matrix:
-    """An orthonormal basis, (n+m) x d, of the neutral pairs (psi, w) of ``system``."""
-    n, m = system.order, system.inputs
-    steady = np.hstack([system.A - np.eye(n), system.B])
-    silent = np.hstack([np.zeros((m, n)), np.eye(m)]) if at == "input" else np.hstack([system.C, system.D])
-    return kernel(np.vstack([steady, silent]))
-
-
-def neutral_equalities(system: StateSpace, at: NeutralAt, pairs: Matrix) -> tuple[Matrix, Matrix]:
-    """What M(P) (psi, w) = 0 says about P for neutral ``pairs``: left-hand rows and right-hand side.
-
-    [A - I, B]^T P psi = c with c = (0, C psi / 2) for pairs silent at the input and (C^T w / 2, D^T w / 2)
-    at the output.
-
-    Returns:
-        psi (n x d) and c ((n+m) x d).
-    """
-    n = system.order
-    psi, w = pairs[:n], pairs[n:]
-    if at == "input":
-        return psi, np.vstack([np.zeros_like(psi), system.C @ psi / 2.0])
-    return psi, np.vstack([system.C.T @ w / 2.0, system.D.T @ w / 2.0])
-
-
-def equality_residual(system: StateSpace, P: Matrix, at: NeutralAt) -> float:
-    """How far P is from the neutral equalities, relative to the larger side (0: exactly on the face)."""
-    pairs = neutral_pairs(system, at)
-    psi, right = neutral_equalities(system, at, pairs)
-    left = np.hstack([system.A - np.eye(system.order), system.B]).T @ P @ psi
-    scale = max(float(np.max(np.abs(P), initial=0.0)), float(np.max(np.abs(right), initial=0.0)), 1e-300)
-    return float(np.max(np.abs(left - right), initial=0.0)) / scale
-
-
-def storage_face(system: StateSpace, at: NeutralAt) -> StorageFace | None:
-    """Solve the neutral equalities; None when they have no symmetric solution, so that (2) cannot hold.
-
-    None means, at the output of V_hat, that V(1) is not symmetric, and at the input of E_hat that its
-    static stiffness is not.
-    """
-    pairs = neutral_pairs(system, at)
-    psi, right = neutral_equalities(system, at, pairs)
-    left = np.hstack([system.A - np.eye(system.order), system.B]).T
-    return _solved(
-        system,
-        lambda N: (left @ N @ psi).ravel(),
-        right.ravel(),
-        kernel(pairs.T),
-    )
-
-
 def storage_face_of(
     system: StateSpace, M_0: Matrix, pairs: Sequence[tuple[complex, NDArray[np.complex128]]]
 ) -> StorageFace | None:
-    """The face that any neutral ``pairs`` leave: M(P) x = 0 for each of them.
+    """The face that given neutral ``pairs`` leave: M(P) x = 0 for each pair.
 
     With G = [A, B], E = [I, 0], x = (psi, w): M(P) x = (z G - E)^T P psi + M(0) x, real and imaginary parts.
 
     Args:
         system: (A, B, C, D), n states, m inputs.
-        M_0: M(0) at the levels in question, (n+m) x (n+m).
-        pairs: (z, x) with |z| = 1, x of n+m complex entries and length 1 or so.
+        M_0: M(0) at the given levels, (n+m) x (n+m).
+        pairs: (z, x) with |z| = 1, x of n+m complex entries and length about 1.
 
     Returns:
-        The face, or None when the equalities have no symmetric solution.
+        The face, or None if the equalities have no symmetric solution.
     """
     n, m = system.order, system.inputs
     if not pairs:
@@ -160,7 +107,7 @@ def storage_face_of(
 def _solved(
     system: StateSpace, equations_of: Callable[[Matrix], Matrix], right: Matrix, complement: Matrix
 ) -> StorageFace | None:
-    """Solve equations that are linear in P: ``equations_of(P)`` = ``right``."""
+    """The face of ``equations_of(P)`` = ``right``, linear in P; None if the equations have no solution."""
     n = system.order
     rows, columns = np.triu_indices(n)
     basis = np.zeros((rows.size, n, n))
@@ -170,10 +117,10 @@ def _solved(
         return StorageFace(np.zeros((n, n)), basis, complement)
     equations = np.stack([equations_of(N) for N in basis], axis=1) if len(basis) else np.zeros((right.size, 0))
     free = kernel(equations)
-    determined = kernel(free.T)  # so that rounding in the free directions is not divided by rounding
+    determined = kernel(free.T)  # solving only here avoids dividing rounding by rounding in the free directions
     coefficients = determined @ np.linalg.lstsq(equations @ determined, right, rcond=None)[0]
     residual = float(np.max(np.abs(equations @ coefficients - right)))
-    gain = float(np.max(np.abs(np.hstack([system.C, system.D]))))  # ``right`` may vanish, up to the rounding of this
+    gain = float(np.max(np.abs(np.hstack([system.C, system.D]))))  # ``right`` may be rounding of this size
     if residual > _EQUALITY_TOLERANCE * max(gain, 1e-300):
         return None
     return StorageFace(np.tensordot(coefficients, basis, axes=1), np.tensordot(free.T, basis, axes=1), complement)
@@ -182,8 +129,8 @@ def _solved(
 def kernel(M: Matrix) -> Matrix:
     """An orthonormal basis of the null space of M, columns x d, by singular values.
 
-    They are held against the largest one or 1, whichever is larger: every M of this module is made of A - I or of
-    orthonormal columns, so that what is far below 1 is rounding even where nothing else is there.
+    They are compared with the largest singular value or 1, whichever is larger. Every M of this module consists of
+    A - I or of orthonormal columns, so that a value far below 1 is rounding even if all values are.
     """
     if M.shape[0] == 0 or M.shape[1] == 0:
         return np.eye(M.shape[1])

@@ -1,9 +1,9 @@
-"""Proof of a certificate in exact rational and ball arithmetic, from its plain JSON data; no code of synthesis.
+"""Proof of a certificate in exact rational and ball arithmetic, from its plain JSON data.
 
-Nothing is believed that a solver, or numpy, has computed: the physical data are read as the exact rational numbers that
-the file's floats are, E_hat and V_hat are rebuilt, and every inequality of Theorem 3 [Bianchini2010]_ is proved at the
-certificate's levels and storage matrices. Read ``prove``, then ``claim``, ``contract`` and the parties; last the
-arithmetic.
+The proof shares no code with synthesis, and trusts no result of a solver or of numpy. It reads the file's numbers as
+exact rational numbers, rebuilds E_hat and V_hat from the physical data, and proves every inequality of Theorem 3
+[Bianchini2010]_ at the certificate's levels and storage matrices. Read ``prove`` first, then ``claim``, ``contract``
+and the parties, and the arithmetic last.
 """
 
 from manyhands.design.proof.finding import Finding, ProofInputError

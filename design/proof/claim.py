@@ -1,11 +1,10 @@
-"""What a certificate claims, as read from its plain data: every name resolved, every number exact, nothing believed.
+"""The claim of a certificate, read from its plain data: every name is resolved, every number is exact, none is trusted.
 
-The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Matrices keep the paper's letters;
-indices count ports from 0 in the certificate's order, masses after them.
+The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Matrices keep the paper's letters.
+Indices count ports from 0 in the certificate's order, and masses after them.
 
-The physical data of an environment as a certificate states them: network, state space, rational functions, or none.
-
-Of a declared environment only the level is stated, that is enforced at run time.
+An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
+none: only the level that a controller enforces at run time is stated.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ GROUND = "ground"
 _MAX_DELAY = 1_000  # ticks
 
 Span = tuple[Number, Number]
-"""A parameter's lower and upper end; equal when it is known."""
+"""A parameter's lower and upper end; both are equal for a known parameter."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +80,8 @@ class Realisation:
 
     Attributes:
         A, B, C: n x n, n x m, m x n.
-        D: m x m; None where the static gain is stated instead.
-        static: the response at z = 1 (s = 0 in continuous time), m x m; None where D is stated.
+        D: m x m; None if the static gain is stated instead.
+        static: the response at z = 1 (s = 0 in continuous time), m x m; None if D is stated.
     """
 
     A: Table
@@ -97,7 +96,7 @@ class SystemData(Realisation):
     """A state space from displacement (m) to force (N).
 
     Attributes:
-        method: how the continuous system is discretised; None for one that is discrete.
+        method: how the continuous system is discretised; None for a discrete system.
         delay: whole ticks by which its forces are late.
     """
 
@@ -122,7 +121,7 @@ class TransferData:
 
 @dataclass(frozen=True, eq=False)
 class DeclaredData:
-    """An environment of which nothing but its level is stated.
+    """An environment of which only the level is stated.
 
     Attributes:
         level: Phi_E as declared, m x m, N*s/m.
@@ -139,7 +138,7 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
     """The environment of a certificate with these ports.
 
     Raises:
-        ProofInputError: it is not of the format.
+        ProofInputError: the data are not of the format.
     """
     found = item.entries(16)
     if "type" not in found:
@@ -160,14 +159,14 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
     masses = parts["masses"].entries(MAX_LINKS)
     index: dict[str, int | None] = {name: i for i, name in enumerate([*ports, *masses])}
     if len(index) != len(ports) + len(masses) or GROUND in index:
-        raise parts["masses"].refusal(f"names that are none of the ports' and not {GROUND!r}")
+        raise parts["masses"].refusal(f"names that differ from those of the ports and from {GROUND!r}")
     index[GROUND] = None
     links = []
     for entry in parts["links"].items(MAX_LINKS):
         link = entry.fields(("between", "stiffness", "damping"))
         names = [end.text() for end in link["between"].items(2, exactly=2)]
         if names[0] == names[1] or not all(name in index for name in names):
-            raise link["between"].refusal("two different ones of the ports, the masses and the ground")
+            raise link["between"].refusal("two different names of ports, masses or the ground")
         links.append(LinkData((index[names[0]], index[names[1]]), link["stiffness"].span(), link["damping"].span()))
     return NetworkData(
         len(ports),
@@ -195,10 +194,10 @@ def _system(item: Item, m: int) -> SystemData:
 def realisation(
     item: Item, parts: dict[str, Item], n: int, m: int
 ) -> tuple[Table, Table, Table, Table | None, Table | None]:
-    """The entries of a :class:`Realisation` from the fields of ``item``, of which D or static is stated.
+    """The entries (A, B, C, D, static) of a :class:`Realisation` from the fields of ``item``; D or static is None.
 
     Raises:
-        ProofInputError: a matrix of another shape, both of D and static, or neither.
+        ProofInputError: a matrix has the wrong shape, or not exactly one of D and static is stated.
     """
     A, B, C = parts["A"].table(n, n), parts["B"].table(n, m), parts["C"].table(m, n)
     if ("D" in parts) == ("static" in parts):
@@ -229,7 +228,7 @@ def _rational(item: Item) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
 
 
 def _trimmed(coefficients: tuple[Number, ...]) -> tuple[Number, ...]:
-    """Without leading zeros; the zero polynomial keeps one."""
+    """The coefficients without leading zeros; the zero polynomial keeps one."""
     for i, c in enumerate(coefficients):
         if c:
             return coefficients[i:]
@@ -253,17 +252,17 @@ _KEYS: tuple[str, ...] = (
 )
 _KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
 _ASKED = "asked"
-_MOST_ASKED = 50_000  # values in it: a state's count for each of MAX_PORTS blocks, and room
+_MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
 _DEEPEST_ASKED = 8
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some ports under a name: a device or a block of V.
+    """A named group of ports: those of a device or of a block of V.
 
     Attributes:
-        name: its name.
-        ports: their indices, in its own order.
+        name: of the device or block.
+        ports: indices of its ports, in its own order.
     """
 
     name: str
@@ -307,7 +306,7 @@ class TransparencyClaim:
     """The claim that ||W1 E V W2|| (loop-shaping) or ||W1 (F - E) W2|| (closed-loop) is below gamma.
 
     Attributes:
-        objective: which of the two.
+        objective: "loop-shaping" or "closed-loop".
         W1, W2: the weights, one scalar filter for all ports.
         gamma: the level, N/m over m/N: dimensionless for loop shaping, N/m for the closed loop.
         P: the storage matrix of the bounded real lemma.
@@ -322,11 +321,11 @@ class TransparencyClaim:
 
 @dataclass(frozen=True, eq=False)
 class Claim:
-    """A certificate.
+    """The claim of a certificate.
 
     Attributes:
         data: the plain data, for the id.
-        version: of the format, which says how the id is computed.
+        version: of the format, which determines how the id is computed.
         id: the stated SHA-256.
         period: T, s.
         tau: greatest delay inside the tick, s.
@@ -336,11 +335,12 @@ class Claim:
         blocks: name and ports of each block of V.
         environment: the physical data of E.
         coupling: the blocks of V, in order.
-        kappa, share, c: the loop gain K = kappa T Delta_D^-1, and what is left of the device's level.
+        kappa, share, c: the loop gain K = kappa T Delta_D^-1, the part of the device's level that remains, and the
+            storage's weight that proves it.
         Delta_D, Delta_V: by block, N*s/m.
         Phi_E: m x m, N*s/m.
-        P_E: the storage matrix of Rest; None where the storage is the mechanical energy, or the level is declared.
-        transparency: None where no level is claimed.
+        P_E: the storage matrix of Rest; None if the storage is the mechanical energy, or the level is declared.
+        transparency: None if no level of transparency is claimed.
         margins: by name.
     """
 
@@ -367,10 +367,10 @@ class Claim:
 
 
 def read(data: Mapping[str, Any]) -> Claim:
-    """The claim that a certificate's plain data make.
+    """Read the claim from a certificate's plain data.
 
     Raises:
-        ProofInputError: a key is missing, unknown, or not of its type, shape or size.
+        ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
     fields = Item(data, "").fields(_KEYS, (_ASKED,))
     fields["format"].text(FORMAT)
@@ -387,7 +387,7 @@ def read(data: Mapping[str, Any]) -> Claim:
             raise item.refusal("a shorter text")
     ports = tuple(item.text() for item in fields["ports"].items(MAX_PORTS))
     if len(set(ports)) != len(ports) or not ports:
-        raise fields["ports"].refusal("one distinct name for each port, and a port at least")
+        raise fields["ports"].refusal("one distinct name for each port, and at least one port")
     index = {name: i for i, name in enumerate(ports)}
     devices, osp = [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
@@ -423,13 +423,13 @@ def read(data: Mapping[str, Any]) -> Claim:
 
 
 def _require_plain(item: Item) -> None:
-    """Refuse what is no object of plain data of bounded size. Nothing else is asked of it: it is no claim."""
+    """Refuse a value that is not an object of plain data of bounded size; as it claims nothing, no more is checked."""
     item.entries(_MOST_ASKED)
     count, level = 0, [item.value]
     for _ in range(_DEEPEST_ASKED):
         count += len(level)
         if count > _MOST_ASKED:
-            raise ProofInputError(f"{item.path}: found more than {_MOST_ASKED} values, expected at most so many")
+            raise ProofInputError(f"{item.path}: found more than {_MOST_ASKED} values, expected at most {_MOST_ASKED}")
         deeper: list[object] = []
         for value in level:
             here = Item(value, item.path)
@@ -454,7 +454,7 @@ def _indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
             raise entry.refusal("one of the certificate's ports")
         found.append(index[name])
     if not found:
-        raise item.refusal("a port at least")
+        raise item.refusal("at least one port")
     if len(set(found)) != len(found):
         raise item.refusal("every port once")
     return tuple(found)
@@ -480,7 +480,7 @@ def _input_level(item: Item, blocks: tuple[Part, ...], m: int) -> Sparse:
 
 
 def _storage(item: Item, word: str) -> Table | None:
-    """E_hat's storage matrix; None where the word that stands in its place is there, as it has to where none is."""
+    """E_hat's storage matrix; None if the file has ``word`` in its place, as it must without a matrix."""
     if isinstance(item.value, str) or word == "enforced":
         item.text(word)
         return None
@@ -537,7 +537,7 @@ def _filter(item: Item) -> Filter:
     parts = item.fields(("num", "den"))
     num, den = (tuple(entry.number() for entry in parts[name].items(MAX_DEGREE + 1)) for name in ("num", "den"))
     if not den or not den[0]:
-        raise parts["den"].refusal("coefficients, the first of them not zero")
+        raise parts["den"].refusal("coefficients of which the first is not zero")
     if not num or len(num) > len(den):
-        raise parts["num"].refusal("coefficients, no more of them than the denominator has")
+        raise parts["num"].refusal("at most as many coefficients as the denominator has")
     return Filter(num, den)

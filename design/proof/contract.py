@@ -1,21 +1,21 @@
 """The contract between the parties: the levels as matrices over all ports, condition (10), and the margins.
 
-With G_hat (share Delta_D)-OSP, V_hat Delta_V-OSP and E_hat (-Phi_E)-ISP, Theorem 3 of [Bianchini2010]_ asks for
+With G_hat (share Delta_D)-OSP, V_hat Delta_V-OSP and E_hat (-Phi_E)-ISP, Theorem 3 of [Bianchini2010]_ requires
 
     [ share Delta_D - Phi_E    -Phi_E         ]
     [ -Phi_E                   Delta_V - Phi_E ]  > 0.                                                       (10)
 
 **The loop is well posed** by the same promises. Suppose (I + D_E D_V) x = 0, y = D_V x, x = -D_E y. At infinite
-frequency the promises say x'p >= p' Delta_V p for p = (D_V - K) x/T, and T y' D_E y >= -y' Phi_E
-y. With q = K x/T, y = T (q + p), K = kappa T Delta_D^-1,
+frequency the promises give x'p >= p' Delta_V p for p = (D_V - K) x/T, and T y' D_E y >= -y' Phi_E y. With q = K x/T,
+y = T (q + p), K = kappa T Delta_D^-1,
 
     (q + p)' Phi_E (q + p) >= x'y/T = q' Delta_D q/kappa + x'p >= q' (share Delta_D) q + p' Delta_V p,
 
-as share <= 1/(2 kappa) by F_0 >= 0, which contradicts (10) unless q = p = 0, and then x = 0.
+because share <= 1/(2 kappa) by F_0 >= 0. This contradicts (10) unless q = p = 0, and then x = 0.
 
-A model whose level is enforced is asked ahead of the tick, and there is no D_E. What its controller exerts is the
-solution of f = f_m - alpha Z w(f), Z = T D_V^-1, which is one for every alpha >= 0 as D_V + D_V' > 0: the promises of
-V_hat say x'p >= 0 for p = (D_V - K) x/T, hence x' D_V x >= x' K x.
+A model with an enforced level is evaluated ahead of the tick, so that it has no D_E. Its controller exerts the force f
+that solves f = f_m - alpha Z w(f), Z = T D_V^-1. The solution is unique for every alpha >= 0 because D_V + D_V' > 0:
+the promises of V_hat give x'p >= 0 for p = (D_V - K) x/T, hence x' D_V x >= x' K x.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
 
-_ALLOWED = fmpq(1, 10**6)  # relative: by how much a stated margin may exceed what is proved
+_ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved margin by this
 
 
 def device_levels(claim: Claim) -> Sparse:
@@ -81,19 +81,21 @@ def times(claim: Claim) -> Finding:
 
 
 def device_findings(claim: Claim) -> list[Finding]:
-    """Delta_D is promised by the devices, each for itself where they are late, and positive."""
+    """The devices promise Delta_D, each device its own part if there is a delay; and Delta_D > 0."""
     m = len(claim.ports)
     level, promised = Delta_D(claim), device_levels(claim)
     verdict = exact.definite_by_groups(exact.difference(promised, level), m, strict=False)
     if claim.tau != 0:
         owner = {port: i for i, device in enumerate(claim.devices) for port in device.ports}
         if any(owner[i] != owner[j] for i, j in level):
-            verdict = Verdict(False, float("nan"), "with a delay, Delta_D may not join devices: each is late by itself")
+            verdict = Verdict(
+                False, float("nan"), "with a delay, Delta_D may not join devices: each has a delay of its own"
+            )
     return [verdict.finding("Delta_D <= the devices' levels"), _positive("Delta_D > 0", level, m, "Delta_D")]
 
 
 def gains(claim: Claim) -> Finding:
-    """Kappa > 0, share > 0, c >= 0."""
+    """The gain and share are admissible: kappa > 0, share > 0, c >= 0."""
     holds = claim.kappa > 0 and claim.share > 0 and claim.c >= 0
     return Finding("kappa > 0, share > 0, c >= 0", holds, float(holds) - 1.0, 0.0, argument="exactly")
 
@@ -104,32 +106,32 @@ def level_of_coupling(claim: Claim) -> Finding:
 
 
 def loop_condition(claim: Claim) -> Finding:
-    """(10)."""
+    """Condition (10), for all ports."""
     return _positive("condition (10)", condition_10(claim), 2 * len(claim.ports), "(10)")
 
 
 def well_posed(promises: list[Finding], enforced: bool = False) -> Finding:
-    """I + D_E D_V is regular, or the controller's force is unique, which follows when all ``promises`` hold."""
+    """I + D_E D_V is regular, or the controller's force is unique; both follow if all ``promises`` hold."""
     missing = [finding.condition for finding in promises if not finding.holds]
     argument = "follows from the promises at infinite frequency and (10)"
     if missing:
-        argument = f"not proved, as is: {missing[0]}"
+        argument = f"not proved, because this condition is not: {missing[0]}"
     what = "the controller has one force" if enforced else "I + D_E D_V is regular"
     return Finding(f"the loop is well posed: {what}", not missing, 0.0, 0.0, argument=argument)
 
 
 def _positive(condition: str, matrix: Sparse, size: int, key: str) -> Finding:
-    """``matrix`` > 0, with its least eigenvalue in N*s/m for the reader."""
+    """The finding ``matrix`` > 0, with its least eigenvalue in N*s/m for the reader."""
     verdict = exact.definite_by_groups(matrix, size, name="rows")
     least = exact.least_eigenvalue(matrix, size)
     return Finding(condition, verdict.holds, least, 0.0, key, verdict.argument)
 
 
 def margin_findings(claim: Claim) -> list[Finding]:
-    """Every stated margin is no larger than the true one, but for 1e-6 of it.
+    """Every stated margin is at most the true margin, up to a relative 1e-6.
 
-    "(10)", "Delta_D" and "Delta_V" are least eigenvalues, N*s/m; "J" is that of Delta_D/(2 kappa) - (T/2) K over the
-    spring-damper blocks: what is left below the limit of their stiffness.
+    "(10)", "Delta_D" and "Delta_V" are least eigenvalues, N*s/m. "J" is the least eigenvalue of
+    Delta_D/(2 kappa) - (T/2) K over the spring-damper blocks: their distance to the limit of their stiffness.
     """
     m = len(claim.ports)
     out = []

@@ -1,39 +1,38 @@
-"""A linear block V = (A, B, C, D): V_hat is Delta_V-OSP, with its differentiator divided out.
+"""A block of the coupling: V_hat is Delta_V-OSP, by a storage matrix or by a closed form.
 
-V_hat = (z-1)/(Tz) (V - K), y = (v - v- - K phi)/T with v = V f and phi = f - f- (- marks the tick before), has the
-state (zeta, f-) with zeta = (xi - xi-)/T. Its storage [zeta; f-]' Pi [zeta; f-] must, for every constant force, be
-what the supply f'y has brought, which forces
+**A linear block** V = (A, B, C, D), with the differentiator of V_hat divided out. V_hat = (z-1)/(Tz) (V - K),
+y = (v - v- - K phi)/T with v = V f and phi = f - f- (- marks the tick before), has the state (zeta, f-) with
+zeta = (xi - xi-)/T. For every constant force, its storage [zeta; f-]' Pi [zeta; f-] must equal the energy that the
+supply f'y has brought. This forces
 
     Pi = [ P  P12 ; P12'  P22 ],    P12 = (A - I)^-T C'/2,    P22 = (V(1) - K)/(2T),
     V(1) = D + C (I - A)^-1 B = V(1)',
 
-and with next = (A zeta + B phi/T, phi), y = C zeta + (D - K) phi/T leaves, free of f-, the quadratic form in (zeta,
-phi)
+With next = (A zeta + B phi/T, phi) and y = C zeta + (D - K) phi/T, a quadratic form in (zeta, phi) without f- remains,
 
     M_V = next' Pi next - zeta' P zeta - phi' y + y' Delta_V y <= 0,      Pi > 0.
 
 This is Lemma 1 of [Bianchini2010]_ for the realisation (12) on the complement of its neutral directions. M_V < 0 and
 P > 0 give A' P A - P < 0: V is stable.
 
-V(1) is computed, and its symmetry decided, in rationals, also where the rest is done in balls
+V(1) and its symmetry are always decided in rationals, even if the rest is done in balls
 (:mod:`manyhands.design.proof.statics`).
 
-A block of the spring-damper class: V_hat is Delta_V-OSP, by a closed form with proof.
-
-Let Lambda = Delta_D/(2 kappa), so that the loop gain is K = (T/2) Lambda^-1, and J = Lambda - (T/2) K_s for the
-stiffness K_s and damping B of V = (K_s + B (z-1)/(Tz))^-1. If K_s > 0, J > 0, J - B >= 0 and
+**A block of the spring-damper class.** Let Lambda = Delta_D/(2 kappa), so that the loop gain is K = (T/2) Lambda^-1,
+and J = Lambda - (T/2) K_s for the stiffness K_s and damping B of V = (K_s + B (z-1)/(Tz))^-1. If K_s > 0, J > 0,
+J - B >= 0 and
 
     Delta_V <= Delta_V* = Lambda J^-1 (J + B) J^-1 Lambda - Lambda,    Delta_V > 0,
 
-then V is stable and V_hat is Delta_V-OSP. For with d the deflection, u = (d - d-)/T, g = u - u- (- marks the tick
-before), f the force and y = u - K (f - f-)/T, one has f - f- = 2 (Lambda - J) u + B g, y = Lambda^-1 (J u - B g/2),
+then V is stable and V_hat is Delta_V-OSP. To see this, let d be the deflection, u = (d - d-)/T, g = u - u- (- marks the
+tick before), f the force and y = u - K (f - f-)/T. Then f - f- = 2 (Lambda - J) u + B g, y = Lambda^-1 (J u - B g/2),
 and multiplied out
 
     f'y - y' Delta_V* y = S - S- + (1/4) g' B J^-1 (J - B) J^-1 B g,   S = (d'K_s d - f'K f)/(2T) + (1/2) u' B J^-1 B u.
 
-S >= 0, as blockdiag((Lambda - J)^-1, 2 J^-1) >= [I I]' Lambda^-1 [I I], for (Lambda - J) + J/2 <= Lambda. And
-Delta_V* > 0 is J + B > J Lambda^-1 J, that is B + (T/2) K_s > (T/2)^2 K_s Lambda^-1 K_s >= 0, so that every pole of
-V, an eigenvalue of the pencil (B, T K_s + B), is between -1 and 1.
+S >= 0 because blockdiag((Lambda - J)^-1, 2 J^-1) >= [I I]' Lambda^-1 [I I], which follows from
+(Lambda - J) + J/2 <= Lambda. Delta_V* > 0 means J + B > J Lambda^-1 J, that is B + (T/2) K_s > (T/2)^2 K_s Lambda^-1
+K_s >= 0. So every pole of V, an eigenvalue of the pencil (B, T K_s + B), is between -1 and 1.
 """
 
 from __future__ import annotations
@@ -53,7 +52,8 @@ _EXACT_BITS = 300  # numbers of unusual length go to balls, which carry a fixed 
 def spring_damper(V: SpringDamper, Delta_D: Table, Delta_V: Table, kappa: fmpq, T: fmpq) -> Verdict:
     """Whether V_hat of the block is Delta_V-OSP, given Delta_V > 0, kappa > 0, T > 0.
 
-    Exactly in rationals, where equality is as good as any; large blocks in balls, which need room.
+    Small blocks are decided exactly in rationals, where equality is allowed. Large blocks are decided in balls, which
+    need room in the inequalities.
     """
     K_s, B, D, level = V.stiffness, V.damping, Delta_D, Delta_V
     if exactly_quick(K_s, B, D, level):
@@ -76,7 +76,7 @@ def exactly_quick(*tables: Table) -> bool:
 
 
 def loop_stiffness_limit(V: SpringDamper, Delta_D: Table, kappa: fmpq, T: fmpq) -> fmpq_mat:
-    """J = Lambda - (T/2) K_s, N*s/m: what the loop leaves of its stiffness limit."""
+    """J = Lambda - (T/2) K_s, N*s/m: the distance of the stiffness to the loop's limit."""
     return Delta_D.rational() / (2 * kappa) - V.stiffness.rational() * (T / 2)
 
 
@@ -118,7 +118,7 @@ def linear(V: Linear, Delta_D: Table, Delta_V: Table, kappa: fmpq, T: fmpq) -> V
             found = _linear_conditions(fmpq_mat, A, B, C, D, V_1, P, D_D, D_V, kappa, T)
         except ZeroDivisionError:
             return Verdict(False, float("nan"), "Delta_D is singular")
-        # without states there is nothing that might be unstable, and <= is enough
+        # a block without states cannot be unstable, so <= is enough
         strict = {name: n > 0 or name != _DISSIPATION for name in found}
         return weakest({name: rational.definite(M, strict[name]) for name, M in found.items()})
 

@@ -1,16 +1,17 @@
 """The device behind a delay inside the tick: the form F_t >= 0, exactly, for every t between 0 and tau/T.
 
-The force of tick k reaches the device tau_k late, t = tau_k/T, so that the device moves by alpha under the old force
-and by beta under the new one, and dissipates Delta_D (alpha^2/tau_k + beta^2/(T - tau_k)) [Miller2004]_. With T =
-Delta_D = 1, sigma = alpha + beta, g and g- the last two steps of the force, and the best split of sigma, one tick
+The force of tick k reaches the device tau_k late, t = tau_k/T. The device moves by alpha under the old force and by
+beta under the new force, and dissipates Delta_D (alpha^2/tau_k + beta^2/(T - tau_k)) [Miller2004]_. With
+T = Delta_D = 1, sigma = alpha + beta, g and g- the last two steps of the force, and the best split of sigma, one tick
 leaves
 
     F_t = sigma^2 + t sigma g- - t(1-t)/4 g-^2 + g sigma + (kappa/2 - c) g^2 + c g-^2 - share (sigma + kappa g)^2.
 
 F_t >= 0 for every t that occurs, with one c >= 0, makes G_hat with K = kappa T Delta_D^-1 (share Delta_D)-OSP: the
-storage is the device's own, f^T K f/2 and c g^T (T Delta_D^-1) g. In t, F_t is linear but for + t^2 g-^2/4, convex:
-above its tangent at any point. On a piece of [0, tau/T] with middle mu, t^2 is replaced by 2 mu t - mu^2, which makes
-the form linear in t, so that it is nonnegative on the piece when it is at both ends. A piece that fails is halved.
+storage is the device's own, f^T K f/2 and c g^T (T Delta_D^-1) g. F_t is linear in t except for + t^2 g-^2/4, which is
+convex and lies above its tangent at any point. On a piece of [0, tau/T] with middle mu, t^2 is replaced by
+2 mu t - mu^2. This makes the form linear in t, so that it is nonnegative on the piece if it is at both ends. A piece
+that fails is halved.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def device_form(kappa: fmpq, share: fmpq, c: fmpq, tau_hat: fmpq) -> Finding:
 
     Args:
         kappa: the loop gain, K = kappa T Delta_D^-1.
-        share: of Delta_D, that G_hat keeps.
+        share: part of Delta_D that G_hat keeps.
         c: weight of the force's last step in the storage.
         tau_hat: tau/T, 0 ... 1.
     """
@@ -78,7 +79,7 @@ def _form(kappa: fmpq, share: fmpq, c: fmpq, t: fmpq, square: fmpq) -> fmpq_mat:
 
 
 def _semidefinite(M: fmpq_mat) -> bool:
-    """Every principal minor >= 0."""
+    """Whether M >= 0, by every principal minor."""
     n = M.nrows()
     for size in range(1, n + 1):
         for rows in combinations(range(n), size):

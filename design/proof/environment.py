@@ -1,31 +1,29 @@
 """The environment's promise: E_hat is (-Phi_E)-ISP, by the network's energy or by a storage matrix.
 
-Or by neither: what is declared and enforced at run time is no more than found to be what the certificate counts on.
+The level of a declared environment is not proved here. A controller enforces it at run time, and the proof only
+compares it with the level that the certificate relies on.
 
-Networks of masses, springs and dampers: their energy as a proof, and Rest from their physics.
-
-With the incidence of the links, ports u and masses q, K and B in R^((m+n) x (m+n)) symmetric and M diagonal, backward
-Euler makes the mechanical energy U (divided by T) a storage function of E_hat, for w = (u - u-)/T, v = (q - q-)/T:
+**By energy.** Let a network of masses, springs and dampers have ports u and masses q. With the incidence of the links,
+K and B in R^((m+n) x (m+n)) are symmetric, and M is diagonal. Backward Euler makes the mechanical energy U (divided by
+T) a storage function of E_hat, for w = (u - u-)/T, v = (q - q-)/T:
 
     f'w = (U - U-)/T + [w; v]' (B + T K/2) [w; v] + (v - v-)' M (v - v-)/(2T),
 
 so that E_hat is (-Phi_E)-ISP when (B + TK/2) + blockdiag(Phi_E, 0) >= 0. The left side grows with every stiffness and
-damping and does not depend on the masses: proved at the lower ends it holds for every network between.
+damping and does not depend on the masses: a proof at the lower ends holds for every network between the ends.
 
-The transformed environment E_hat = Tz/(z-1) E with its integrators split off, in balls.
+**By a storage matrix.** The integrators of E_hat = Tz/(z-1) E are split off, in balls. With E1 = E(1), the static
+stiffness, and E = (A, B, C, D) stable,
 
-With E1 = E(1), the static stiffness, and E = (A, B, C, D) stable,
+    E_hat = T/(z-1) E1 + Rest,        Rest = (A, -T A (I - A)^-1 B, C, T D).
 
-    E_hat = T/(z-1) E1 + Rest,        Rest = (A, -T A (I - A)^-1 B, C, T D),
-
-T/(z-1) E1 with E1 = E1' >= 0 is lossless but for -T/2 E1, so that E_hat is (-Phi_E)-ISP when, for Rest = (A, B, C, D),
+T/(z-1) E1 with E1 = E1' >= 0 is lossless except for -T/2 E1. So E_hat is (-Phi_E)-ISP if, for Rest = (A, B, C, D),
 
     M_E = [ A'PA - P   A'PB - C'/2                                ]
           [ .          B'PB - (D + D')/2 - Phi_E + (T/2) E1       ]  < 0,     P > 0,     E1 >= 0.
 
-A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)].
-
-Whether E1 is symmetric and >= 0 is decided apart, exactly (:mod:`manyhands.design.proof.statics`).
+A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)]. Whether E1 is symmetric
+and >= 0 is decided exactly, in rationals (:mod:`manyhands.design.proof.statics`).
 """
 
 from __future__ import annotations
@@ -36,7 +34,6 @@ import numpy as np
 from flint import arb_mat, fmpq
 
 from manyhands.design.proof import exact, rational, statics
-from manyhands.design.proof import exact as sparse
 from manyhands.design.proof.claim import (
     DeclaredData,
     DynamicsData,
@@ -85,7 +82,7 @@ def delayed(rest: Split, ticks: int, T: fmpq) -> Split:
     if ticks == 0:
         return rest
     n, m, d = rest.A.nrows(), rest.D.nrows(), ticks
-    chain = n + m * (d - 1)  # where w_{k-d} stands
+    chain = n + m * (d - 1)  # index of w_{k-d}
     A, B = arb_mat(n + m * d, n + m * d), arb_mat(n + m * d, m)
     rational.place(A, rest.A, 0, 0)
     rational.place(A, rest.B, 0, chain)
@@ -107,7 +104,7 @@ def dissipation(rest: Split, P: arb_mat, Phi_E: arb_mat, T: fmpq) -> arb_mat:
 
 
 def environment(rest: Split, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat, arb_mat]:
-    """E itself from its split, with the state (eta, u-): eta of Rest, u- the displacement of the tick before.
+    """E from its split, with the state (eta, u-): eta is the state of Rest, u- the displacement of the tick before.
 
     eta+ = A eta + B (u - u-)/T,    u-+ = u,    f = E1 u- + C eta + D (u - u-)/T.
     """
@@ -121,8 +118,8 @@ def environment(rest: Split, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat, arb_ma
     )
 
 
-_STEPS = 4_000  # of conjugate gradients, each a few products with the matrix's entries
-_MOST_DENSE = 700  # rows of B + TK/2 for which balls are tried where no structure helps
+_STEPS = 4_000  # of conjugate gradients; each costs a few products with the matrix's entries
+_MOST_DENSE = 700  # rows of B + TK/2 up to which balls are tried, if no structure helps
 
 
 def laplacian(links: tuple[LinkData, ...], weights: list[fmpq]) -> Sparse:
@@ -133,10 +130,10 @@ def laplacian(links: tuple[LinkData, ...], weights: list[fmpq]) -> Sparse:
         if weight == 0:
             continue
         for end in ends:
-            sparse.add_entry(out, end, end, weight)
+            exact.add_entry(out, end, end, weight)
         if len(ends) == 2:
-            sparse.add_entry(out, ends[0], ends[1], -weight)
-            sparse.add_entry(out, ends[1], ends[0], -weight)
+            exact.add_entry(out, ends[0], ends[1], -weight)
+            exact.add_entry(out, ends[1], ends[0], -weight)
     return out
 
 
@@ -152,18 +149,18 @@ def physical(network: NetworkData) -> Verdict:
 def energy(network: NetworkData, Phi_E: Sparse, T: fmpq) -> Verdict:
     """Whether (B + TK/2) + blockdiag(Phi_E, 0) >= 0 at the lower ends.
 
-    Group by group of what the links and Phi_E join: where Phi_E >= 0 every link's own term is enough; small groups are
-    tested exactly; large ones by weighted diagonal dominance, or in balls.
+    The test goes through the groups of ports and masses that the links and Phi_E join. Where Phi_E >= 0, every link's
+    own term is enough. Small groups are tested exactly, large groups by weighted diagonal dominance, or in balls.
     """
     size = network.ports + len(network.masses)
     weights = [exact_decimal(link.damping[0]) + exact_decimal(link.stiffness[0]) * T / 2 for link in network.links]
     own = laplacian(network.links, weights)
     total = dict(own)
     for (i, j), value in Phi_E.items():
-        sparse.add_entry(total, i, j, value)
+        exact.add_entry(total, i, j, value)
     negative = _negative(Phi_E, network.ports)
     parts: dict[str, Verdict] = {}
-    for group in sparse.groups(size, [own, Phi_E]):
+    for group in exact.groups(size, [own, Phi_E]):
         if negative.isdisjoint(group):
             parts["links"] = Verdict(True, 0.0, "link by link, where Phi_E >= 0")
         else:
@@ -172,29 +169,29 @@ def energy(network: NetworkData, Phi_E: Sparse, T: fmpq) -> Verdict:
 
 
 def _negative(Phi_E: Sparse, ports: int) -> set[int]:
-    """The ports where Phi_E is not proved >= 0."""
+    """Indices of the ports where Phi_E is not proved >= 0."""
     out: set[int] = set()
-    for group in sparse.groups(ports, [Phi_E]):
+    for group in exact.groups(ports, [Phi_E]):
         entry = Phi_E.get((group[0], group[0]), fmpq(0))
-        if entry < 0 or (len(group) > 1 and not sparse.definite(sparse.dense(Phi_E, group), strict=False).holds):
+        if entry < 0 or (len(group) > 1 and not exact.definite(exact.dense(Phi_E, group), strict=False).holds):
             out.update(group)
     return out
 
 
 def _group(total: Sparse, group: list[int]) -> Verdict:
-    if len(group) <= sparse.MOST_EXACT:
-        return sparse.definite(sparse.dense(total, group), strict=False)
+    if len(group) <= exact.MOST_EXACT:
+        return exact.definite(exact.dense(total, group), strict=False)
     verdict = dominant(total, group)
     if not verdict.holds and len(group) <= _MOST_DENSE:
-        return rational.decided(len(group), lambda: rational.definite_in_balls(arb_mat(sparse.dense(total, group))))
+        return rational.decided(len(group), lambda: rational.definite_in_balls(arb_mat(exact.dense(total, group))))
     return verdict
 
 
 def dominant(matrix: Sparse, group: list[int]) -> Verdict:
     """Whether the matrix on ``group`` is >= 0 because, with some weights x > 0, N_ii x_i >= sum over j of |N_ij| x_j.
 
-    The weights come from conjugate gradients in floats on N with its other entries made negative, and nothing rests on
-    them: the inequalities are checked exactly, one for each row.
+    The weights come from conjugate gradients in floats, on N with its off-diagonal entries made negative. The proof
+    does not rely on how they were found: the inequalities are checked exactly, one for each row.
     """
     position = {i: k for k, i in enumerate(group)}
     entries = [(position[i], position[j], value) for (i, j), value in matrix.items() if i in position]
@@ -211,7 +208,7 @@ def dominant(matrix: Sparse, group: list[int]) -> Verdict:
     values = np.array([abs(rational.rounded(value)) * (1.0 if i == j else -1.0) for i, j, value in entries])
     values /= root[rows] * root[columns]
     x = np.zeros(n)
-    residual = np.ones(n)  # of the right-hand side 1: what is below it in every entry is enough
+    residual = np.ones(n)  # of the right-hand side 1: weights with every entry of the residual below 1 are enough
     direction, square = residual.copy(), float(n)
     for _ in range(_STEPS):
         product = np.bincount(rows, values * direction[columns], minlength=n)
@@ -236,11 +233,11 @@ def dominant(matrix: Sparse, group: list[int]) -> Verdict:
 
 
 def moved(network: NetworkData) -> list[int]:
-    """The masses that a chain of links joins to a port: the others influence no port, and Rest does not have them.
+    """Indices of the masses that a chain of links joins to a port; the others influence no port and are not in Rest.
 
-    A link whose stiffness and damping are zero at both ends of their intervals joins nothing. Neither does the ground:
-    it stands still. K and B then have no entry between the masses that are left out and anything else, and E is the
-    same without them, exactly.
+    A link whose stiffness and damping are zero at both ends of their intervals joins nothing. The ground joins nothing
+    either, because it stands still. K and B then have no entry between an omitted mass and any other node, and E is
+    exactly the same without the omitted masses.
     """
     m = network.ports
     joined: Sparse = {}
@@ -248,15 +245,16 @@ def moved(network: NetworkData) -> list[int]:
         a, b = link.ends
         if a is not None and b is not None and any((*link.stiffness, *link.damping)):
             joined[a, b] = fmpq(1)
-    groups = sparse.groups(m + len(network.masses), [joined])
+    groups = exact.groups(m + len(network.masses), [joined])
     return sorted(i - m for group in groups if group[0] < m for i in group if i >= m)
 
 
 def carriers(network: NetworkData) -> list[int]:
-    """The masses whose deflections Rest has as states: of :func:`moved`, all but one of each group no spring holds.
+    """Indices of the masses whose deflections are states of Rest.
 
-    K_II of these is regular and of the rank of K_qq: a group of masses joined by springs, none of which
-    leads to a port or the ground, moves freely, and has one deflection less than masses.
+    These are the masses of :func:`moved`, without one mass of each group that no spring holds. Their K_II is regular
+    and has the rank of K_qq. A group moves freely if springs join its masses and none leads to a port or to the ground;
+    it has one deflection less than masses.
     """
     m, n = network.ports, len(network.masses)
     springs = {
@@ -269,7 +267,7 @@ def carriers(network: NetworkData) -> list[int]:
     }
     held = {end for ends in springs for end in ends if any(other is None or other < m for other in ends)}
     out: set[int] = set()
-    for group in sparse.groups(n, [inner]):
+    for group in exact.groups(n, [inner]):
         out.update(group if any(m + i in held for i in group) else group[:-1])
     return sorted(out.intersection(moved(network)))
 
@@ -282,15 +280,15 @@ def network_order(network: NetworkData) -> int:
 def network_split(network: NetworkData, T: fmpq) -> Split:
     """E_hat = T/(z-1) E1 + Rest, in balls, for the network in the middle of its intervals.
 
-    Of the n masses q that :func:`moved` names, with I = :func:`carriers` and R = K_II^-1 K_I:, the states are e in R^r,
-    deflections of the masses in I from static equilibrium (m), and v in R^n, the velocities (m/s):
+    Let q be the n masses of :func:`moved`, I those of :func:`carriers`, and R = K_II^-1 K_I:. The states are e in R^r,
+    the deflections of the masses in I from static equilibrium (m), and v in R^n, the velocities (m/s):
 
         (M/T + B_qq + T K_qq) v+ = M v/T - K_qI e - (B_qu + T K_qu) w
         e+ = e + T (R v+ + K_II^-1 K_Iu w)
         f  = [E1 x-] + K_uI e + (B_uq + T K_uq) v+ + (B_uu + T K_uu) w,     E1 = K_uu - K_uI K_II^-1 K_Iu.
 
     Raises:
-        ZeroDivisionError: a matrix is singular, which a physical network's are not.
+        ZeroDivisionError: a matrix is singular, which does not happen for a physical network.
     """
     m, of_masses = network.ports, moved(network)
     ports, masses, I = list(range(m)), [m + i for i in of_masses], [m + i for i in carriers(network)]
@@ -351,12 +349,12 @@ def order(data: DynamicsData, m: int) -> int:
 
 
 def split(data: DynamicsData, T: fmpq) -> Split:
-    """E_hat split, with its delay; a network in the middle of its intervals.
+    """E_hat without its integrators and with its delay; of a network, in the middle of its intervals.
 
     Raises:
         ZeroDivisionError: a matrix is not proved regular.
         NotDiscretised: the discrete environment does not exist.
-        Undecided: it has no static stiffness.
+        Undecided: the environment has no static stiffness.
     """
     match data:
         case NetworkData():
@@ -369,7 +367,7 @@ def split(data: DynamicsData, T: fmpq) -> Split:
 
 
 def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
-    """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy where P is None."""
+    """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy if P is None."""
     if isinstance(data, DeclaredData):
         return [_declared(data, Phi_E, m)]
     out = []
@@ -396,7 +394,7 @@ def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: f
 
 
 def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
-    """What is enforced at run time is at least as strict as the level that (10) is proved with."""
+    """The level that is enforced at run time is at least as strict as the level with which (10) is proved."""
     declared: Sparse = {}
     exact.add(declared, range(m), data.level)
     verdict = exact.definite_by_groups(exact.difference(Phi_E, declared), m, strict=False)

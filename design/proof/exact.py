@@ -1,13 +1,11 @@
-"""Reading plain JSON data: one value and the path of its key, so that every refusal names its place.
+"""Exact numbers from plain JSON data, and sparse symmetric matrices of them.
 
-A number is the decimal that is written: 0.1 is one tenth, and not the binary float next to it. For what a file says
-is what its author can read and compare, and what json writes of a float is the shortest decimal that leads back to it.
-Sizes are bounded before anything is built from them.
+Each value is read together with the path of its key, so that every refusal names its place. A number is the decimal in
+the file: 0.1 is one tenth, and not the binary float next to it. The decimal is what an author can read and compare, and
+json writes a float as the shortest decimal that leads back to it. Sizes are bounded before anything is built from them.
 
-Symmetric rational matrices of which most entries are zero, and the groups of indices that they join.
-
-A matrix that joins no index of one group with one of another is definite exactly when its part on every group is:
-this is what makes a thousand ports a thousand small proofs.
+A symmetric matrix that joins no index of one group with an index of a different group is definite exactly when its part
+on every group is definite. So a thousand ports become a thousand small proofs.
 """
 
 from __future__ import annotations
@@ -23,19 +21,19 @@ from manyhands.design.proof import rational
 from manyhands.design.proof.finding import ProofInputError, Verdict, weakest
 
 Number = int | float
-"""A number of the file: the decimal that json writes of it, exactly."""
+"""A number of the file; it stands for the decimal that json writes for it, exactly."""
 
 MAX_PORTS = 10_000
 MAX_LINKS = 100_000
 MAX_DENSE = 1_200  # rows of a dense matrix: a product of two takes about 5 s in balls
-MAX_STATIC = 512  # states of a system whose static gain is solved for in rationals: about a minute
+MAX_STATIC = 512  # states up to which a static gain is computed in rationals, in about a minute
 MAX_DEGREE = 32  # of a transfer function or a weight
-_MAX_BITS = 1023  # of a whole number: what a float can hold
+_MAX_BITS = 1023  # of a whole number: greater ones do not fit into a float
 _MAX_TEXT = 1_000
 
 
 def exact_decimal(number: Number) -> fmpq:
-    """The decimal that ``number`` is written as."""
+    """The exact value of the shortest decimal of ``number``."""
     return fmpq(*_ratio(number))
 
 
@@ -48,7 +46,7 @@ class Table:
     """A matrix of the file.
 
     Attributes:
-        rows: its number of rows, which JSON loses where there are no columns, and the other way round.
+        rows: its number of rows; stored, because JSON has no shape for a matrix without rows or columns.
         columns: its number of columns.
         values: the entries, row by row.
     """
@@ -62,28 +60,28 @@ class Table:
         return fmpq_mat(self.rows, self.columns, [exact_decimal(value) for row in self.values for value in row])
 
     def balls(self) -> arb_mat:
-        """Balls around the matrix, at the precision in force."""
+        """Balls around the matrix, at the present precision."""
         return arb_mat(self.rational())
 
     def witness(self) -> arb_mat:
-        """The matrix's floats, as balls of radius zero: for storage matrices, of which any will do.
+        """The matrix's floats, as balls of radius zero; only for storage matrices.
 
-        A storage matrix makes no claim: a proof says that there is one. So it may be read in the quickest way.
+        A proof only needs that some storage matrix exists. So these floats serve as well as the decimals, and faster.
         """
         return arb_mat(self.rows, self.columns, [value for row in self.values for value in row])
 
     def bits(self) -> int:
-        """The longest numerator or denominator, in bits: what exact arithmetic has to carry."""
+        """The longest numerator or denominator, in bits; it determines the cost of exact arithmetic."""
         pairs = (_ratio(value) for row in self.values for value in row)
         return max((max(abs(p).bit_length(), q.bit_length()) for p, q in pairs), default=0)
 
 
 @dataclass(frozen=True)
 class Item:
-    """A value of the data and where it stands.
+    """A value of the data and its place.
 
     Attributes:
-        value: what json.load gives.
+        value: as json.load returns it.
         path: its keys, joined by dots.
     """
 
@@ -91,7 +89,7 @@ class Item:
     path: str
 
     def refusal(self, expected: str) -> ProofInputError:
-        """The error that says what was found here and what would be right."""
+        """The error that names this place, what was found and what would be right."""
         return ProofInputError(f"{self.path or 'certificate'}: found {_shown(self.value)}, expected {expected}")
 
     def fields(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Item]:
@@ -107,7 +105,7 @@ class Item:
         return found
 
     def entries(self, most: int) -> dict[str, Item]:
-        """The values of an object with names of somebody's choice, at most ``most`` of them."""
+        """The values of an object with free names, at most ``most`` of them."""
         if not isinstance(self.value, Mapping):
             raise self.refusal("an object")
         if len(self.value) > most:
@@ -132,7 +130,7 @@ class Item:
         return [Item(value, f"{self.path}[{i}]") for i, value in enumerate(self.value)]
 
     def text(self, *allowed: str) -> str:
-        """A text of bounded length, one of ``allowed`` where there are any."""
+        """A text of bounded length; one of ``allowed`` if any are given."""
         if not isinstance(self.value, str) or len(self.value) > _MAX_TEXT or (allowed and self.value not in allowed):
             raise self.refusal(f"one of {list(allowed)}" if allowed else f"a text of at most {_MAX_TEXT} characters")
         return self.value
@@ -141,7 +139,7 @@ class Item:
         """A finite number."""
         if not _is_number(self.value):
             raise self.refusal("a finite number")
-        assert isinstance(self.value, int | float)  # noqa: S101  # for the type checker: _is_number has said so
+        assert isinstance(self.value, int | float)  # noqa: S101  # for the type checker: _is_number has checked it
         return self.value
 
     def whole(self, low: int, high: int) -> int:
@@ -161,7 +159,7 @@ class Item:
         return low, high
 
     def table(self, rows: int, columns: int) -> Table:
-        """A matrix of this shape; one without rows or columns may be written [] or as empty rows."""
+        """A matrix of this shape; a matrix without rows or columns may be written as [] or as empty rows."""
         if not isinstance(self.value, list | tuple):
             raise self.refusal("a list of rows")
         lines = list(self.value)
@@ -182,7 +180,7 @@ class Item:
         return Table(rows, columns, values)
 
     def symmetric(self, size: int) -> Table:
-        """A symmetric matrix of this size, to the last bit: a level or a stiffness is nothing else."""
+        """A symmetric matrix of this size, to the last bit, as every level and stiffness is."""
         table = self.table(size, size)
         for i, row in enumerate(table.values):
             for j in range(i):
@@ -207,7 +205,7 @@ def _is_number(value: object) -> bool:
 
 
 def _shown(value: object) -> str:
-    """A short text for a message, whatever the value's size is."""
+    """A short text for a message, independent of the value's size."""
     if isinstance(value, Mapping):
         return f"an object of {len(value)} keys"
     if isinstance(value, list | tuple):
@@ -226,7 +224,7 @@ _MOST_BITS = 2_000  # of an entry: numbers of unusual length go to balls, which 
 
 
 def add(into: Sparse, indices: Sequence[int], table: Table) -> None:
-    """Add a matrix on some of the indices."""
+    """Add the entries of ``table`` at these indices."""
     for i, row in zip(indices, table.values, strict=True):
         for j, value in zip(indices, row, strict=True):
             if value:
@@ -242,7 +240,7 @@ def block_diagonal(blocks: Sequence[Sequence[int]], tables: Sequence[Table]) -> 
 
 
 def add_entry(into: Sparse, i: int, j: int, value: fmpq) -> None:
-    """Add to one entry, and forget it where it becomes zero."""
+    """Add to one entry, and remove it if it becomes zero."""
     total = into.get((i, j), fmpq(0)) + value
     if total == 0:
         into.pop((i, j), None)
@@ -251,7 +249,7 @@ def add_entry(into: Sparse, i: int, j: int, value: fmpq) -> None:
 
 
 def difference(left: Sparse, right: Sparse) -> Sparse:
-    """Left - right."""
+    """The matrix left - right."""
     out = dict(left)
     for (i, j), value in right.items():
         add_entry(out, i, j, -value)
@@ -284,7 +282,7 @@ def dense(matrix: Sparse, indices: Sequence[int]) -> fmpq_mat:
 
 
 def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
-    """Whether M > 0, or M >= 0: exactly where that is quick, in balls (which prove M > 0 alone) where it is not."""
+    """Whether M > 0, or M >= 0: exactly if that is quick, otherwise in balls, which can only prove M > 0."""
     n = M.nrows()
     if n <= MOST_EXACT and (n <= 2 or _bits(M) <= _MOST_BITS):
         return rational.definite(M, strict)
@@ -296,7 +294,7 @@ def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
 def definite_by_groups(matrix: Sparse, size: int, strict: bool = True, name: str = "ports") -> Verdict:
     """Whether the matrix on indices 0 ... size-1 is definite, group by group.
 
-    Where semidefinite is enough, only indices with entries are looked at.
+    If semidefinite is enough, indices without entries are skipped.
     """
     parts: dict[str, Verdict] = {}
     for group in groups(size, [matrix]):
@@ -307,7 +305,7 @@ def definite_by_groups(matrix: Sparse, size: int, strict: bool = True, name: str
 
 
 def least_eigenvalue(matrix: Sparse, size: int) -> float:
-    """The least eigenvalue in floats, for the reader; nan where a group is too large to be looked at."""
+    """The least eigenvalue in floats, for the reader; nan if a group is too large for it."""
     least = float("inf")
     for group in groups(size, [matrix]):
         if len(group) == 1:

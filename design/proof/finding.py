@@ -1,4 +1,4 @@
-"""What a proof says: findings, the verdicts that they are made of, and the one error."""
+"""The results of a proof: findings, the verdicts that they consist of, and the proof's one error."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from dataclasses import dataclass
 
 
 class ProofInputError(ValueError):
-    """The data are no certificate: a key is missing, or is not of the type, shape or size that it must be."""
+    """The data are no certificate: a key is missing, or its value has the wrong type, shape or size."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One condition and how it came out.
+    """One condition and the result of its proof.
 
     Attributes:
-        condition: what was to be proved, with its number in the paper where it has one.
-        holds: whether it is proved. False says no more than that it is not.
-        value: the figure to read: in general an approximate least eigenvalue, that of a matrix scaled to a diagonal
-            of 1 where no unit is named. The proof does not rest on it.
-        bound: what ``value`` had to exceed.
-        key: its name among the certificate's margins; empty when it is not a margin.
-        argument: by which reasoning it holds, or why it is not proved.
-        enforced: whether it holds because a controller keeps it at run time; then nothing is proved about it here.
+        condition: the condition, with its number in the paper if it has one.
+        holds: whether it is proved. False only means that it is not proved; it may be true nevertheless.
+        value: a figure for the reader, in general an approximate least eigenvalue; without a unit, that of the matrix
+            scaled to a diagonal of 1. The proof does not rely on it.
+        bound: the number that ``value`` had to exceed.
+        key: its name among the certificate's margins; empty if it is not a margin.
+        argument: why it holds, or why it is not proved.
+        enforced: whether it holds because a controller enforces it at run time; then nothing is proved about it here.
     """
 
     condition: str
@@ -38,9 +38,9 @@ class Verdict:
     """Whether matrices are proved definite.
 
     Attributes:
-        holds: whether they are.
-        least: approximate least eigenvalue, for the reader; never below zero when ``holds``.
-        argument: the arithmetic, or what failed.
+        holds: whether they are proved definite.
+        least: approximate least eigenvalue, for the reader; never below zero if ``holds``.
+        argument: the arithmetic, or the reason of the failure.
     """
 
     holds: bool
@@ -49,7 +49,7 @@ class Verdict:
 
     @classmethod
     def of(cls, holds: bool, least: float, argument: str) -> Verdict:
-        """A verdict whose figure does not contradict it by rounding."""
+        """A verdict whose figure is rounded so that it does not contradict ``holds``."""
         return cls(holds, max(least, 0.0) if holds else least, argument)
 
     def finding(self, condition: str, because: str = "") -> Finding:
@@ -59,10 +59,10 @@ class Verdict:
 
 
 def weakest(parts: dict[str, Verdict]) -> Verdict:
-    """All of ``parts`` by name: the first that fails, or the one nearest to failing.
+    """The verdict on all of ``parts``: the first that fails, or else the part nearest to failing.
 
     Args:
-        parts: at least one.
+        parts: verdicts by name, at least one.
     """
     for name, part in parts.items():
         if not part.holds:

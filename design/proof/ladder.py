@@ -1,23 +1,24 @@
-"""What a ladder of certificates claims beyond each of them: that its rungs may be mixed, block by block.
+"""The claim of a ladder beyond its certificates: its rungs may be mixed, block by block.
 
 The rungs are certificates of one loop, each for a longer delay inside the tick and with a coupling and levels of its
-own. Let Phi_E be a level of E_hat that one of them proves. Whatever rung r(i) each block i of V is at, Theorem 3 of
-[Bianchini2010]_ asks for (10) with the levels of the mixture,
+own. Let Phi_E be a level of E_hat that one of them proves, and let each block i of V be at any rung r(i). Theorem 3 of
+[Bianchini2010]_ requires (10) with the levels of the mixture,
 
     [ D - Phi_E    -Phi_E    ]
     [ -Phi_E       V - Phi_E ]  > 0,    D = blockdiag(share_r(i) Delta_D,i),   V = blockdiag(Delta_V,i of rung r(i)).
 
-A rung proves its own Delta_D <= the devices' levels as a whole, and where two blocks share a device, a block of one
-rung's Delta_D beside a block of another's may exceed what the device promises. So mixtures are proved for rungs that
-state one and the same Delta_D, as every ladder that is designed does.
+A rung proves Delta_D <= the devices' levels for its own Delta_D as a whole. If two blocks share a device, blocks of
+Delta_D from two different rungs may together exceed the device's promise. So mixtures are proved only for rungs that
+state the same Delta_D, as every designed ladder does.
 
-There are as many mixtures as rungs to the power of the blocks, and two arguments that spare them. Where Phi_E joins no
-two blocks, (10) is, in another order of its rows, one condition for each block, and a block's condition at its rung is
-a part of (10) of that rung taken whole: as many proofs as rungs are enough. Where Phi_E <= 0, (10) is
-blockdiag(D, V) > 0 plus [I; I] (-Phi_E) [I I] >= 0, whatever the mixture.
+The number of mixtures is the number of rungs to the power of the number of blocks. Two arguments avoid testing each.
+If Phi_E joins no two blocks, (10) with its rows reordered is one condition for each block. A block's condition at its
+rung is a part of the whole (10) of that rung, so that one proof for each rung is enough. If Phi_E <= 0, (10) is
+blockdiag(D, V) > 0 plus [I; I] (-Phi_E) [I I] >= 0 for every mixture.
 
-A device whose ports two blocks share may have a gain kappa for each of them: Delta_D joins no two blocks, so that its
-dissipation, and with it the form F_t of :mod:`manyhands.design.proof.device`, is one for each block.
+If two blocks share the ports of a device, the device may have a different gain kappa for each of them. Delta_D joins no
+two blocks, so that the device's dissipation, and with it the form F_t of :mod:`manyhands.design.proof.device`, is
+separate for each block.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _PASSIVE = "Phi_E <= 0, so that (10) is positive for all levels that are"
 
 @dataclass(frozen=True)
 class LadderProof:
-    """What is proved of a ladder, given that each of its certificates is.
+    """The findings about a ladder, given that each of its certificates is proved.
 
     Attributes:
         one_loop: the rungs are certificates of one loop, and their delays grow.
@@ -56,15 +57,15 @@ class LadderProof:
 
 
 def prove_ladder(rungs: Sequence[Mapping[str, Any]], common: int) -> LadderProof:
-    """Prove what the rungs claim in common; each of them is proved by :func:`manyhands.design.proof.prove`.
+    """Prove the common claim of the rungs; :func:`manyhands.design.proof.prove` proves each rung by itself.
 
     Args:
         rungs: the plain data of the certificates, the shortest delay first.
-        common: which of them has the Phi_E that is to serve all, with the storage that proves it.
+        common: index of the rung whose Phi_E, with the storage that proves it, is to serve all rungs.
 
     Raises:
-        ProofInputError: the data of a rung are no certificate of this version; names the key.
-        ValueError: there are no rungs, or ``common`` is none of them.
+        ProofInputError: the data of a rung are no certificate of this version; the message names the key.
+        ValueError: there are no rungs, or ``common`` is not the index of a rung.
     """
     if not 0 <= common < len(rungs):
         raise ValueError(f"found rung {common} of {len(rungs)}; expected one of them, counted from 0")
@@ -87,12 +88,12 @@ _INDEPENDENT = "condition (10) in every mixture of rungs, with the common Phi_E"
 
 
 def _one_loop(claims: Sequence[Claim]) -> Finding:
-    """The physical data of all rungs are the same, numbers and all, and tau grows."""
+    """The physical data of all rungs are equal to the last number, and tau grows."""
     condition = "the rungs are certificates of one loop, for growing delays"
     first = claims[0]
     for number, claim in enumerate(claims[1:], 1):
         different = [key for key in _SHARED if claim.data[key] != first.data[key]]
-        if different or claim.blocks != first.blocks:  # a mapping's order is that of the blocks
+        if different or claim.blocks != first.blocks:  # equal mappings may differ in the order of the blocks
             argument = f"rung {number}: {different[0] if different else 'the order of structure'} is not rung 0's"
             return Finding(condition, False, float("nan"), 0.0, argument=argument)
     steps = [after.tau - before.tau for before, after in pairwise(claims)]
@@ -111,13 +112,13 @@ def _at_every_rung(claims: Sequence[Claim], Phi_E: Sparse) -> Verdict:
 
 
 def _in_every_mixture(claims: Sequence[Claim], claim: Claim, Phi_E: Sparse, together: Verdict) -> Verdict:
-    """From (10) at every rung to every mixture, by the structure of Phi_E or by its sign; Delta_D must be one."""
+    """From (10) at every rung to every mixture, by the structure or the sign of Phi_E; all rungs need one Delta_D."""
     if not together.holds:
         return together
     promised = contract.Delta_D(claims[0])
     for number, other in enumerate(claims[1:], 1):
         if contract.Delta_D(other) != promised:
-            text = f"rung {number} states another Delta_D than rung 0: a mixture could exceed what the devices promise"
+            text = f"rung {number} states a different Delta_D from rung 0: a mixture could exceed the devices' promises"
             return Verdict(False, float("nan"), text)
     block_of = {port: number for number, block in enumerate(claim.blocks) for port in block.ports}
     if all(block_of[i] == block_of[j] for i, j in Phi_E):

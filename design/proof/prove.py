@@ -1,4 +1,4 @@
-"""Proving a certificate: every condition of Theorem 3 [Bianchini2010]_, from its plain data."""
+"""The proof of a certificate: every condition of Theorem 3 [Bianchini2010]_, from its plain data."""
 
 from __future__ import annotations
 
@@ -21,45 +21,45 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
 
     Args:
         data: the certificate's plain data, as json.load gives them.
-        progress: is told what is being proved.
+        progress: called with the name of each part of the proof.
 
     Returns:
-        Every finding; the certificate is proved when all of them hold, but for what is said to be enforced at run
-        time. What follows from a condition that does not hold is left out, so that the first one that fails is the
-        reason. Of what was asked nothing is claimed, and nothing found.
+        Every finding. The certificate is proved if all of them hold; a finding marked ``enforced`` is kept at run time
+        instead. Consequences of a failed condition are left out, so that the first finding that fails is the reason.
+        The key ``asked`` claims nothing and has no finding.
 
     Raises:
-        ProofInputError: the data are no certificate of a known version; names the key.
+        ProofInputError: the data are no certificate of a known version; the message names the key.
     """
-    tell = progress if progress is not None else _silent
-    tell("reading the certificate")
+    report = progress if progress is not None else _silent
+    report("reading the certificate")
     claim = read(data)
     findings = [_identity(claim), contract.one_party_each(claim), contract.times(claim)]
     if not all(finding.holds for finding in findings[1:]):
         return tuple(findings)
-    tell("the devices' levels")
+    report("the devices' levels")
     promises = [*contract.device_findings(claim), contract.gains(claim)]
     if not all(finding.holds for finding in promises):
         return (*findings, *promises)
     promises.append(device_form(claim.kappa, claim.share, claim.c, claim.tau / claim.period))
     promises.append(contract.level_of_coupling(claim))
-    tell("the coupling's blocks")
+    report("the coupling's blocks")
     promises += [_block(claim, i) for i in range(len(claim.blocks))] if promises[-1].holds else []
-    tell("the environment")
+    report("the environment")
     promises += environment.findings(claim.environment, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
-    tell("condition (10)")
+    report("condition (10)")
     promises.append(contract.loop_condition(claim))
     enforced = any(finding.enforced for finding in promises)
     findings += [*promises, contract.well_posed(promises, enforced)]
     if claim.transparency is not None:
-        tell("transparency")
+        report("transparency")
         findings.append(transparency.finding(claim, claim.transparency))
-    tell("the margins")
+    report("the margins")
     return (*findings, *contract.margin_findings(claim))
 
 
 def _silent(text: str) -> None:
-    """No progress is shown."""
+    """Show no progress."""
 
 
 def _identity(claim: Claim) -> Finding:

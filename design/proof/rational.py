@@ -1,18 +1,17 @@
-"""Definiteness of symmetric rational matrices, exactly.
+"""Definiteness of symmetric matrices: exactly in rationals, or in ball arithmetic.
 
-A symmetric matrix has real eigenvalues, so that by Descartes' rule of signs it is positive definite exactly when the
-coefficients of
+**In rationals.** A symmetric matrix has real eigenvalues, so that by Descartes' rule of signs it is positive definite
+exactly when the coefficients of
 
     det(x I - M) = x^n - e_1 x^(n-1) + e_2 x^(n-2) - ...
 
 alternate strictly, all e_k > 0, and semidefinite exactly when all e_k >= 0. The coefficients are whole numbers once
-the denominators are cleared, and no pivot is ever chosen: singular matrices are as good as any.
+the denominators are cleared. No pivot is chosen, so that singular matrices need no special case.
 
-Definiteness of symmetric matrices in ball arithmetic, by an approximate factor on which nothing rests.
-
-For any X, if ||X^T M X - I|| < 1 in the greatest row sum, then X^T M X > 0, so that X is regular and M > 0. X comes
-from numpy's Cholesky factor of M's midpoint; where M is too close to singular for floats, the factor of a slightly
-shifted matrix is taken as a first step, and X^T M X, which is better conditioned, is factored again.
+**In balls.** For any X, if ||X^T M X - I|| < 1 in the greatest row sum, then X^T M X > 0, so that X is regular and
+M > 0. X comes from numpy's Cholesky factor of M's midpoint, and the proof does not rely on how X was found. If M is too
+close to singular for floats, a slightly shifted matrix is factored first, and then X^T M X, which is better
+conditioned.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _ARGUMENT = "exactly, in rationals"
 
 
 def scaled(M: fmpq_mat) -> fmpq_mat:
-    """D M D with a diagonal D of powers of two that brings the diagonal near 1: definite as M is, and shorter."""
+    """D M D for a diagonal D of powers of two that brings the diagonal near 1: as definite as M, in shorter numbers."""
     n = M.nrows()
     powers = [_half_log2(M[i, i]) for i in range(n)]
     two = fmpq(2)
@@ -46,11 +45,11 @@ def _half_log2(value: fmpq) -> int:
 
 
 def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
-    """Whether the symmetric M is positive definite, or semidefinite where not ``strict``."""
+    """Whether the symmetric M is positive definite; without ``strict``, whether it is semidefinite."""
     n = M.nrows()
     if n == 0:
         return Verdict(True, 1.0, _ARGUMENT)
-    if n == 1:  # a thousand ports are a thousand of these
+    if n == 1:  # worth a shortcut: a thousand ports are a thousand of these
         entry = M[0, 0]
         holds = entry > 0 or (not strict and entry == 0)
         return Verdict(holds, float((entry > 0) - (entry < 0)), _ARGUMENT)
@@ -59,7 +58,7 @@ def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
     N = scaled(M)
     numerators, _ = N.numer_denom()
     coefficients = numerators.charpoly()
-    # x^n first: the sign of the coefficient of x^(n-k) must be (-1)^k
+    # starting with x^n, the sign of the coefficient of x^(n-k) must be (-1)^k
     signed = [coefficients[n - k] * (-1) ** k for k in range(1, n + 1)]
     holds = all(e > 0 for e in signed) if strict else all(e >= 0 for e in signed)
     return Verdict.of(holds, least_eigenvalue(N), _ARGUMENT)
@@ -71,7 +70,7 @@ def least_eigenvalue(M: fmpq_mat) -> float:
 
 
 def float_least(rows: list[list[float]]) -> float:
-    """The least eigenvalue of a symmetric matrix of floats, for the reader; nan where there is none."""
+    """The least eigenvalue of a symmetric matrix of floats, for the reader; nan if it cannot be computed."""
     matrix = np.array(rows, dtype=np.float64)
     if not np.all(np.isfinite(matrix)):
         return float("nan")
@@ -83,34 +82,34 @@ def float_least(rows: list[list[float]]) -> float:
 
 
 def rounded(value: fmpq) -> float:
-    """A float near ``value``; infinite where it is out of range."""
+    """A float near ``value``; infinite if ``value`` is out of range."""
     try:
         return int(value.p) / int(value.q)
     except OverflowError:
         return float("inf") if value > 0 else float("-inf")
 
 
-PRECISIONS = (128, 384)  # bits: the second for what the first cannot decide, where it is still quick
+PRECISIONS = (128, 384)  # bits; the second is tried if the first does not decide and the matrix is small
 _QUICK = 200  # rows
-_STEPS = 5  # factors of factors; each gains about 13 digits of condition
+_STEPS = 5  # repeated factorisations; each gains about 13 digits of condition
 _EPSILON = float(np.finfo(np.float64).eps)
 
 Kind = TypeVar("Kind", fmpq_mat, arb_mat)
-"""Matrices of rationals or of balls: the proofs' formulas are written once for both."""
+"""Matrices of rationals or of balls, so that the proofs' formulas are written once for both."""
 
 
 def decided(order: int, test: Callable[[], Verdict]) -> Verdict:
-    """What ``test`` finds at the first precision that proves it; a zero divisor fails it.
+    """The verdict of ``test`` at the first precision that proves it; a division by zero is a failure.
 
     Args:
         order: rows of the largest matrix.
-        test: builds the matrices and judges them.
+        test: builds the matrices at the present precision and returns the verdict on them.
     """
     return all_decided(order, lambda: {"": test()}).popitem()[1]
 
 
 def all_decided(order: int, test: Callable[[], dict[str, Verdict]]) -> dict[str, Verdict]:
-    """The same for several verdicts by name; a zero divisor leaves one alone, under an empty name."""
+    """Like :func:`decided`, for several verdicts by name; a division by zero leaves one, under an empty name."""
     found: dict[str, Verdict] = {}
     for precision in PRECISIONS[: 2 if order <= _QUICK else 1]:
         with ctx.workprec(precision):
@@ -197,7 +196,7 @@ def place(into: Kind, part: Kind, row: int, column: int) -> None:
 
 
 def columns_cut(M: arb_mat, at: int) -> tuple[arb_mat, arb_mat]:
-    """The columns before ``at`` and those from there on."""
+    """The columns before ``at``, and the columns from ``at`` on."""
     rows = M.tolist()
     n, width = M.nrows(), M.ncols()
     left = arb_mat(n, at, [entry for row in rows for entry in row[:at]])
@@ -218,7 +217,7 @@ def greatest(M: arb_mat) -> arb:
 
 
 def _power_of_two(value: arb) -> arb:
-    """About value^(-1/2), a power of two: exact, so that scaling by it rounds nothing."""
+    """About value^(-1/2), as a power of two, so that scaling by it is exact."""
     mantissa, exponent = value.mid().man_exp()
     return arb(2) ** (-((abs(int(mantissa)).bit_length() + int(exponent)) // 2))
 
@@ -228,7 +227,7 @@ def _sign(value: arb) -> float:
 
 
 def _midpoint(M: arb_mat) -> NDArray[np.float64] | None:
-    """The midpoint as floats, symmetric; None where it is not finite."""
+    """The midpoint as floats, symmetric; None if it is not finite."""
     n = M.nrows()
     out = np.array([float(entry) for entry in M.entries()], dtype=np.float64).reshape(n, n)
     if not np.all(np.isfinite(out)):
@@ -237,7 +236,7 @@ def _midpoint(M: arb_mat) -> NDArray[np.float64] | None:
 
 
 def _inverse_factor(M: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """About L^-T, for M + shift I = L L^T with the least shift, of rounding's size, that lets M be factored."""
+    """About L^-T, for M + shift I = L L^T with the least shift, of the size of rounding, that allows the factor."""
     n = M.shape[0]
     unit = n * _EPSILON * float(np.max(np.abs(M)))
     with np.errstate(all="ignore"):

@@ -1,30 +1,28 @@
-"""Statics, exactly: what a system answers to a constant input, and whether an energy can stand behind it.
+"""Static gains, exactly: the response to a constant input, and whether it can come from an energy.
 
-E_hat and V_hat have an integrator for each port. What it integrates is the static gain, E(1) or V(1), and an integrator
-is passive only where its gain is symmetric and >= 0. Both are statements about equality: a skew part or a negative
-eigenvalue of any size makes the loop grow for some hand. So they are decided in rationals, from the decimals of the
-file, and no allowance is made for rounding:
+E_hat and V_hat have an integrator for each port. It integrates the static gain, E(1) or V(1), and is passive only if
+the gain is symmetric and >= 0. A skew part or a negative eigenvalue, however small, makes the loop unstable for some
+hand. So both conditions are decided in rationals, from the decimals of the file, without any tolerance:
 
 - network: E(1) is a Schur complement of the stiffness matrix, symmetric and >= 0 by the links' signs alone;
 - rational function of s: num(0)/den(0), entry by entry;
 - continuous state space: D - C A^-1 B, which backward Euler, Tustin and a zero-order hold all keep;
 - discrete state space: D + C (I - A)^-1 B.
 
-A state space may state its static gain instead of D, which is then what the gain leaves: so it can be symmetric
-where D would have to be a number without end.
+A state space may state its static gain instead of D, and D follows from it. So the gain can be exactly symmetric even
+if D has no finite decimals.
 """
 
 from __future__ import annotations
 
 from flint import arb_mat, fmpq_mat
 
-from manyhands.design.proof import exact as sparse
-from manyhands.design.proof import rational
+from manyhands.design.proof import exact, rational
 from manyhands.design.proof.claim import SystemData, TransferData
 from manyhands.design.proof.exact import MAX_STATIC, Sparse, Table, exact_decimal
 from manyhands.design.proof.finding import Verdict
 
-_MOST_BITS = 2_000  # of an entry: longer ones are first tried in balls, which carry a fixed number of bits
+_MOST_BITS = 2_000  # of an entry: longer ones are tried in balls first, which have a fixed number of bits
 
 
 class Undecided(ValueError):
@@ -35,13 +33,13 @@ def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | Non
     """The static gain of a state space that states D or the gain itself.
 
     Raises:
-        Undecided: there is none, as there is a pole at z = 1 or s = 0; or there are too many states.
+        Undecided: the system has no static gain, because of a pole at z = 1 or s = 0; or it has too many states.
     """
     return _stated(D) + _carried(A, B, C, discrete) if static is None else static.rational()
 
 
 def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
-    """D of a state space that states D or the static gain, which D then is a part of.
+    """D of a state space that states D or the static gain; from the gain, the states' part is subtracted.
 
     Raises:
         Undecided: as for :func:`of_system`.
@@ -55,7 +53,7 @@ def _stated(table: Table | None) -> fmpq_mat:
 
 
 def _carried(A: Table, B: Table, C: Table, discrete: bool) -> fmpq_mat:
-    """What the states carry of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system."""
+    """The states' part of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system."""
     n = A.rows
     if n == 0:
         return fmpq_mat(C.rows, B.columns)
@@ -74,7 +72,7 @@ def of_environment(data: SystemData | TransferData) -> fmpq_mat:
     """E(1), N/m, of an environment given by matrices or by rational functions.
 
     Raises:
-        Undecided: it has a pole at z = 1, or too many states.
+        Undecided: the environment has a pole at z = 1 or s = 0, or too many states.
     """
     if isinstance(data, SystemData):
         return of_system(data.A, data.B, data.C, data.D, data.static, data.method is None)
@@ -89,7 +87,7 @@ def of_environment(data: SystemData | TransferData) -> fmpq_mat:
 
 
 def asymmetry(M: fmpq_mat) -> str:
-    """The first pair of entries that differ, in words; empty where M is symmetric."""
+    """The first pair of entries that differ, in words; empty if M is symmetric."""
     for i in range(M.nrows()):
         for j in range(i):
             if M[i, j] != M[j, i]:
@@ -106,8 +104,8 @@ def semidefinite(M: fmpq_mat) -> Verdict:
     m = M.nrows()
     entries: Sparse = {(i, j): M[i, j] for i in range(m) for j in range(m) if M[i, j] != 0}
     least, argument = float("inf"), "exactly: the matrix is zero"
-    for group in sparse.groups(m, [entries]):
-        part = sparse.dense(entries, group)
+    for group in exact.groups(m, [entries]):
+        part = exact.dense(entries, group)
         if len(group) == 1 and part[0, 0] == 0:
             continue
         verdict = _definite(part)
@@ -121,8 +119,8 @@ def semidefinite(M: fmpq_mat) -> Verdict:
 
 def _definite(M: fmpq_mat) -> Verdict:
     long = M.nrows() > 2 and max(int(entry.height_bits()) for entry in M.entries()) > _MOST_BITS
-    if long or M.nrows() > sparse.MOST_EXACT:
+    if long or M.nrows() > exact.MOST_EXACT:
         verdict = rational.decided(M.nrows(), lambda: rational.definite_in_balls(arb_mat(M)))
-        if verdict.holds or M.nrows() > sparse.MOST_EXACT:
+        if verdict.holds or M.nrows() > exact.MOST_EXACT:
             return verdict
     return rational.definite(M, strict=False)

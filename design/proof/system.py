@@ -6,10 +6,10 @@ A continuous (A, B, C, D) becomes
 - by Tustin, with R = (I - T A/2)^-1, (R (I + T A/2), T R B, C R, D + (T/2) C R B);
 - by zero-order hold, (the blocks of exp(T [A B; 0 0]), C, D).
 
-A rational function of s becomes one of z, exactly, by s = (z-1)/(Tz) or s = 2 (z-1)/(T (z+1)); each entry, row by
-row, has the controllable companion form of its degree n, the larger one of numerator and denominator, cancelled or
-not: ones above the diagonal of A, -(a_n, ..., a_1) in its last row, B the last unit vector, C = (b_n - a_n b_0, ...,
-b_1 - a_1 b_0), D = b_0.
+A rational function of s becomes a rational function of z, exactly, by s = (z-1)/(Tz) or s = 2 (z-1)/(T (z+1)). Row by
+row, each entry has the controllable companion form of its degree n, the larger degree of numerator and denominator,
+whether common factors cancel or not: ones above the diagonal of A, -(a_n, ..., a_1) in its last row, B the last unit
+vector, C = (b_n - a_n b_0, ..., b_1 - a_1 b_0), D = b_0.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from manyhands.design.proof.rational import assembled, columns_cut, greatest, id
 from manyhands.design.proof.statics import feedthrough
 
 _SWEEPS = 4
-_MOST_GROWTH = 10_000  # of the norm of T A under a zero-order hold: its exponential has to fit
+_MOST_GROWTH = 10_000  # of the norm of T A under a zero-order hold: its exponential has to be representable
 
 Realisation = tuple[arb_mat, arb_mat, arb_mat, arb_mat]
 
 
 class NotDiscretised(ValueError):
-    """The discrete environment does not exist, or not within bounds."""
+    """The discrete environment does not exist, or its numbers are out of bounds."""
 
 
 def discrete(system: SystemData, T: fmpq) -> Realisation:
@@ -38,7 +38,7 @@ def discrete(system: SystemData, T: fmpq) -> Realisation:
     Raises:
         ZeroDivisionError: the method's matrix is not proved regular.
         NotDiscretised: the zero-order hold's exponential is out of bounds.
-        Undecided: the static gain is stated instead of D, and there is none.
+        Undecided: the static gain is stated instead of D, but the system has a pole at z = 1 or s = 0.
     """
     A, B, C = (table.balls() for table in (system.A, system.B, system.C))
     D = arb_mat(feedthrough(system.A, system.B, system.C, system.D, system.static, system.method is None))
@@ -58,10 +58,10 @@ def discrete(system: SystemData, T: fmpq) -> Realisation:
 
 
 def _exponential(M: arb_mat) -> arb_mat:
-    """exp(M), by way of X^-1 M X with a diagonal X of powers of two, exact, that lessens its norm.
+    """exp(M), computed for X^-1 M X; X is a diagonal of powers of two, hence exact, that reduces the norm.
 
     Raises:
-        NotDiscretised: the norm is out of bounds still.
+        NotDiscretised: the reduced norm is out of bounds.
     """
     n = M.nrows()
     powers = [arb(2) ** power for power in _balance([[float(entry) for entry in row] for row in M.tolist()])]
@@ -78,7 +78,7 @@ def _exponential(M: arb_mat) -> arb_mat:
 
 
 def _balance(rows: list[list[float]]) -> list[int]:
-    """Exponents p of 2 that make the rows and columns of M_ij 2^(p_j - p_i) alike (Osborne), zeros left alone."""
+    """Exponents p of 2 for which the rows and columns of M_ij 2^(p_j - p_i) have similar norms (Osborne)."""
     M = np.abs(np.array(rows))
     n = len(M)
     np.fill_diagonal(M, 0.0)
@@ -98,7 +98,7 @@ def _balance(rows: list[list[float]]) -> list[int]:
 
 
 def _rows(M: arb_mat, count: int) -> arb_mat:
-    """The first rows."""
+    """The first ``count`` rows of M."""
     return arb_mat(count, M.ncols(), [entry for row in M.tolist()[:count] for entry in row])
 
 

@@ -1,17 +1,17 @@
 """The transparency level: ||W1 E V W2|| < gamma, or ||W1 (F - E) W2|| < gamma with F = (I + E V)^-1 E.
 
-By the discrete bounded real lemma: for a realisation (A, B, C, D) with P > 0 and
+The proof uses the discrete bounded real lemma. For a realisation (A, B, C, D) with P > 0 and
 
     [A B]' P [A B] - blockdiag(P, gamma^2 I) + [C D]' [C D] < 0,
 
-A is stable and the H-infinity norm of C (zI - A)^-1 B + D is below gamma. P belongs to one realisation, which is put
-together from these four, m inputs and m outputs each:
+A is stable and the H-infinity norm of C (zI - A)^-1 B + D is below gamma. P belongs to one realisation. It consists of
+these four systems, with m inputs and m outputs each:
 
 - W_i: companion form, copies for the ports by kron with I_m. For den = z^n + a_1 z^(n-1) + ... + a_n (divided by its
   first coefficient): A = kron(A_w, I_m) with (-a_1, ..., -a_n) in the first row of A_w and ones below its diagonal, B
   = kron(e_1, I_m), C = kron((b_1 - a_1 b_0, ..., b_n - a_n b_0), I_m), D = b_0 I_m.
 - V: its blocks, states stacked in the order of "structure", inputs and outputs at their ports. A spring-damper block
-  has C_V = (T K + B)^-1, A_V = B C_V, B_V = T A_V, D_V = T C_V, one state a port.
+  has C_V = (T K + B)^-1, A_V = B C_V, B_V = T A_V, D_V = T C_V, one state per port.
 - E: from E1 and Rest = (A_r, B_r, C_r, D_r), for every kind of environment, delayed ones too (Rest with its chain),
   and a network in the middle of its intervals; state (eta, u-), u- the displacement of the tick before:
 
@@ -23,8 +23,9 @@ two systems in series, S_2 after S_1, the realisation is
 
     S_2 S_1 = ( [ A_1  0 ; B_2 C_1  A_2 ],  [ B_1 ; B_2 D_1 ],  [ D_2 C_1  C_2 ],  D_2 D_1 ).
 
-**Closed loop**, states (x_2, x_a, x_V, x_b, x_1) of W2, a first copy of E, V, a second copy of E, W1, as F - E = (I +
-E V)^-1 E - E = -E V (I + E V)^-1 E: p = W2 r, a = E_a p; the loop s = a - E_b V s with N = (I + D_E D_V)^-1 is
+**Closed loop**, states (x_2, x_a, x_V, x_b, x_1) of W2, a first copy of E, V, a second copy of E, W1, because
+F - E = (I + E V)^-1 E - E = -E V (I + E V)^-1 E: p = W2 r, a = E_a p; the loop s = a - E_b V s with
+N = (I + D_E D_V)^-1 is
 
     s    = N (a - C_E x_b - D_E C_V x_V),
     x_V+ = A_V x_V + B_V s,     x_b+ = A_E x_b + B_E (C_V x_V + D_V s),     output s - a,
@@ -106,7 +107,7 @@ def order(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> int:
 
 
 def weighted(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> Realisation:
-    """The module's realisation, in balls.
+    """The realisation of the module's head, in balls.
 
     Raises:
         ZeroDivisionError: a matrix is not proved regular.
@@ -122,7 +123,7 @@ def weighted(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> Rea
 
 
 def series(*systems: Realisation) -> Realisation:
-    """The systems one after the other, the first at the input; states in this order."""
+    """The series connection, the first system at the input; states in this order."""
     out = systems[0]
     for following in systems[1:]:
         (A_1, B_1, C_1, D_1), (A_2, B_2, C_2, D_2) = out, following
@@ -136,7 +137,7 @@ def series(*systems: Realisation) -> Realisation:
 
 
 def loop(V: Realisation, E: Realisation) -> Realisation:
-    """L, from a to s - a with s = a - E V s; states (x_V, x_b)."""
+    """The system L, from a to s - a with s = a - E V s; states (x_V, x_b)."""
     (A_V, B_V, C_V, D_V), (A_E, B_E, C_E, D_E) = V, E
     m = D_E.nrows()
     N = (identity(arb_mat, m) + D_E * D_V).inv()
@@ -147,7 +148,7 @@ def loop(V: Realisation, E: Realisation) -> Realisation:
 
 
 def coupling(claim: Claim) -> Realisation:
-    """V, with its blocks at their ports."""
+    """The whole V, with its blocks at their ports."""
     m = len(claim.ports)
     parts = [_block(V, claim.period) for V in claim.coupling]
     order = sum(A.nrows() for A, _, _, _ in parts)

@@ -1,5 +1,5 @@
-"""Couplings that a user feels least: the weighted norm that is minimised, over families of couplings.
+"""Transparent couplings, which a user feels least: a weighted norm is minimised over families of couplings.
 
-Read ``design`` first (what is asked and answered), then ``families`` (the couplings), ``minimax`` (the program for
-fixed poles), and ``free_poles`` with ``pole_search`` (poles that move).
+Read ``design`` first (the problems and their answers), then ``families`` (the sets of couplings) and ``minimax`` (the
+minimisation); ``free_poles`` and ``pole_search`` then let the poles move.
 """

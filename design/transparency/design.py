@@ -1,12 +1,12 @@
 """Transparent couplings: the H-infinity problems (23), (24) of [Bianchini2010]_ over certified couplings.
 
-Every coupling that is returned satisfies the conditions of Theorem 3 with a little room; the level gamma is the
-H-infinity norm of the weighted loop, computed from the coupling itself, not the program's own bound.
+Every returned coupling satisfies the conditions of Theorem 3 with a little room. The level gamma is the H-infinity norm
+of the weighted loop. It is computed from the coupling itself and is not the program's own bound.
 
-Spring-damper couplings: sequential convex programs over the exact conditions of the class. Linear couplings: over fixed
-poles loop shaping is one convex program, whose optimum is global; the closed loop is not convex, and is taken down by
-sequential convex programs from the loop-shaping optimum. The search for the poles is
-:mod:`manyhands.design.transparency.pole_search`.
+Spring-damper couplings are found by sequential convex programs over the exact conditions of the class. For linear
+couplings over fixed poles, loop shaping is one convex program with a global optimum. The closed loop is not convex;
+sequential convex programs lower it from the loop-shaping optimum. :mod:`manyhands.design.transparency.pole_search`
+searches the poles.
 """
 
 from __future__ import annotations
@@ -45,10 +45,9 @@ __all__ = [
 Progress = Callable[[str], None]
 StaticAim = Literal["feasible", "stiffest"]
 
-ROOM = (
-    1e-6  # least eigenvalue of a linear block's conditions where Delta_D = I: ten digits above rounding, 3e-5 of gamma
-)
-FEASIBLE_COMPLIANCE = 4.0  # "feasible": v(1) up to this times the loop's K, a quarter of the greatest stiffness
+# least eigenvalue of a linear block's conditions, where Delta_D = I: ten digits above rounding, and 3e-5 of gamma
+ROOM = 1e-6
+FEASIBLE_COMPLIANCE = 4.0  # "feasible" allows v(1) up to this times K: a quarter of the greatest stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +58,8 @@ class SpringDamperDesign:
         coupling: K and B with the structure of the partition.
         gamma: H-infinity norm of the weighted loop.
         frequency: where it is reached, rad/s.
-        history: gamma after each step that lowered it, first the stiffest coupling's.
-        interrupted: whether Ctrl-C ended the search; the coupling is certified nevertheless.
+        history: gamma of the stiffest coupling, then gamma after each step that lowered it.
+        interrupted: whether Ctrl-C ended the search; the coupling satisfies the conditions nevertheless.
     """
 
     coupling: SpringDamper
@@ -72,17 +71,18 @@ class SpringDamperDesign:
 
 @dataclass(frozen=True, eq=False)
 class LinearDesign:
-    """A linear coupling, what proves its levels, and its level of transparency.
+    """A linear coupling, the storage matrices that prove its levels, and its level of transparency.
 
     Attributes:
         blocks: realisation of each block, order n_i m_i, with symmetric C_j and D
-        (:mod:`manyhands.design.transparency.families`). storages: P of each block, for (zeta, phi) with zeta = (xi -
-        xi_)/T: V_hat,i is (least level)-OSP. gamma: H-infinity norm of the weighted loop; None where nothing was to be
-        minimised. frequency: where it is reached, rad/s; None with gamma.
+            (:mod:`manyhands.design.transparency.families`).
+        storages: P of each block, for (zeta, phi) with zeta = (xi - xi_)/T: V_hat,i is (least level)-OSP.
+        gamma: H-infinity norm of the weighted loop; None if the search did not minimise it.
+        frequency: where gamma is reached, rad/s; None with gamma.
         bound: no coupling over the same poles, with the same room, is below this (loop shaping); else 0.
-        poles: of each block, in the z plane, each for every port of the block.
+        poles: of each block, in the z plane; every port of the block has each of them.
         history: gamma after each step that lowered it.
-        interrupted: whether Ctrl-C ended the search; the coupling is certified nevertheless.
+        interrupted: whether Ctrl-C ended the search; the coupling satisfies the conditions nevertheless.
     """
 
     blocks: tuple[StateSpace, ...]
@@ -143,11 +143,12 @@ def design_fixed_poles(
 
     Args:
         loop: the normalised loop; its aim is minimised unless ``static`` asks for something else.
-        poles: of each block in the z plane, complex ones each followed by the conjugate; none is a static spring.
+        poles: of each block in the z plane, each complex pole followed by its conjugate; a block without poles is a
+            static spring.
         least_levels: Delta_V,i that each block must have, m_i x m_i, positive definite, N*s/m.
         progress: called with a line of text whenever the level falls.
         static: "stiffest", the least trace of S^{-1} V(1) S^{-1}; or "feasible", the coupling with the most room among
-            those up to :data:`FEASIBLE_COMPLIANCE` as compliant as the loop's K; None for the loop's aim.
+            those at most :data:`FEASIBLE_COMPLIANCE` times as compliant as the loop gain K; None for the loop's aim.
         room: least eigenvalue kept in the conditions, in ports where Delta_D = I.
 
     Raises:
@@ -199,12 +200,12 @@ def minimised(
     progress: Callable[[float], None] | None = None,
     most_steps: int = 60,
 ) -> Minimum:
-    """The optimum over fixed poles: global for loop shaping; for the closed loop from ``start``.
+    """The optimum over fixed poles: global for loop shaping, local from ``start`` for the closed loop.
 
     Args:
         family: the couplings.
         start: gains (C, D) to start from; the loop-shaping optimum by default.
-        progress: called with the level whenever it falls.
+        progress: called with the level whenever the level falls.
         most_steps: cap on the programs.
     """
     what = "transparency over fixed poles"
@@ -218,7 +219,7 @@ def minimised(
 
 
 def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...]) -> LinearDesign:
-    """The design in physical units, its conditions and its level computed anew.
+    """The design in physical units; its conditions and its level are computed again from it.
 
     Raises:
         SolverFailure: the numbers do not satisfy the conditions.
@@ -247,7 +248,7 @@ def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...
 
 
 def _plain(family: FixedPoleFamily) -> Matrix:
-    """Static springs a little softer than the loop's K: the scale to start from."""
+    """Static springs slightly softer than 1/K, for the loop gain K: they set the scale of the first program."""
     parts = []
     for block in family.blocks:
         states = block.basis.order * block.ports

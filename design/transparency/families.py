@@ -1,25 +1,17 @@
-"""The normalised loop, in which the families of couplings are searched: scaled ports, scaled time.
+"""Families of couplings for the minimax programs: springs and dampers, and linear couplings over fixed poles.
 
-Ports are scaled by S = Delta_D^{-1/2} and time by the period T. A coupling is V = T S v S with v of order one, and the
-loop gain K = kappa T Delta_D^{-1} becomes kappa I.
+Both families live in the normalised loop. Its ports are scaled by S = Delta_D^{-1/2} and its time by the period T. A
+coupling is V = T S v S with v of order one, and the loop gain K = kappa T Delta_D^{-1} becomes kappa I. The programs
+are those of :mod:`manyhands.design.transparency.minimax`.
 
-Spring-damper couplings (20) as a family for the minimax programs (:mod:`manyhands.design.transparency.minimax`).
-
-Units are those of :mod:`manyhands.design.transparency.families`: ports scaled by S = Delta_D^{-1/2}, time by T.
-
-Linear couplings over fixed poles as a family for the minimax programs (:mod:`manyhands.design.transparency.minimax`).
-
-The convex set of :mod:`manyhands.design.transparency.families`, block by block; loop shaping is affine over it, so that
-its optimum over the basis is global. Units are those of :mod:`manyhands.design.transparency.families`.
-
-Linear couplings over fixed poles: every choice of the remaining numbers enters the conditions linearly.
-
-One block of V, m_i ports, in units in which Delta_D = I and T = 1 (v below; V = T S v S with S = Delta_D^{-1/2}):
+Over fixed poles, all other numbers of a linear coupling enter the conditions linearly, so that the family is convex,
+block by block. Loop shaping is affine over it, and its optimum is global. One block v of m_i ports, in units in which
+Delta_D = I and T = 1, is
 
     xi+ = (a kron I) xi + (b kron I) f,    v f = sum_j C_j xi_j + D f,    C_j = C_j^T, D = D^T  (m_i x m_i)
 
-with n scalar poles: a is n x n, b is n x 1. Then v(z) = v(z)^T, and the static compliance
-v(1) = D + sum_j g_j C_j, g = (I - a)^{-1} b, is symmetric whatever rounding does, without which V_hat is not OSP.
+with n scalar poles: a is n x n, b is n x 1. Then v(z) = v(z)^T. The static compliance v(1) = D + sum_j g_j C_j,
+g = (I - a)^{-1} b, is symmetric in spite of rounding; V_hat could not be OSP otherwise.
 
 V_hat is Delta-OSP iff some P makes, in zeta = xi - xi_ and phi = f - f_ (an underscore: the tick before),
 
@@ -27,8 +19,8 @@ V_hat is Delta-OSP iff some P makes, in zeta = xi - xi_ and phi = f - f_ (an und
     next = (A zeta + B phi, phi),    y = C zeta + (D - kappa) phi,
     Pi = [ P  P_12; P_12^T  P_22 ] > 0,    P_12 = (A - I)^{-T} C^T/2,    P_22 = (v(1) - kappa)/2,
 
-which is Lemma 1 of [Bianchini2010]_ with P_12 and P_22 settled by the neutral directions of V_hat. All of it is
-linear in (P, C, D) once y^T Delta y is taken out by a Schur complement (Lemma 2).
+which is Lemma 1 of [Bianchini2010]_, where the neutral directions of V_hat determine P_12 and P_22. After a Schur
+complement for y^T Delta y (Lemma 2), the inequality is linear in (P, C, D).
 """
 
 from __future__ import annotations
@@ -55,20 +47,20 @@ UNWEIGHTED = Transparency("loop-shaping", Filter.one(), Filter.one())
 
 @dataclass(frozen=True, eq=False)
 class NormalisedLoop:
-    """The data of a transparency problem, and the way from normalised blocks v to the weighted loop.
+    """The data of a transparency problem, and the maps from normalised blocks v to the weighted loop.
 
     Attributes:
         E: the environment, discrete and stable, displacement (m) to force (N), m x m.
         Delta_D: the level of the devices, m x m, N*s/m, symmetric positive definite, with the partition's structure.
         kappa: positive; the loop gain is K = kappa T Delta_D^{-1} (m/N), and kappa is 1/2 without delay.
         T: period, s.
-        partition: which of the m ports each block of the coupling V has.
-        aim: objective and weights of the transparency problem; left out where only levels are asked for.
+        partition: the ports of each block of the coupling V.
+        aim: objective and weights of the transparency problem; the default serves designs without such a problem.
         scaling: S_i = Delta_D,i^{-1/2} of each block, m_i x m_i, symmetric, (N*s/m)^{-1/2}; computed from Delta_D.
 
     Raises:
-        ValueError: sizes that differ, an unstable E, Delta_D without the structure or not positive definite, kappa or
-            T not positive.
+        ValueError: sizes differ, E is unstable, Delta_D has not the structure or is not positive definite, or kappa or
+            T is not positive.
     """
 
     E: StateSpace
@@ -90,7 +82,7 @@ class NormalisedLoop:
         if not radius < 1.0:
             raise ValueError(
                 f"environment: found a pole of modulus {radius:.9g}, expected a stable E; a mass that no link holds "
-                "cannot be felt and may be left out"
+                "moves no port and may be left out"
             )
         if not (self.T > 0.0 and self.kappa > 0.0):
             raise ValueError(f"expected a positive period and kappa, found {self.T} and {self.kappa}")
@@ -121,7 +113,7 @@ class NormalisedLoop:
         return out
 
     def derivatives(self, v: Sequence[ComplexArray], slopes: Sequence[ComplexArray], angles: Matrix) -> ComplexArray:
-        """DG for derivatives dv of the blocks (angles x unknowns of the block x m_i x m_i), unknowns block by block."""
+        """The slopes of G from those of the blocks' v (angles x unknowns of the block x m_i x m_i), block by block."""
         _, L, R = self.weighted.factors(self.coupling(v, len(angles)), angles)
         parts = []
         for ports, S, slope in zip(self.partition.blocks, self.scaling, slopes, strict=True):
@@ -149,19 +141,19 @@ class PoleBasis:
     """Scalar poles of a block and their orthonormal realisation.
 
     The sections of one real pole or one conjugate pair are cascaded so that a a^T + b b^T = I (the Takenaka-Malmquist
-    basis, [Heuberger2005]_): well conditioned also where poles coincide.
+    basis, [Heuberger2005]_). This is well conditioned even if poles coincide.
 
     Attributes:
-        poles: in the z plane, |p| < 1, each complex one followed by its conjugate.
+        poles: in the z plane, |p| < 1, each complex pole followed by its conjugate.
 
     Raises:
-        ValueError: a pole outside the unit circle, or a complex one without its conjugate.
+        ValueError: a pole is not inside the unit circle, or a complex pole has no conjugate.
     """
 
     poles: tuple[complex, ...]
 
     def __post_init__(self) -> None:
-        self.sections  # noqa: B018 - refuses what is not a basis
+        self.sections  # noqa: B018 - raises if the poles are no basis
 
     @property
     def order(self) -> int:
@@ -243,7 +235,7 @@ class FixedPoleBlock:
 
     @property
     def gains(self) -> int:
-        """How many of the unknowns belong to C and D; they come first."""
+        """The number of unknowns in C and D; they come first."""
         return (self.basis.order + 1) * len(self._triangle)
 
     @property
@@ -291,10 +283,10 @@ class FixedPoleBlock:
         """Require Pi >= room and the Schur form of the OSP inequality >= room.
 
         Args:
-            program: where to.
-            index: unknown k of the block is the program's index[k].
+            program: the program that gets the constraints.
+            index: unknown k of the block is the program's unknown index[k].
             room: least eigenvalue.
-            spare: an unknown of the program that is to be added to ``room``.
+            spare: an unknown of the program that is added to ``room``; None for no addition.
         """
         for constant, linear in self._conditions:
             wide = np.zeros((program.size, *constant.shape))
@@ -304,7 +296,7 @@ class FixedPoleBlock:
             program.positive(constant - room * np.eye(len(constant)), wide)
 
     def margins(self, x: Matrix) -> tuple[float, float]:
-        """Least eigenvalues of Pi and of the Schur form: both positive prove the level."""
+        """Least eigenvalues of Pi and of the Schur form; the level is proved if both are positive."""
         return float(np.linalg.eigvalsh(self._storage(x))[0]), float(np.linalg.eigvalsh(self._supply(x))[0])
 
     @cached_property
@@ -350,7 +342,7 @@ def symmetric_units(m: int) -> Matrix:
     return out
 
 
-ROOM = 1e-4  # of Lambda: J stays this far from zero, which keeps as much of the greatest stiffness back
+ROOM = 1e-4  # of Lambda: J stays this far from zero, so that the stiffness stays as far below its limit
 _ROOM_LEVEL = 1e-5  # of Lambda, in the other conditions of the class
 
 
@@ -387,11 +379,11 @@ class SpringDamperFamily(Family):
 
     @property
     def affine(self) -> bool:
-        """The response is not."""
+        """False: the response is not affine in k and b."""
         return False
 
     def grid(self, x: Matrix) -> Matrix:
-        """Angles that see the poles of the loop and of the coupling."""
+        """Angles that resolve the poles of the loop and of the coupling."""
         return self.loop.grid(self.coupling(x).realisation(self.loop.T))
 
     def matrices(self, x: Matrix) -> list[tuple[Matrix, Matrix]]:
@@ -473,12 +465,12 @@ class SpringDamperFamily(Family):
         return self.cheapest(cost, "the stiffest spring-damper coupling")
 
     def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
-        """Every entry of k and b moves by a part of Lambda."""
+        """Bounds with which every entry of k and b moves by at most the part ``radius`` of Lambda."""
         span = radius / (2.0 * self.loop.kappa)
         return x - span, x + span
 
     def restored(self, x: Matrix) -> Matrix | None:
-        """X itself: the program keeps the conditions, with room."""
+        """The unknowns x themselves, because the program keeps the conditions with room."""
         return x
 
 
@@ -503,11 +495,11 @@ class FixedPoleFamily(Family):
 
     @property
     def affine(self) -> bool:
-        """Loop shaping is."""
+        """Whether the aim is loop shaping, which is affine in the gains."""
         return self.loop.aim.objective == "loop-shaping"
 
     def grid(self, x: Matrix) -> Matrix:
-        """Angles that see the poles of the loop and of the coupling."""
+        """Angles that resolve the poles of the loop and of the coupling."""
         return self.loop.grid(self.coupling(x))
 
     def coupling(self, x: Matrix) -> StateSpace:
@@ -519,14 +511,14 @@ class FixedPoleFamily(Family):
 
     @cached_property
     def _sizes(self) -> tuple[Matrix, ...]:
-        """Of each block's gains: the greatest modulus of their functions."""
+        """For each block, the greatest modulus of each gain's function."""
         return tuple(
             block.sizes(frequency_grid(np.array(block.basis.poles, dtype=np.complex128))) for block in self.blocks
         )
 
     @cached_property
     def positions(self) -> tuple[NDArray[np.intp], ...]:
-        """Where each block's unknowns are in x."""
+        """The indices of each block's unknowns in x."""
         out, gains, rest = [], 0, sum(block.gains for block in self.blocks)
         for block in self.blocks:
             storage = block.size - block.gains
@@ -570,7 +562,7 @@ class FixedPoleFamily(Family):
             block.constrain(program, position, self.room)
 
     def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
-        """Gains move by a part of the block's static compliance, measured by the size of their functions."""
+        """Bounds with which gains move by the part ``radius`` of the block's static compliance, by function size."""
         spans = []
         for block, part, sizes in zip(self.blocks, self.parts(x), self._sizes, strict=True):
             static = np.tensordot(part[: block.gains], block.derivatives(np.zeros(1))[0].real, axes=1)
@@ -579,7 +571,7 @@ class FixedPoleFamily(Family):
         return gains - span, gains + span
 
     def restored(self, x: Matrix) -> Matrix | None:
-        """X itself: the program keeps the conditions, with room."""
+        """The unknowns x themselves, because the program keeps the conditions with room."""
         return x
 
     def gains(self, x: Matrix) -> Matrix:
@@ -587,10 +579,10 @@ class FixedPoleFamily(Family):
         return x[: sum(block.gains for block in self.blocks)]
 
     def nearest(self, gains: Matrix) -> Matrix:
-        """The member whose gains are nearest to ``gains``, each measured by the size of its function.
+        """The member whose gains are nearest to ``gains``, each weighted by the size of its function.
 
         Raises:
-            ProgramInfeasible: there is no member.
+            ProgramInfeasible: the family is empty.
             SolverFailure: the solver gave no usable answer.
         """
         count = len(gains)
@@ -616,10 +608,10 @@ class FixedPoleFamily(Family):
         return self.cheapest(cost, "the stiffest linear coupling")
 
     def roomiest(self, most: float) -> Matrix:
-        """The member with the most room in every condition among those with v(1) <= ``most`` kappa I.
+        """The member with the most room in every condition, among those with v(1) <= ``most`` kappa I.
 
         Raises:
-            ProgramInfeasible: there is no member.
+            ProgramInfeasible: the family has no such member.
             SolverFailure: the solver gave no usable answer.
         """
         program = LinearMatrixProgram(self.size + 1)

@@ -1,17 +1,17 @@
-"""Linear couplings with free poles, for the search: gains and poles move together, passive on a frequency grid.
+"""Linear couplings with free poles, for the search: gains and poles move together, and passivity holds on a grid.
 
 In the Tustin plane, lambda = 2(z-1)/(z+1) = j Omega on the unit circle (T = 1), a block of order n is
 
     v = D + sum_j (a_j c_0j + b_j sqrt(c_0j) lambda) / (lambda^2 + c_1j lambda + c_0j)  [+ a c/(lambda + c)],
 
-stable exactly for positive c, whose logarithms are the unknowns: a pair of poles may be complex or real and pass
-from one to the other. V_hat is Delta-OSP iff, with X = v - kappa I,
+which is stable exactly for positive c. The logarithms of c are the unknowns, so that a pair of poles may be complex or
+real and change from one to the other. V_hat is Delta-OSP iff, with X = v - kappa I,
 
     He[(1/2 + j/Omega) X] - X^* Delta X >= 0    on the unit circle, and X(1) >= 0,
 
-which is Re V_hat >= V_hat^* Delta V_hat divided by Omega^2/(1 + Omega^2/4). D alone repairs a small violation. What the
-search returns is a start for the convex program over its poles (:mod:`manyhands.design.transparency.families`), exact
-in passivity.
+which is Re V_hat >= V_hat^* Delta V_hat divided by Omega^2/(1 + Omega^2/4). A change of D alone repairs a small
+violation. The search returns a start for the convex program over its poles
+(:mod:`manyhands.design.transparency.families`), in which passivity is exact.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from manyhands.design.transparency.minimax import Family
 ComplexArray = NDArray[np.complex128]
 
 ROOM = 1e-6  # least eigenvalue kept in the passivity condition, of order one
-_REPAIRS = 12  # each mends more than half of what is missing, the level's quadratic term being what it costs
-_MOST_DAMPING = 40.0  # c_1^2/c_0: beyond, the pair is one slow pole and one that is as good as D
+_REPAIRS = 12  # each repairs more than half of the violation; the level's quadratic term takes the rest
+_MOST_DAMPING = 40.0  # c_1^2/c_0: above it, the pair is one slow pole and one so fast that D replaces it
 _LEAST_DAMPING = 1e-4
-_DENSE = 400  # angles a decade: closed-loop resonances as narrow as half a per cent are seen
-_CHECKED = 24  # angles of the passivity condition on a logarithmic grid, besides those where it is tightest
+_DENSE = 400  # angles per decade: they resolve closed-loop resonances as narrow as half a per cent
+_CHECKED = 24  # angles of the passivity condition on a logarithmic grid, in addition to those where it is tightest
 
 
 @dataclass(frozen=True)
 class PoleShape:
-    """The order of one block: sections of two poles, and whether there is a single one.
+    """The order of one block: its sections of two poles, and whether it has a single pole.
 
     Attributes:
         pairs: number of sections of second order.
@@ -122,11 +122,11 @@ class FreePoleFamily(Family):
 
     @property
     def affine(self) -> bool:
-        """The response is not."""
+        """False: the response is not affine in the poles."""
         return False
 
     def grid(self, x: Matrix) -> Matrix:
-        """Angles that see the poles of E and of the couplings; dense, for those of F(E,V) are not at hand here."""
+        """Angles that resolve the poles of E and of the couplings; dense, as the poles of F(E,V) are not known here."""
         poles = [np.array(shape.basis(part).poles) for shape, part in zip(self.shapes, self.parts(x), strict=True)]
         density = 40 if self.loop.aim.objective == "loop-shaping" else _DENSE
         return frequency_grid(np.concatenate([self.loop.weighted.poles(), *poles]).astype(np.complex128), density)
@@ -161,7 +161,7 @@ class FreePoleFamily(Family):
         return self.loop.derivatives(v, slopes, angles)
 
     def passivity(self, i: int, x: Matrix, angles: Matrix) -> tuple[ComplexArray, ComplexArray]:
-        """The module's condition for block i and its slopes, Hermitian: angles x m_i x m_i, angles x unknowns x ..."""
+        """The passivity condition of block i, angles x m_i x m_i Hermitian, and its slopes, angles x unknowns x ..."""
         v, slopes = self.block(i, x, angles)
         X = v - self.loop.kappa * np.eye(self.shapes[i].ports)
         factor = (0.5 + 0.5j / np.tan(np.clip(angles, 1e-9, np.pi) / 2.0))[:, None, None]
@@ -172,7 +172,7 @@ class FreePoleFamily(Family):
         return value, slope
 
     def tightest(self, i: int, x: Matrix) -> tuple[Matrix, Matrix]:
-        """Angles where block i is least passive, and the least eigenvalues there, smallest first."""
+        """Angles where block i is least passive, and the least eigenvalues there; the smallest first."""
         poles = np.array(self.shapes[i].basis(x).poles, dtype=np.complex128)
         grid = frequency_grid(poles, per_decade=20)[1:]
 
@@ -199,7 +199,7 @@ class FreePoleFamily(Family):
             at += shape.size
 
     def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
-        """Logarithms of pole coefficients move by the radius, gains by a part of themselves."""
+        """Bounds with which logarithms of pole coefficients move by the radius, and gains by a part of themselves."""
         low, high = [], []
         for part, shape in zip(self.parts(x), self.shapes, strict=True):
             gains = part[shape.poles :]
@@ -211,7 +211,7 @@ class FreePoleFamily(Family):
         return np.concatenate(low), np.concatenate(high)
 
     def restored(self, x: Matrix) -> Matrix | None:
-        """X with D raised to where the blocks are passive, and dampings within their bounds."""
+        """The unknowns x with D raised until the blocks are passive, and dampings within bounds; None if that fails."""
         x = x.copy()
         for i, (part, shape) in enumerate(zip(self.parts(x), self.shapes, strict=True)):  # parts are views
             pairs = part[: 2 * shape.pairs].reshape(-1, 2)
@@ -226,7 +226,7 @@ class FreePoleFamily(Family):
                 if missing <= 0.0:
                     break
                 if not missing < before:
-                    return None  # too compliant for the level: more compliance only makes it worse
+                    return None  # the block is too compliant for the level, and a greater D adds compliance
                 before = missing
                 D[diagonal] += 2.05 * missing
             else:
@@ -235,7 +235,7 @@ class FreePoleFamily(Family):
 
 
 def fitted(shape: PoleShape, logs: Matrix, v: ComplexArray, angles: Matrix) -> Matrix:
-    """The unknowns of a block with given pole coefficients whose response is nearest to ``v`` (angles x m_i x m_i)."""
+    """The unknowns of a block with given pole coefficients and the response nearest to ``v`` (angles x m_i x m_i)."""
     f, _ = shape.functions(np.concatenate([logs, np.zeros(shape.size - shape.poles)]), angles)
     rows, columns = np.tril_indices(shape.ports)
     right = v[:, rows, columns]

@@ -1,14 +1,14 @@
-"""Minimising the greatest singular value of a family of frequency responses: exchange and sequential convex programs.
+"""The least peak of a family of frequency responses, by exchange and sequential convex programs.
 
     minimise over x in X    max over theta of sigma_max(G(theta; x)),        X given by linear matrix inequalities.
 
-Only frequencies where the response peaks matter. A convex program holds them down,
+Only frequencies where the response peaks matter. A convex program bounds the response there,
 
     minimise t    subject to  [ t I   G_i; G_i^*   t I ] >= 0,    G_i = G(theta_i; x_0) + sum_k dG/dx_k (x_k - x_0k),
 
-with a working set of theta_i to which the peaks of its own answer are added (exchange). Where G is affine in x, t is a
-lower bound on the best that X allows and the true peak an upper one: they meet at the global optimum. Otherwise
-a trust region keeps x where the linearisation holds, and the true peak falls until it stops at a local optimum.
+with a working set of theta_i, to which the peaks of each answer are added (exchange). If G is affine in x, t is a lower
+bound on the best value in X, and the true peak is an upper bound; they meet at the global optimum. Otherwise a trust
+region keeps x where the linearisation holds, and the true peak falls until it stops at a local optimum.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from manyhands.design.solver import LinearMatrixProgram, ProgramInfeasible
 
 ComplexArray = NDArray[np.complex128]
 
-GAP = 1e-4  # relative, between the level reached and the lower bound (affine), or what a step can still gain
+GAP = 1e-4  # relative: between the level and the lower bound (affine), or the gain that a step can still promise
 _MOST_STEPS = 60
-PATIENCE = 6  # steps
+PATIENCE = 6  # steps over which the gain is compared with ``stall``
 _LEAST_RADIUS = 1e-6
-_FIRST_PEAKS = 12  # the highest ones are worked on first; others follow when they matter
-_PEAKS_KEPT = 0.6  # of the level: peaks that come this near are held down
-_KEPT = 0.95  # the same for frequencies of the step before that are no peaks any more
+_FIRST_PEAKS = 12  # the first program bounds the highest peaks; others are added when they matter
+_PEAKS_KEPT = 0.6  # of the level: peaks above this part of it are bounded
+_KEPT = 0.95  # the same for frequencies of the step before that are not peaks any more
 _MOST_PEAKS = 24
-_ALONE = 0.5  # next to a singular value, others below this part of it are left to the trust region
-_APART = 0.01  # relative distance of frequencies worth holding down one by one while the poles still move
+_ALONE = 0.5  # singular values below this part of the greatest are left to the trust region
+_APART = 0.01  # relative distance of frequencies that are bounded separately while the poles still move
 
 
 class Family(ABC):
-    """A family of responses G(theta; x) with the set X that x is taken from."""
+    """A family of responses G(theta; x) with the set X of the admissible x."""
 
     @property
     @abstractmethod
@@ -62,7 +62,7 @@ class Family(ABC):
 
     @abstractmethod
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
-        """dG/dx_k, angles x (the first unknowns, on which alone G depends) x p x q."""
+        """dG/dx_k, angles x unknowns x p x q, for the first unknowns; G depends on no others."""
 
     @abstractmethod
     def constrain(self, program: LinearMatrixProgram, x: Matrix) -> None:
@@ -70,17 +70,17 @@ class Family(ABC):
 
     @abstractmethod
     def trust(self, x: Matrix, radius: float) -> tuple[Matrix, Matrix]:
-        """Bounds on those of the first unknowns that may not move farther at once."""
+        """Lower and upper bounds for the first unknowns within this trust radius; the others are free."""
 
     @abstractmethod
     def restored(self, x: Matrix) -> Matrix | None:
-        """A member of X near x; None where there is none near."""
+        """A member of X near x; None if none is found."""
 
     def cheapest(self, cost: Matrix, what: str) -> Matrix:
         """The member of a convex X with the least cost^T x.
 
         Args:
-            cost: one entry an unknown.
+            cost: one entry for each unknown.
             what: for messages.
 
         Raises:
@@ -94,11 +94,11 @@ class Family(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """What the iteration reached.
+    """The result of the iteration.
 
     Attributes:
         x: the best member found.
-        level: its true peak, by :func:`peaks`.
+        level: the true peak of x, by :func:`peaks`.
         bound: for affine families a lower bound on every member's peak, else 0.
         steps: programs solved.
         interrupted: whether Ctrl-C ended the iteration before it had converged.
@@ -130,7 +130,7 @@ def minimise_peak(
     most_steps: int = _MOST_STEPS,
     stall: float = 0.0,
 ) -> Minimum:
-    """Minimise the peak from x; for an affine family x only sets the scale, and need not be in X.
+    """Minimise the peak from x; for an affine family x only sets the scale and need not be in X.
 
     Args:
         family: the responses and X.
@@ -143,7 +143,7 @@ def minimise_peak(
 
     Raises:
         ProgramInfeasible: X is empty (affine families).
-        SolverFailure: the solver gave no usable answer before anything was found.
+        SolverFailure: the solver gave no usable answer before any member was found.
     """
     reached: list[Minimum] = []
     try:
@@ -162,7 +162,12 @@ def minimise_peak(
 
 
 def _iterates(family: Family, x: Matrix, what: str, radius: float, most_steps: int) -> Iterator[Minimum]:
-    """The best so far: first the start itself (level inf where it need not be a member), then after each program."""
+    """The best so far: first the start (its level is inf if it need not be a member), then after each program.
+
+    Each program promises a level, and the true peak of its answer shows how far the linearisation holds. If the true
+    gain is a fair part of the promised gain, the next program starts from the answer; otherwise the trust region
+    shrinks. Peaks that the program did not bound join the working set.
+    """
     angles, values = peaks(family, x)
     working = angles[:_FIRST_PEAKS]
     best, level, bound = (x, np.inf, 0.0) if family.affine else (x, float(values[0]), 0.0)
@@ -195,7 +200,7 @@ def _iterates(family: Family, x: Matrix, what: str, radius: float, most_steps: i
                 break
             added = _added(working, angles, values, promised)
             if added.size == 0:
-                break  # what is missing is the solver's accuracy
+                break  # only the solver's accuracy is missing
             x, working, scale = restored, np.concatenate([working, added]), found
             continue
         if gained > 0.05 * hoped > 0.0:
@@ -215,14 +220,14 @@ def _iterates(family: Family, x: Matrix, what: str, radius: float, most_steps: i
 
 
 def _added(working: Matrix, angles: Matrix, values: Matrix, promised: float) -> Matrix:
-    """Peaks above what the program promised that the working set does not have yet."""
+    """The peaks above the promised level that are not yet in the working set."""
     high = angles[values > promised * (1.0 + 0.1 * GAP)]
     distance = np.abs(high[:, None] - working[None, :]) if working.size else np.full((len(high), 1), np.inf)
     return np.asarray(high[np.min(distance, axis=1) > 1e-7 * np.maximum(high, 1e-3)])
 
 
 def _merged(first: Matrix, others: Matrix) -> Matrix:
-    """``first`` and those of ``others`` that are not next to one already there: peaks move a little with every step."""
+    """``first`` and those of ``others`` that are not near an angle already taken; peaks move slightly in every step."""
     kept = list(first)
     for angle in others:
         if all(abs(angle - other) > _APART * max(other, 1e-6) for other in kept):
@@ -233,7 +238,7 @@ def _merged(first: Matrix, others: Matrix) -> Matrix:
 def _program(
     family: Family, x: Matrix, working: Matrix, scale: float, radius: float, what: str
 ) -> tuple[Matrix, float]:
-    """One linearised program over (x', t): the minimiser and the level it promises."""
+    """Solve one linearised program over (x', t): the minimiser and the level that it promises."""
     n = family.size
     G = family.responses(x, working) / scale
     slopes = family.derivatives(x, working) / scale
@@ -268,7 +273,7 @@ def _program(
 
 
 def _hold_down(program: LinearMatrixProgram, constant: ComplexArray, linear: ComplexArray) -> None:
-    """The norm of a complex vector, affine in the first unknowns, stays below t, the last unknown."""
+    """Require that the norm of a complex vector, affine in the first unknowns, is at most t, the last unknown."""
     k = len(constant)
     rows = np.zeros((2 * k + 1, program.size))
     rows[0, -1] = 1.0

@@ -1,16 +1,15 @@
-"""Linear couplings of given order: a search for the poles around the convex program over fixed ones.
+"""Linear couplings of given order: a search for the poles around the convex program over fixed poles.
 
 The order grows by two at a time. Each stage
 
 1. tries resonances from a list as the new pair of every block, with the convex program of
    :mod:`manyhands.design.transparency.families` (for loop shaping its value is the best that these poles allow),
-2. lets all poles of all blocks move from the best few of them (:mod:`manyhands.design.transparency.free_poles`), each
-time
-   perturbed a little and differently at each port, by sequential convex programs,
-3. solves the convex program again over the poles found, and keeps the best.
+2. lets all poles of all blocks move from the best few of these candidates, by sequential convex programs
+   (:mod:`manyhands.design.transparency.free_poles`); each start is perturbed slightly and differently at each port,
+3. solves the convex program again over the poles found, and keeps the best coupling.
 
-A stage starts from what the one before reached, so more poles are never worse. The search is local and
-the result a good coupling, not the best there is; its certificate does not depend on how it was found.
+A stage starts from the result of the stage before, so more poles are never worse. The search is local: its result is a
+good coupling, not the best possible. The certificate does not depend on how the coupling was found.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from manyhands.design.transparency.families import FixedPoleFamily, NormalisedLo
 from manyhands.design.transparency.free_poles import FreePoleFamily, PoleShape, fitted, section
 from manyhands.design.transparency.minimax import Minimum, minimise_peak
 
-MOST_ORDER = 16  # poles a port
+MOST_ORDER = 16  # poles per port
 _FREQUENCIES = 9
 _DAMPINGS = (0.08, 0.4)
 _TRIAL_STEPS = 4  # programs that rank a candidate
 _SEARCH_STEPS = 40
-_STALL = 1e-3  # relative gain over a few steps below which the poles have found their place
-_PERTURBATION = 0.1  # of the logarithms: enough to part ports that are nearly alike
-_SMALLEST_POLE = 1e-3  # modulus: faster ones are delays, and no frequency of theirs is worth a resonance
+_STALL = 1e-3  # relative gain over a few steps; with less, the search of the poles has converged
+_PERTURBATION = 0.1  # of the logarithms: enough to separate ports that are nearly alike
+_SMALLEST_POLE = 1e-3  # modulus: faster poles are delays, and their frequency is no candidate
 
 
 def design_linear(
@@ -49,7 +48,7 @@ def design_linear(
     seed: int = 0,
     room: float = ROOM,
 ) -> LinearDesign:
-    """Search for a transparent linear coupling with n_i poles a port in block i.
+    """Search for a transparent linear coupling with n_i poles per port in block i.
 
     Args:
         loop: the normalised loop, with the aim.
@@ -61,14 +60,14 @@ def design_linear(
         room: least eigenvalue kept in the conditions, in ports where Delta_D = I.
 
     Returns:
-        The best coupling found, of lower order where more poles gained nothing. After Ctrl-C the best so far, marked
-        ``interrupted``.
+        The best coupling found; its order is lower if more poles gained nothing. After Ctrl-C it is the best so far,
+        marked ``interrupted``.
 
     Raises:
         Infeasible: no coupling has these levels.
         SolverFailure: the solver gave no usable answer.
         ValueError: not one order within the bounds and one positive definite level for each block.
-        KeyboardInterrupt: nothing had been found yet.
+        KeyboardInterrupt: Ctrl-C arrived before any coupling was found.
     """
     if len(orders) != len(loop.partition.blocks) or not all(0 <= n <= MOST_ORDER for n in orders):
         raise ValueError(f"orders: found {orders}, expected {len(loop.partition.blocks)} between 0 and {MOST_ORDER}")
@@ -92,7 +91,7 @@ def design_linear(
 
 
 class _Search:
-    """State of one search: the best so far, and the logarithms of its pole coefficients, block by block."""
+    """State of one search: the best coupling so far, and the logarithms of its pole coefficients, block by block."""
 
     def __init__(
         self,
@@ -114,8 +113,8 @@ class _Search:
         self.history: list[float] = []
 
     def run(self, orders: tuple[int, ...]) -> None:
-        """Grow from static springs to ``orders``."""
-        self._tell("static springs")
+        """Raise the order from static springs to ``orders``."""
+        self._report("static springs")
         self._consider(self.logs, *self._solved(self.logs, None))
         while any(len(logs) < n for logs, n in zip(self.logs, orders, strict=True)):
             self._stage(orders)
@@ -128,24 +127,24 @@ class _Search:
         for i, (frequency, damping) in enumerate(candidates):
             grown = tuple(_grown(logs, n, frequency, damping) for logs, n in zip(before, orders, strict=True))
             order = max(len(logs) for logs in grown)
-            self._tell(f"order {order}: candidate {i + 1} of {len(candidates)}")
+            self._report(f"order {order}: candidate {i + 1} of {len(candidates)}")
             try:
                 family, found = self._solved(grown, _TRIAL_STEPS)
             except (SolverFailure, ProgramInfeasible):
-                continue  # numerically out of reach: another candidate is not
+                continue  # this candidate is numerically out of reach
             ranked.append((found.level, i, grown))
             self._consider(grown, family, found)
         ranked.sort(key=lambda entry: entry[:2])
         if not ranked:
             raise SolverFailure("pole search: no candidate for a new pair of poles could be solved")
         if all(len(a) == len(b) for a, b in zip(self.logs, before, strict=True)):
-            self.logs = ranked[0][2]  # no candidate improves on fewer poles: go on from the best of them
+            self.logs = ranked[0][2]  # no candidate improves on fewer poles: continue from the best candidate
         for i, (_, _, grown) in enumerate(ranked[: self.starts]):
-            self._tell(f"order {max(len(logs) for logs in grown)}: moving the poles, start {i + 1} of {self.starts}")
+            self._report(f"order {max(len(logs) for logs in grown)}: moving the poles, start {i + 1} of {self.starts}")
             self._follow(grown)
 
     def _follow(self, start: tuple[Matrix, ...]) -> None:
-        """Let the poles move from ``start``, and polish."""
+        """Let the poles move from ``start``, then solve the convex program over the poles found."""
         spread = tuple(logs + _PERTURBATION * self.rng.standard_normal(len(logs)) for logs in start)
         shapes = tuple(
             PoleShape(len(logs) // 2, len(logs) % 2 == 1, len(ports))
@@ -161,12 +160,12 @@ class _Search:
             logs = tuple(part[: shape.poles] for shape, part in zip(shapes, free.parts(moved.x), strict=True))
             self._consider(logs, *self._solved(logs, None))
         except (SolverFailure, ProgramInfeasible):
-            return  # the other starts, and what the stage has already, remain
+            return  # this start failed; the other starts and the best coupling so far remain
         if moved.interrupted:
             raise KeyboardInterrupt
 
     def _solved(self, logs: tuple[Matrix, ...], most_steps: int | None) -> tuple[FixedPoleFamily, Minimum]:
-        """The convex program over the poles; for the closed loop, from the best coupling so far."""
+        """Solve the convex program over the poles; the closed loop starts from the best coupling so far."""
         bases = tuple(
             PoleShape(len(part) // 2, len(part) % 2 == 1, len(ports)).basis(part)
             for part, ports in zip(logs, self.loop.partition.blocks, strict=True)
@@ -182,18 +181,18 @@ class _Search:
         return family, found
 
     def _consider(self, logs: tuple[Matrix, ...], family: FixedPoleFamily, found: Minimum) -> None:
-        """Keep what is better than the best and holds."""
+        """Keep the coupling if it satisfies its conditions and is better than the best so far."""
         if self.best is not None and found.level >= self.best[1].level:
             return
         try:
-            level = recovered(family, found, ()).gamma  # the norm itself, and the conditions anew
+            level = recovered(family, found, ()).gamma  # the conditions and the norm are computed again
         except (SolverFailure, ValueError):
-            return  # not certified, or not even stable: not a coupling to keep
+            return  # the conditions fail, or the coupling is not stable: it is not kept
         if level is None or (self.best is not None and level >= self.best[1].level):
             return
         self.best, self.logs = (family, replace(found, level=level)), logs
         self.history.append(level)
-        self._tell(f"order {max(len(part) for part in logs)}: gamma = {level:.5g}")
+        self._report(f"order {max(len(part) for part in logs)}: gamma = {level:.5g}")
 
     def _candidates(self) -> list[tuple[float, float]]:
         """Frequencies (rad a sample) and damping ratios worth trying: around the poles of E and of the weights."""
@@ -203,13 +202,13 @@ class _Search:
         frequencies = np.geomspace(0.4 * low, min(2.5 * high, 1.5), _FREQUENCIES)
         return [(float(f), damping) for f in frequencies for damping in _DAMPINGS]
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         if self.progress is not None:
             self.progress(text)
 
 
 def _grown(logs: Matrix, order: int, frequency: float, damping: float) -> Matrix:
-    """Pole coefficients with one pair more, or the last single one, unless the order is reached."""
+    """Pole coefficients with one more pair, or the last single pole, unless the order is reached."""
     missing = order - len(logs)
     if missing >= 2:
         return np.concatenate([logs, section(frequency, damping)])
@@ -225,7 +224,7 @@ def _responses(family: FixedPoleFamily, x: Matrix, angles: Matrix) -> list[NDArr
 
 
 def _angles(bases: Sequence[PoleBasis]) -> Matrix:
-    """Enough angles to tell the functions over the poles of all bases apart."""
+    """Enough angles to distinguish the functions over the poles of all bases."""
     return frequency_grid(np.concatenate([np.array(basis.poles, dtype=np.complex128) for basis in bases]))
 
 
@@ -237,7 +236,7 @@ def _converted(family: FixedPoleFamily, x: Matrix, shapes: tuple[PoleShape, ...]
 
 
 def _projected(family: FixedPoleFamily, old: FixedPoleFamily, x: Matrix) -> Matrix:
-    """Gains over the poles of ``family`` that come nearest to the coupling x over those of ``old``."""
+    """The gains over the poles of ``family`` whose coupling is nearest to the coupling x over the poles of ``old``."""
     angles = _angles([block.basis for block in (*family.blocks, *old.blocks)])
     gains = []
     for block, v in zip(family.blocks, _responses(old, x, angles), strict=True):

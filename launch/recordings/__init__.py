@@ -1,5 +1,5 @@
-"""Recordings of runs: written at a run's end, read, checked, converted, replayed, audited, drawn.
+"""Recordings of runs: how they are read, checked, converted, replayed, audited and drawn.
 
-Read ``mcap`` first (the bytes), then ``run`` and ``recording`` (what they mean); ``integrity`` checks the bytes,
-``replay`` and ``audit`` (with its parts) compute the run again, ``tables``, ``curves`` and ``plots`` show it.
+Read ``mcap`` first (the bytes), then ``run`` and ``recording`` (their meaning). ``integrity`` checks the bytes.
+``replay`` and ``audit`` (with its parts) compute the run again. ``tables``, ``curves`` and ``plots`` show it.
 """

@@ -1,8 +1,8 @@
-"""Recording a session that runs already, from another terminal: what its broadcast shows is written down as it comes.
+"""Records a running session from another terminal: writes what its broadcast shows as it arrives.
 
-The session does not know of it and cannot be disturbed by it: what this process has no time for is missing from the
-file, and told. The file begins where the recorder came in; it is whole up to a second ago whenever the recorder is
-killed, and ends as every recording does when the session is over, or when it was asked to end.
+The session does not know of it and cannot be disturbed by it. Frames that this process has no time for are missing from
+the file, and are counted. The file begins where the recorder came in. If the recorder is killed, the file is whole up
+to a second before. It ends regularly when the session is over, or when the recorder was asked to end.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from manyhands.protocol.messages import Condition
 from manyhands.protocol.transport.broadcast import Visit
 
 MOST_ATTACHED_BYTES: Final = 64 * 2**20
-"""Longest file of a session that is put into a recording."""
+"""The longest file of a session that is put into a recording."""
 
-_PATIENCE: Final = from_seconds(0.2)  # for a frame, before the supervisor and Ctrl-C are looked after
+_TIMEOUT: Final = from_seconds(0.2)  # for a frame; then the supervisor and Ctrl-C are checked
 
 
 class Ending(StrEnum):
-    """Why a recording came to its end."""
+    """Why a recording ended."""
 
     OVER = "the session is over"
     GONE = "the session's supervisor is gone"
-    DURATION = "it is as long as was asked for"
+    DURATION = "it has the length that was asked for"
     INTERRUPTED = "it was asked to end"
 
 
 def recorded_of(about: About) -> Recorded:
-    """What a recording of this session says that it is of."""
+    """The session of a recording, from the session's description."""
     return Recorded(
         session=about.session,
         certificate=about.id,
@@ -60,19 +60,19 @@ def recorded_of(about: About) -> Recorded:
 
 
 class AttachedCore:
-    """What is to be done with each frame, when to write, and when to end. Without any I/O.
+    """Decides what to do with each frame, when to write, and when to end: without any I/O.
 
     Attributes:
-        ending: why it is over; None while it goes on.
+        ending: why the recording ended; None while it goes on.
     """
 
     def __init__(self, core: RecorderCore, recorded: Recorded, duration: float | None, now: Instant) -> None:
-        """Nothing was heard yet.
+        """Begin without any frame.
 
         Args:
             core: makes the file.
-            recorded: what the file is of.
-            duration: how long to record, s of the session's time, from the first tick that is heard of; None: no end.
+            recorded: the session of the file.
+            duration: how long to record, s of the session's time, from the first tick that arrives; None: no end.
             now: the present instant.
         """
         self._core, self._recorded = core, recorded
@@ -94,54 +94,54 @@ class AttachedCore:
             self.end(Ending.DURATION)
 
     def end(self, ending: Ending) -> None:
-        """It is over; the first reason counts."""
+        """End the recording; the first reason counts."""
         self.ending = self.ending or ending
 
     def piece(self, now: Instant) -> bytes:
-        """What is to be written now: nothing, unless a second has gone by, or much has come."""
+        """The bytes to write now: none, unless :data:`FLUSH_EVERY` has passed, or a chunk is full."""
         if now < self._due and not self._core.full:
             return b""
         self._due = Instant(now + FLUSH_EVERY)
         return self._core.cut()
 
     def rest(self) -> bytes:
-        """The file's end."""
+        """The end of the file."""
         return self._core.cut() + self._core.end()
 
     @property
     def tick(self) -> int:
-        """Up to which tick the recording goes."""
+        """The tick after the last one of the recording."""
         return self._core.tick
 
     @property
     def beginning(self) -> dict[str, int]:
-        """The first tick of each device that was heard of."""
+        """The first tick of each device that arrived."""
         found = self._core.coverage.items()
         return {device: coverage.first for device, coverage in found if coverage.first is not None}
 
     @property
     def missing(self) -> dict[str, int]:
-        """Ticks that were lost between the first and the last, by device, those that miss some."""
+        """Number of ticks that were lost between the first and the last, by device, for devices that miss some."""
         return {device: coverage.missing for device, coverage in self._core.coverage.items() if coverage.missing}
 
     @property
     def refused(self) -> int:
-        """Frames that made no sense."""
+        """Number of frames that made no sense."""
         return self._core.refused
 
 
 @dataclass(frozen=True)
 class AttachedRecording:
-    """What became of it.
+    """The result of a recording.
 
     Attributes:
         file: the recording.
         session: the session's name.
         ending: why it ended.
         first: the first tick in it; None if none came.
-        ticks: up to which tick it goes.
-        missing: ticks lost between, by device.
-        refused: frames that made no sense.
+        ticks: the tick after the last one in it.
+        missing: number of ticks lost between, by device.
+        refused: number of frames that made no sense.
     """
 
     file: Path
@@ -153,7 +153,7 @@ class AttachedRecording:
     refused: int = 0
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """As a JSON object."""
         return {
             "file": str(self.file),
             "session": self.session,
@@ -166,7 +166,7 @@ class AttachedRecording:
 
 
 def attachments_in(directory: Path) -> dict[str, bytes]:
-    """The files of a session's directory that belong into its recording, those that are there."""
+    """The files of a session's directory that belong into its recording, as far as they exist."""
     found = {}
     for name in MEDIA_TYPES:
         try:
@@ -180,13 +180,13 @@ def attachments_in(directory: Path) -> dict[str, bytes]:
 
 
 class SupervisorWatch:
-    """Whether a session's supervisor still runs; to be closed."""
+    """Watches whether a session's supervisor still runs; to be closed."""
 
     def __init__(self, running: Running) -> None:
-        """Look at it.
+        """Begin to watch.
 
         Raises:
-            NoSession: it does not.
+            NoSession: the supervisor does not run.
         """
         self._about = running.directory / ABOUT
         try:
@@ -201,7 +201,7 @@ class SupervisorWatch:
         return bool(poll.poll(0)) or not self._about.exists()
 
     def close(self) -> None:
-        """Look no more."""
+        """End the watch."""
         os.close(self._fd)
 
 
@@ -213,9 +213,15 @@ def record_attached(
     clock: Clock,
     show: Callable[[AttachedCore], None],
 ) -> AttachedRecording:
-    """Record a running session to ``path`` until it is over, ``duration`` (s) is, or ``interrupt`` came.
+    """Record a running session until it is over, ``duration`` has passed, or ``interrupt`` came.
 
-    ``show`` is called now and then with what there is.
+    Args:
+        running: the session.
+        path: the recording's file.
+        duration: s of the session's time; None: no end.
+        interrupt: Ctrl-C and the other signals.
+        clock: for the times of writing.
+        show: called with the progress whenever something was written.
 
     Raises:
         NoSession: the session is over already.
@@ -244,7 +250,7 @@ def record_attached(
 
 
 class Shown(Protocol):
-    """Where frames come from: a visit to a broadcast."""
+    """A source of frames: a visit to a broadcast."""
 
     def recv(self, timeout: Duration) -> bytes | None:
         """The next frame, or None if none came within ``timeout``."""
@@ -260,23 +266,23 @@ def write_down(
     clock: Clock,
     show: Callable[[AttachedCore], None],
 ) -> None:
-    """Take in frames and write until ``core`` knows why to end, then write the file's end.
+    """Take in frames and write them until ``core`` has a reason to end, then write the file's end.
 
     Args:
-        core: what is to be done.
-        visit: where frames come from.
-        gone: whether the session has ended; asked when nothing is heard.
-        append: writes.
+        core: decides what to do.
+        visit: the source of frames.
+        gone: whether the session has ended; called when no frame comes.
+        append: writes a piece.
         interrupted: whether the recording was asked to end.
         clock: for the times of writing.
         show: called whenever something was written.
     """
     while core.ending is None:
-        frame = visit.recv(_PATIENCE)
+        frame = visit.recv(_TIMEOUT)
         if frame is not None:
             core.take(frame, time.time_ns())
         elif gone():
-            while (frame := visit.recv(Duration(0))) is not None:  # what came before
+            while (frame := visit.recv(Duration(0))) is not None:  # frames that came before the session's end
                 core.take(frame, time.time_ns())
             core.end(Ending.GONE)
         if interrupted():

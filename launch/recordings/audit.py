@@ -1,7 +1,8 @@
-"""Checking a recorded run against its certificate, offline: every ledger anew, from the signals that were recorded.
+"""Checks a recorded run against its certificate, offline: every ledger is computed anew from the recorded signals.
 
-Whoever has the file needs nobody's word. The certificate in it is proved again; then each party's part is computed from
-what that party was told by the others, by the arithmetic of the nodes, and compared with what it told itself:
+The file alone is enough; no party has to be trusted. Its session and certificate are read as their own files are, and
+the certificate is proved again. It has to be this session's. Then each party's part is computed from the signals that
+the others sent it, by the arithmetic of the nodes. The result is compared with what the party recorded itself:
 
 | party | from | follows |
 |---|---|---|
@@ -9,19 +10,13 @@ what that party was told by the others, by the arithmetic of the nodes, and comp
 | coupling | x of its devices, f_v from the environment | p, its ledger |
 | environment | p of all couplings | x_e, q, f_v, its ledger |
 
-and what two parties told of the same thing is compared. So a number that was changed afterwards stands in contradiction
-to others at its own tick. What a recording does not hold is not claimed: each check says which ticks it does not speak
-of, and why.
+Signals that two parties recorded are compared as well. So a number that was changed afterwards contradicts others at
+its own tick. What a recording does not hold is not claimed: each check lists the ticks that it does not cover, with the
+reason.
 
-What several parties told of the same thing, and what each told against its bounds: no state is needed for these.
-
-The force that a coupling handed on is the force that its devices exerted; a tool is where its coupling's end is; the
-total in a node's figures is the last of its trace; a ledger never falls below where it began; nobody exceeds limits.
-
-A recording's session, ready to be recomputed: from the session and the certificate that the file itself holds.
-
-Both are read as their own files are, and nothing is believed that they do not prove: the certificate is proved again,
-and has to be this session's.
+Some checks need no state of a party. The force that a coupling handed on is the force that its devices exerted. A tool
+is where its coupling's end is. The total in a node's figures is the last of its trace. A ledger never falls below where
+it began. No device exceeds its limits.
 """
 
 from __future__ import annotations
@@ -63,13 +58,13 @@ Array = NDArray[np.float64]
 _EPSILON = float(np.finfo(np.float64).eps)
 
 LEDGER_ROUNDING = 1e-12
-"""Of all the work in a ledger's increments: by so much its total may be below its bound, which is rounding."""
+"""A ledger may be below its bound by this part of all the work in its increments, which is rounding."""
 
-_LIMITS = "no tolerance: it is what the node itself compares with"
+_LIMITS = "no tolerance: the node itself compares with this limit"
 
 
 def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array) -> list[Check]:
-    """For each coupling: what it handed on is what its devices exerted."""
+    """For each coupling: the force that it handed on is the force that its devices exerted."""
     what = "the force that it handed on is the one that its devices exerted"
     ports = run.recorded.ports
     return [
@@ -79,22 +74,23 @@ def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array) -> list[Check]
 
 
 def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Array, sign: tuple[int, str]) -> Check:
-    """x_e = p + D_V f_v, as long as no clutch has moved."""
+    """Tools are at x_e = p + D_V f_v, as long as no clutch has moved."""
     ends, size = blocks.ends()
     begin, why = sign
     ends[begin:] = np.nan
     ends[blocks.clipped] = np.nan
     gaps = [UncheckedTicks(begin, len(tools), f"{why}, and a clutch may have moved")] if begin < len(tools) else []
     tolerance = ROUNDING * _EPSILON * np.where(np.isnan(size), 0.0, size)
-    source = f"{ROUNDING:g} units in the last place of |p| + |D_V| |f_v|, for the sums are in another order"
-    what = "tools are at p + D_V f_v of what the couplings told"
+    source = f"{ROUNDING:g} units in the last place of |p| + |D_V| |f_v|, since the order of the sums differs"
+    what = "tools are at p + D_V f_v, as the couplings recorded them"
     return compare("agreement", party, what, columns, tools, ends, gaps=gaps, tolerance=tolerance, source=source)
 
 
 def figures_agree(run: RecordedRun, node: str) -> Check:
     """The ledger's total in the figures is the last of the trace before them.
 
-    Those told before a gap, or at a run's end in real time, may be those of free periods that are in no row.
+    Figures before a gap, or at a run's end in real time, are not compared: they may count free periods that have no
+    row.
     """
     trace = rows_of(run, node, names.LEDGER)
     told = np.full_like(trace, np.nan)
@@ -106,10 +102,10 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
 
 
 def bounded(run: RecordedRun, node: str) -> Check:
-    """A ledger of ``node`` is never below 0; what a hand intended, a person's at a browser too, is in it.
+    """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
 
     Returns:
-        The finding; nothing was checked where no ledger was kept.
+        The check; nothing was checked where no ledger was kept.
     """
     trace = rows_of(run, node, names.LEDGER)
     total = trace[np.isfinite(trace)]
@@ -127,9 +123,10 @@ def bounded(run: RecordedRun, node: str) -> Check:
 
 
 def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check]:
-    """A device's force within its limit; displacement, and speed where ticks are no later than they should, likewise.
+    """A device's force is within its limit, and so is its displacement.
 
-    Beyond one of the last two it has let go, and exerts no force.
+    Its speed is checked under the simulated clock alone, where no tick is late. Beyond one of the last two limits the
+    device has let go, and exerts no force.
     """
     x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
     found = [
@@ -154,12 +151,12 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check
 
 
 def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Check:
-    """The certificate takes for granted that a force acts at most tau after its sample.
+    """The certificate assumes that a force acts at most tau after its sample.
 
     Args:
         run: the recording.
         node: a device.
-        tau: the delay that is covered, s, from which tick on.
+        tau: the delay that is covered, s, by the tick from which it holds.
     """
     trace = rows_of(run, node, names.TAU)
     covered = np.zeros_like(trace)
@@ -177,43 +174,29 @@ def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Chec
 
 
 def period_assumed(run: RecordedRun, node: str) -> Check:
-    """The certificate takes for granted that samples come every T; the device itself has counted where they did not."""
+    """The certificate assumes that samples come every T; the device itself has counted the ticks where they did not."""
     figures = run.figures.get(node, ())
     counts = [told[names.PERIOD_BREACHES] for _, told in figures if names.PERIOD_BREACHES in told]
-    what = f"samples come every T, give or take {PERIOD_TOLERANCE:g} T, as the device counted"
+    what = f"samples come every T, within {PERIOD_TOLERANCE:g} T, as the device counted"
     if not counts:
         return Check("period", node, what, Verdict.UNCHECKED)
     most = max(counts)
-    told = f"{most:.0f} ticks did not" if most else ""
+    told = f"not in {most:.0f} ticks" if most else ""
     return Check("period", node, what, Verdict.ASSUMPTION if most else Verdict.HOLDS, len(counts), told=told)
 
 
 def let_go_source(offsets: int) -> str:
-    """Where the tolerance of the environment's increments comes from."""
-    text = f"{ROUNDING:g} units in the last place of the tick's products, for the sums are in another order"
+    """The source of the tolerance of the environment's increments, as a sentence."""
+    text = f"{ROUNDING:g} units in the last place of the tick's products, since the order of the sums differs"
     if offsets:
-        text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, by which a clutch may close"
+        text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, the offset that a clutch may drop"
     return text
 
 
 StepProgress = Callable[[str], None]
 
 MOST_VALUES: Final = 100_000_000
-"""Numbers of a recording that is recomputed: what is recomputed is kept beside what was recorded, 0.8 GB of each."""
-
-
-def session_of(path: Path, run: RecordedRun) -> Session:
-    """The session that a recording holds.
-
-    Args:
-        path: the recording, for messages.
-        run: what was read from it.
-
-    Raises:
-        RecordingError: it holds none, one that cannot be read, or another one than was recorded.
-    """
-    with _unpacked(path, run) as folder:
-        return _session(path, run, folder)
+"""The most numbers of a recording that is recomputed: the recorded and the recomputed ones need 0.8 GB each."""
 
 
 def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = None) -> Prepared:
@@ -221,18 +204,20 @@ def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = No
 
     Args:
         path: the recording, for messages.
-        run: what was read from it.
-        progress: told what a design is doing, where there is one: of the ladder, or of a session without certificate.
+        run: its content.
+        progress: called with the step of a design, where one is needed: for a ladder, or a session without certificate.
 
     Raises:
-        RecordingError: session or certificate are missing or cannot be read, or are not those that were recorded.
-        NotCertified: the certificate does not hold, or is another session's.
+        RecordingError: session or certificate are missing or cannot be read, or differ from those that were recorded.
+        NotCertified: the certificate does not hold, or belongs to another session.
     """
     with _unpacked(path, run) as folder:
         session = _session(path, run, folder)
         certified = CERTIFICATE_FILE in run.attachments
         if not certified and not run.recorded.certificate.startswith(UNCERTIFIED):
-            raise RecordingError(f"{path}: found no certificate in it; expected {run.recorded.certificate[:16]}")
+            raise RecordingError(
+                f"{path}: found no certificate in it; expected {run.recorded.certificate[:16]} attached"
+            )
         try:
             prepared = prepare(session, folder / CERTIFICATE_FILE if certified else None, not certified, progress)
         except CertificateError as error:
@@ -242,14 +227,14 @@ def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = No
     if prepared.id != run.recorded.certificate:
         raise NotCertified(
             f"{path}: found the certificate {prepared.id[:32]} in it; expected {run.recorded.certificate[:32]}, which "
-            "it says that its session ran under"
+            "its session ran under by its metadata"
         )
     return prepared
 
 
 @contextmanager
 def _unpacked(path: Path, run: RecordedRun) -> Iterator[Path]:
-    """A folder with the session, and the certificate where there is one; gone afterwards."""
+    """A temporary folder with the recording's session, and with its certificate if there is one."""
     if SESSION_FILE not in run.attachments:
         raise RecordingError(f"{path}: found no session in it; expected the attachment {SESSION_FILE}")
     with tempfile.TemporaryDirectory(prefix="recorded-") as name:
@@ -275,18 +260,18 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
     ):
         if found != expected:
             raise RecordingError(
-                f"{path}: found a session whose {what} are {found!r:.200}; expected {expected!r:.200}, as recorded"
+                f"{path}: found a session with the {what} {found!r:.200}; expected {expected!r:.200}, as recorded"
             )
     values = run.ticks * sum(len(trace.columns) for trace in run.traces.values())
     if values > MOST_VALUES:
         raise RecordingError(
-            f"{path}: found {values} numbers; expected at most {MOST_VALUES}, which memory has room for"
+            f"{path}: found {values} numbers; expected at most {MOST_VALUES}, since all are kept in memory"
         )
     return session
 
 
 def _within(path: Path, folder: Path, error: Exception) -> str:
-    """An error's text with the recording's name in place of that of the folder that its parts were unpacked to."""
+    """An error's text, with the recording's name in place of the temporary folder's."""
     return str(error).replace(f"{folder}/", f"{path}: in it: ")
 
 
@@ -295,11 +280,11 @@ TickProgress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Audit:
-    """What came of an audit.
+    """The result of an audit.
 
     Attributes:
         session: the session's name.
-        certificate: id of the certificate that it says it ran under.
+        certificate: id of the certificate that the session ran under, by the recording's metadata.
         clock: "realtime" or "simulated".
         ticks: of the longest trace.
         checks: all of them.
@@ -313,7 +298,7 @@ class Audit:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing was found that cannot be."""
+        """Whether no check is broken."""
         return all(check.holds for check in self.checks)
 
     @property
@@ -323,7 +308,7 @@ class Audit:
         return tuple(sorted(found, key=lambda check: -1 if check.first is None else check.first.tick))
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON values."""
+        """As a JSON object."""
         return {
             "holds": self.holds,
             "session": self.session,
@@ -335,20 +320,20 @@ class Audit:
 
 
 def require_certificate(path: Path, run: RecordedRun) -> None:
-    """Refuse a recording that has no certificate: nothing was promised, so nothing can be audited.
+    """Refuse a recording without a certificate: no party promised anything, so there is nothing to audit.
 
     Raises:
-        RecordingError: so it is.
+        RecordingError: the recording has no certificate.
     """
     if CERTIFICATE_FILE not in run.attachments:
         raise RecordingError(
             f"{path}: found no certificate in it, but a session that ran as {run.recorded.certificate[:24]}; expected "
-            "a certified one, for without a certificate nobody has promised anything"
+            "a certified one, since without a certificate no party has promised anything"
         )
 
 
 def work_of(run: RecordedRun) -> int:
-    """How many ticks of nodes an audit recomputes, for its progress."""
+    """Number of ticks that an audit recomputes, over all nodes, for its progress."""
     return run.ticks * len(run.recorded.roles)
 
 
@@ -357,27 +342,27 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
 
     Args:
         path: the recording, for messages.
-        run: what was read from it.
-        say: told what a design is doing, where a ladder has to be designed.
-        progress: told now and then how many ticks of nodes are done.
+        run: its content.
+        say: called with the step of a design, where a ladder has to be designed.
+        progress: called now and then with the number of ticks that are done, over all nodes.
 
     Raises:
-        RecordingError: it has no session or no certificate, or they are not those that were recorded.
+        RecordingError: session or certificate are missing, or differ from those that were recorded.
     """
     require_certificate(path, run)
-    recorded, what = run.recorded, "the certificate is proved, and this session's"
+    recorded, what = run.recorded, "the certificate is proved, and it is this session's"
     try:
         prepared = prepared_of(path, run, say)
     except NotCertified as error:
         checks: tuple[Check, ...] = (Check("certificate", "session", what, Verdict.BROKEN, told=str(error)),)
     else:
         proved = Check("certificate", "session", what, Verdict.HOLDS, told=prepared.id)
-        checks = (proved, *_Auditing(prepared, run, progress).checks())
+        checks = (proved, *_AuditRun(prepared, run, progress).checks())
     return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks)
 
 
-class _Auditing:
-    """One audit."""
+class _AuditRun:
+    """The audit of one recording, party by party."""
 
     def __init__(self, prepared: Prepared, run: RecordedRun, progress: TickProgress) -> None:
         self._prepared, self._run, self._progress = prepared, run, progress
@@ -391,7 +376,7 @@ class _Auditing:
         self._done = 0
 
     def checks(self) -> list[Check]:
-        """All but that of the certificate."""
+        """All checks except that of the certificate."""
         of = self._bundles.items()
         devices = {name: bundle for name, bundle in of if isinstance(bundle, DeviceBundle)}
         couplings = {name: bundle for name, bundle in of if isinstance(bundle, CouplingBundle)}
@@ -411,7 +396,7 @@ class _Auditing:
             own, course = self._ports[name], blocks.courses[name]
             of_devices = [courses[device] for device in self._session.devices_of(name)]
             again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._tell
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._report
             )
             out += self._compared(
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
@@ -435,16 +420,18 @@ class _Auditing:
         return sorted(out, key=lambda check: order[check.party])
 
     def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array) -> None:
-        """Put into x what a device that has let go told its couplings, and into f the forces that it was asked for.
+        """Replace x and f of a device that has let go by the x that it sent its couplings and the forces it was asked
+        for.
 
-        Both follow from its displacement; but in real time not to the bit, and there they are not known from there on.
+        Both follow from its displacement to the bit under the simulated clock alone. In real time they are unknown from
+        the first time that it lets go.
 
         Args:
             name: the device.
             bundle: its part of the session.
-            x: recorded, ticks x ports, m; written.
-            f: what the devices exerted, N; written where that is what it makes of ``asked``.
-            asked: what their couplings handed on, N.
+            x: recorded, ticks x ports, m; changed in place.
+            f: exerted by the devices, N; changed in place where it agrees with ``asked``.
+            asked: handed on by their couplings, N.
         """
         own, run = self._ports[name], self._run
         if run.recorded.clock != SIMULATED:
@@ -456,7 +443,7 @@ class _Auditing:
         for k in range(run.ticks):
             at = x[k, own].tolist()
             if not np.all(np.isfinite(at)):
-                guard = None  # a process that comes back begins anew
+                guard = None  # a new process begins with a new guard
                 continue
             guard = guard or Guard(bundle.limits, self._session.period, bundle.common.ports)
             x[k, own] = guard.tell(at)
@@ -472,7 +459,7 @@ class _Auditing:
             rows_of(run, name, names.DISPLACEMENT),
             rows_of(run, name, names.FORCE),
             course,
-            self._tell,
+            self._report,
         )
         return self._compared(name, names.DISPLACEMENT, "x follows from f_v by the device and its hand", again)
 
@@ -492,26 +479,36 @@ class _Auditing:
             raise AssertionError("every session has an environment")
         sign = first_sign(run, ENVIRONMENT)
         tools, ledger = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), rows_of(run, ENVIRONMENT, names.LEDGER)
-        again = recompute_environment(bundle, blocks, tools, ledger, sign, self._tell)
+        again = recompute_environment(bundle, blocks, tools, ledger, sign, self._report)
         self._next()
         ports, gaps = bundle.common.ports, again.gaps
         out = [
             compare("tools", ENVIRONMENT, "x_e follows from p of all couplings", ports, tools, again.tools, gaps=gaps),
-            compare("forces", ENVIRONMENT, "f_v of the couplings does", ports, blocks.f, again.forces, gaps=gaps),
-            compare("ledger", ENVIRONMENT, "its ledger does", ("E",), ledger, again.ledger, gaps=gaps),
+            compare(
+                "forces", ENVIRONMENT, "f_v follows from p of all couplings", ports, blocks.f, again.forces, gaps=gaps
+            ),
+            compare(
+                "ledger",
+                ENVIRONMENT,
+                "its ledger follows from p of all couplings",
+                ("E",),
+                ledger,
+                again.ledger,
+                gaps=gaps,
+            ),
             tools_agree(blocks, ports, ENVIRONMENT, tools, sign),
         ]
         if bundle.masses:
             masses = rows_of(run, ENVIRONMENT, names.MASS_POSITION)
-            what = "q does"
+            what = "q follows from p of all couplings"
             out.insert(1, compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
         if bundle.Phi_E is not None:
-            told = run.figures.get(ENVIRONMENT, ())
+            figures = run.figures.get(ENVIRONMENT, ())
             silent = np.zeros(blocks.f.shape, dtype=np.bool_)
             for name, its in blocks.ports.items():
-                silent[:, its] = sent_no_force(told, name, there(blocks.f[:, its]))[:, None]
+                silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
             own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent)
-            what = "what its ledger gains in a tick is the work at the couplings' ends and what Phi_E dissipates"
+            what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
             source = let_go_source(own.offsets)
             out.append(
                 compare(
@@ -529,7 +526,7 @@ class _Auditing:
         return out
 
     def _compared(self, name: str, trace: str, what: str, again: Recomputed) -> list[Check]:
-        """A party's signal and its ledger."""
+        """Compare a party's signal and its ledger."""
         run = self._run
         columns, signal = run.recorded.ports[name], rows_of(run, name, trace)
         out = [compare("signal", name, what, columns, signal, again.signal, gaps=again.gaps)]
@@ -551,7 +548,7 @@ class _Auditing:
             out[:, self._ports[name]] = rows_of(self._run, name, trace)
         return out
 
-    def _tell(self, tick: int) -> None:
+    def _report(self, tick: int) -> None:
         self._progress(self._done + tick)
 
     def _next(self) -> None:

@@ -1,11 +1,11 @@
-"""A recorded coupling block computed again, by its own core, from what its devices and the environment told it.
+"""Computes a recorded coupling block again, by its own core, from the signals of its devices and the environment.
 
-The state xi follows from the forces that the block handed on, and p from that and the devices' displacement, to the
-last bit. A process that came back begins at rest, and so does a block that has changed its rung, at a tick without
-force; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`).
+The state xi follows from the forces that the block handed on, and p follows from xi and the devices' displacement, to
+the last bit. A process that came back begins at rest. So does a block that has changed its rung, at a tick without
+force. Both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`).
 
-A device that ran free says its x of one tick again and again, and records the last that it said, where p is of the
-first. So in a row behind free periods, and in the first one behind a gap, p may be another one; such rows are told.
+A device that runs free samples anew for the same tick, and records the last sample, while p is computed from the first.
+So in a row after free periods, and in the first row after a gap, p may differ; such rows are listed as unchecked.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from manyhands.nodes.coupling.core import CouplingCore
 
 Array = NDArray[np.float64]
 
-_SAID_BEFORE: Final = "a device of it had sampled again since p was said: p is believed"
+_SAID_BEFORE: Final = "a device of it had sampled again after p was computed: p is not checked"
 
 
 def recompute_coupling(
@@ -42,11 +42,11 @@ def recompute_coupling(
     Args:
         bundle: the coupling's part of the session.
         x: recorded by its devices, ticks x ports, m; NaN where one of them has no row.
-        p: recorded, m; where a device may have sampled again, it says whether one had, and nothing else.
-        f: recorded, the force that was handed on, N.
+        p: recorded, ticks x ports, m; used only to see whether a device had sampled again.
+        f: recorded, the force that was handed on, ticks x ports, N.
         course: what happened between the coupling's rows.
-        devices: likewise, of its devices.
-        progress: told now and then how many ticks are done.
+        devices: the same of its devices.
+        progress: called now and then with the number of ticks that are done.
     """
     out, nothing = Recomputed.nothing(*p.shape), Happening()
     resampled = course.resampled
@@ -76,7 +76,7 @@ def recompute_coupling(
             out.ledger[k] = core.ledger.total
         if k % EVERY == 0:
             progress(k)
-    out.gaps += [replace(gap, why=f"{gap.why}: from there on it is believed") for gap in course.unknown]
+    out.gaps += [replace(gap, why=f"{gap.why}: from there on it is not checked") for gap in course.unknown]
     out.gaps += gaps_of(excused, _SAID_BEFORE)
     return out
 
@@ -87,7 +87,7 @@ def _core_of(bundle: CouplingBundle, rung: int) -> CouplingCore:
 
 
 def _changed(bundle: CouplingBundle, before: CouplingCore, rung: int) -> CouplingCore:
-    """The block at another rung: at rest, with the account of the one before."""
+    """The block at another rung: at rest, with the ledger of the block before."""
     core = _core_of(bundle, rung)
     core.succeed(before)
     return core

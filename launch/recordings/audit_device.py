@@ -1,11 +1,11 @@
-"""A recorded device computed again, by its own core and its own hand, from the forces that it felt.
+"""Computes a recorded device again, by its own core and its own hand, from the forces that it felt.
 
-Where the hand is a simulated one, the displacement follows from the forces; with that the work that the hand intended
-is known, and the ledger follows, all to the last bit.
+Where the hand is simulated, the displacement follows from the forces. Then the work that the hand intended is known,
+and the ledger follows, all to the last bit.
 
-A device that heard no force for a while ran free for some periods, and a process that ended and came back began at
-rest. Neither is in a row; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`).
-Where events are missing, the device is believed from there on, until a process begins anew.
+A device that received no force for a while ran free for some periods. A process that ended and came back began at rest.
+Neither has a row; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`). Where
+events are missing, the device is not checked from there on, until a new process begins.
 """
 
 from __future__ import annotations
@@ -28,25 +28,27 @@ from manyhands.nodes.device.drivers import Driver
 Array = NDArray[np.float64]
 
 MOST_FREE: Final = 600_000
-"""Free periods of a device that are computed, in all: ten minutes at 1 kHz."""
+"""The most free periods of a device that are computed, in all: ten minutes at 1 kHz."""
 
 
 class _State:
-    """A device with its hand between two periods."""
+    """A device with its hand, between two periods."""
 
     def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
-        """At rest."""
+        """Device and hand begin at rest."""
         self._bundle, self._driver, self._turn = bundle, driver, 0
         self._zero: Floats = [0.0] * len(bundle.common.ports)
         self.core = DeviceCore(bundle.level, bundle.K, bundle.common.period)
 
     def free(self) -> None:
-        """A period without force, as the device's loop does it."""
+        """Compute a period without force, as the device's loop does it."""
         x = list(self._driver.sample(self._turn))
         self._step(x, self._zero)
 
     def row(self, x: Floats, f: Floats) -> Floats:
-        """A period in which the force f (N) was applied; x is what was recorded. Returns where the device was, m."""
+        """Compute a period in which the force f (N) was applied; x (m) was recorded. Returns the computed position,
+        m.
+        """
         moved = list(self._driver.sample(self._turn))
         self._step(x, f)
         return moved
@@ -58,7 +60,7 @@ class _State:
         self._turn += 1
 
     def change(self, rung: int) -> None:
-        """Another promise from now on."""
+        """Change the promised level to that of ``rung``."""
         promise = self._bundle.rungs[rung]
         self.core.change(promise.level, promise.K)
 
@@ -75,15 +77,17 @@ def recompute_device(
 
     Args:
         bundle: the device's part of the session.
-        make: the device with its hand, at rest; None where a person was the hand.
-        x: recorded, ticks x axes, m; the ledger's, and nothing else's.
-        f: recorded, the force that was applied, N.
+        make: makes the device with its hand, at rest; returns None where a person was the hand.
+        x: recorded, ticks x axes, m; used for the ledger alone.
+        f: recorded, the force that was applied, ticks x axes, N.
         course: what happened between the rows.
-        progress: told now and then how many ticks are done.
+        progress: called now and then with the number of ticks that are done.
     """
     out, driver = Recomputed.nothing(*x.shape), make()
     if driver is None:
-        out.gaps.append(UncheckedTicks(0, len(x), "a person moved the device: its motion and its ledger are believed"))
+        out.gaps.append(
+            UncheckedTicks(0, len(x), "a person moved the device: its motion and its ledger are not checked")
+        )
         return out
     state: _State | None = _State(bundle, driver)
     nothing, freed = Happening(), 0
@@ -98,7 +102,7 @@ def recompute_device(
             why = why or f"it ran free for {freed} periods, more than are computed"
         if why and state is not None:
             state = None
-            out.gaps.append(UncheckedTicks(k, len(x), f"{why}: from there on it is believed"))
+            out.gaps.append(UncheckedTicks(k, len(x), f"{why}: from there on it is not checked"))
         if state is None:
             continue
         if happened.began and out.gaps and out.gaps[-1].end > k:

@@ -1,17 +1,17 @@
-"""What the environment of a recorded session must have told, recomputed from what its couplings said to it.
+"""Computes the environment of a recorded session again, from the signals of its couplings.
 
-As long as every coupling is there and no clutch has moved, forces, tools, masses and ledger follow from p alone, by the
-environment's own core and so to the last bit. Once a clutch was at work the environment's own force f_e is in no row.
-Its work is, though: a clutch is lossless, so that with x_c = p + D_V f_c the coupling's end and f_c what it was sent,
+As long as every coupling takes part and no clutch has moved, forces, tools, masses and ledger follow from p alone. They
+are computed by the environment's own core, and so to the last bit. Once a clutch was at work the environment's own
+force f_e is in no row. Its work is known, though, because a clutch is lossless. With the coupling's end x_c = p + D_V
+f_c and the force f_c that it received,
 
     f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1))
 
-whatever the ratios were, but for the tick in which a last offset of at most LET_GO is let go. So its increments,
+whatever the ratios were, except in the tick in which a last offset of at most LET_GO is dropped. So its increments,
 
     T w^T Phi_E w - sum over the couplings f_c^T (x_c(k) - x_c(k-1)),     w = (x_e(k) - x_e(k-1))/T,
 
-are checked at every tick, to rounding. That holds for a model of somebody else's making as well, whose code need not be
-run for it.
+are checked at every tick, to rounding. That holds for a user's own model as well, whose code need not be run for it.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ ROUNDING = 64.0
 """Units in the last place of the greatest product of a tick, by which another order of its sums may change it."""
 
 _EPSILON = float(np.finfo(np.float64).eps)
-_EVERY = 1000  # ticks between two words of progress
+_EVERY = 1000  # ticks between two reports of progress
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """What the couplings recorded, in the order of the environment's ports.
+    """The signals that the couplings recorded, in the order of the environment's ports.
 
     Attributes:
         bundles: each coupling's part of the session.
-        ports: by coupling, indices of its ports.
+        ports: indices of each coupling's ports.
         p: ticks x m, m; NaN where a coupling has no row.
-        f: what they handed on, N; likewise.
-        courses: by coupling, what happened between its rows.
+        f: the forces that they handed on, ticks x m, N; NaN where a coupling has no row.
+        courses: what happened between each coupling's rows.
     """
 
     bundles: Mapping[str, CouplingBundle]
@@ -70,16 +70,16 @@ class Blocks:
 
     @property
     def clipped(self) -> NDArray[np.bool_]:
-        """The ticks in which some force is at its limit, so that the environment's own may be another."""
+        """The ticks in which some force is at its limit, so that the environment's own force may be a greater one."""
         out = np.zeros(len(self.f), dtype=np.bool_)
         for name, bundle in self.bundles.items():
             out |= (np.abs(self.f[:, self.ports[name]]) >= np.array(bundle.limits.force)).any(axis=1)
         return out
 
     def ends(self) -> tuple[Array, Array]:
-        """x_c = p + D_V f_c, ticks x m, m, with the D_V of the rung in force, and |p| + |D_V| |f_c|.
+        """The ends x_c = p + D_V f_c, ticks x m, m, with the D_V of the rung in force, and |p| + |D_V| |f_c|.
 
-        NaN where a coupling of several rungs may be at any of them.
+        NaN where the rung of a coupling is not known.
         """
         out, size = np.full_like(self.p, np.nan), np.full_like(self.p, np.nan)
         for name, bundle in self.bundles.items():
@@ -97,14 +97,14 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class RecomputedEnvironment:
-    """What the environment must have told by its own core.
+    """The environment's signals, computed by its own core; NaN where they could not be.
 
     Attributes:
-        tools: x_e, ticks x m, m; NaN where it could not be recomputed, as in all the others.
+        tools: x_e, ticks x m, m.
         masses: q, ticks x masses, m.
-        forces: what each coupling must have handed on, ticks x m, N.
+        forces: those that the couplings hand on, ticks x m, N.
         ledger: ticks x 1, J.
-        gaps: why not.
+        gaps: the ticks that could not be computed, with the reason.
     """
 
     tools: Array
@@ -122,15 +122,15 @@ def recompute_environment(
     sign: tuple[int, str],
     progress: Progress,
 ) -> RecomputedEnvironment:
-    """Everything the environment tells, from p of all couplings.
+    """The environment's signals, from p of all couplings.
 
     Args:
         bundle: the environment's part of the session.
-        blocks: what the couplings recorded.
-        tools: recorded x_e, ticks x m, m; from ``sign`` on it says up to where no clutch has moved.
-        ledger: recorded, J; likewise.
-        sign: the first tick at which one may have, and why.
-        progress: told now and then how many ticks are done.
+        blocks: the couplings' recorded signals.
+        tools: recorded x_e, ticks x m, m; used from ``sign`` on, to see whether a clutch has moved.
+        ledger: recorded, ticks x 1, J.
+        sign: the first tick at which a clutch may have moved, and why.
+        progress: called now and then with the number of ticks that are done.
     """
     ticks, m = blocks.p.shape
     out = RecomputedEnvironment(
@@ -141,7 +141,7 @@ def recompute_environment(
         [],
     )
     if bundle.model is not None:
-        why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are believed"
+        why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are not checked"
         out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
     core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
@@ -150,12 +150,14 @@ def recompute_environment(
     for k in range(ticks):
         if not complete[k]:
             if k < ticks - 1 and complete[k:].any():
-                out.gaps.append(UncheckedTicks(k, ticks, "a coupling has no row there: what follows is believed"))
+                out.gaps.append(UncheckedTicks(k, ticks, "a coupling has no row there: what follows is not checked"))
             break
         f = core.react(blocks.p[k].tolist())
         core.settle()
         if k >= begin and (core.tools != tools[k].tolist() or _forces(f, limits, m) != blocks.f[k].tolist()):
-            out.gaps.append(UncheckedTicks(k, ticks, f"{why}, and a clutch has moved: forces and masses are believed"))
+            out.gaps.append(
+                UncheckedTicks(k, ticks, f"{why}, and a clutch has moved: forces and masses are not checked")
+            )
             break
         out.tools[k], out.forces[k] = core.tools, _forces(f, limits, m)
         if bundle.masses:
@@ -168,7 +170,7 @@ def recompute_environment(
 
 
 def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m: int) -> list[float]:
-    """What the couplings hand on of the environment's forces."""
+    """The forces that the couplings hand on: those of the environment, clipped to the limits."""
     out = [0.0] * m
     for ports, saturation in limits:
         for port, force in zip(ports.tolist(), saturation.clip([f[port] for port in ports]), strict=True):
@@ -178,14 +180,14 @@ def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """The ledger of the environment from the signals around it.
+    """The increments of the environment's ledger, from the signals around it.
 
     Attributes:
-        recorded: its increments, ticks x 1, J.
-        recomputed: likewise; NaN where they are not known.
+        recorded: ticks x 1, J.
+        recomputed: ticks x 1, J; NaN where they are not known.
         tolerance: of each, J.
-        offsets: how often a last offset may have been let go.
-        gaps: where a coupling's force is not known.
+        offsets: number of ticks in which a last offset may have been dropped.
+        gaps: ticks in which a coupling's force is not known.
     """
 
     recorded: Array
@@ -203,11 +205,11 @@ def increments(
     Args:
         Phi: the level that the environment promised, m x m, N*s/m.
         T: period, s.
-        blocks: what the couplings recorded.
+        blocks: the couplings' recorded signals.
         tools: recorded x_e, ticks x m, m.
         ledger: recorded, ticks x 1, J.
         sign: the first tick at which a clutch may have moved.
-        silent: ticks x m, where a coupling has no row and was sent no force.
+        silent: ticks x m, true where a coupling has no row and was sent no force.
     """
     ends, size = blocks.ends()
     rest = np.zeros((1, tools.shape[1]))
@@ -228,18 +230,18 @@ def increments(
     largest = moved.sum(axis=1) + np.einsum("ki,ij,kj->k", np.abs(w), np.abs(Phi), speeds)
     largest += np.abs(totals) + np.abs(np.concatenate([[0.0], totals[:-1]]))
     tolerance = ROUNDING * _EPSILON * largest
-    # a last offset is let go after a freeze, and once for each
+    # a last offset is dropped after a freeze, once after each
     allowed = 0
     for own in blocks.ports.values():
         silent = still[sign:, own].all(axis=1)
         allowed += int((silent & ~np.concatenate([[False], silent[:-1]])).sum())
     most = LET_GO * np.linalg.norm(f, axis=1)
     with np.errstate(invalid="ignore"):
-        off = recorded - recomputed  # what is let go is given up, never gained
+        off = recorded - recomputed  # a dropped offset costs energy and never adds any
         let_go = (off < -tolerance) & (off >= -tolerance - most)
     let_go[:sign] = False
     used = np.flatnonzero(let_go)[:allowed]
     tolerance[used] += most[used]
-    why = "a coupling has no row there, and no event says that it was sent no force"
+    why = "a coupling has no row there, and no event states that it was sent no force"
     gaps = gaps_of(np.asarray(np.isnan(f).any(axis=1), dtype=np.bool_), why)
     return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used), gaps)

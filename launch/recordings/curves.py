@@ -1,8 +1,8 @@
-"""Quantities over time, made fit to be drawn: however many ticks there are, no extreme of theirs is left out.
+"""Curves over time, thinned for drawing so that no extreme is lost, however many ticks there are.
 
-A picture has some thousand columns of pixels, a recording may have millions of ticks. Of the ticks that share a column
-the first, the least, the greatest and the last are kept, in their order, so that the line through them covers every
-pixel that the line through all of them would; and one that is NaN, where there is any, so that a gap stays one.
+A picture has some thousand columns of pixels; a recording may have millions of ticks. Of the ticks that share a column
+the first, the least, the greatest and the last are kept, in their order. So the line through them covers every pixel
+that the line through all of them would. A tick with NaN is kept as well, so that a gap stays visible.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 COLUMNS = 1000
-"""Columns of pixels that a line is drawn for; the pictures' own are about as many."""
+"""Columns of pixels that a line is drawn for: about as many as a picture has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Curve:
     """One quantity of one port or node over the ticks.
 
     Attributes:
-        label: whose it is.
+        label: of the port or node.
         values: one a tick; NaN where it is not known.
     """
 
@@ -37,11 +37,11 @@ class Panel:
     """Curves of one kind, which share their axes.
 
     Attributes:
-        name: by which it is asked for, the topic's.
-        title: what is to be seen.
+        name: of the topic, by which the panel is asked for.
+        title: what it shows.
         axis: the quantity, with its unit.
         curves: of one length.
-        zero: whether the line at zero means something.
+        zero: whether to draw a line at zero.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Panel:
     zero: bool = False
 
     def window(self, first: int, beyond: int) -> Panel:
-        """The same of the ticks ``first`` ... ``beyond`` - 1."""
+        """The same panel for the ticks ``first`` to ``beyond - 1``."""
         curves = tuple(Curve(curve.label, curve.values[first:beyond]) for curve in self.curves)
         return Panel(self.name, self.title, self.axis, curves, self.zero)
 
@@ -62,11 +62,11 @@ def backward_difference(x: Array, period: float) -> Array:
 
 
 def thinned(values: Array, columns: int = COLUMNS) -> NDArray[np.intp]:
-    """Which of ``values`` are drawn, in their order: all of few; of many, those of the module for each column.
+    """Indices of the values to draw, in order: all of few values; of many, those that the module describes.
 
     Args:
         values: one a tick, NaN in gaps.
-        columns: how many there are.
+        columns: number of columns of pixels.
     """
     size = -(-len(values) // columns)
     if size <= 4:
@@ -78,7 +78,7 @@ def thinned(values: Array, columns: int = COLUMNS) -> NDArray[np.intp]:
 
 
 def _by_column(values: Array, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """In every column of ``size`` ticks, which one is least, greatest and, if any, unknown."""
+    """The index of the least, the greatest and, if any, an unknown value in each column of ``size`` ticks."""
     columns = -(-len(values) // size)
     padded = np.concatenate([values, np.full(columns * size - len(values), values[-1])]).reshape(columns, size)
     gap = np.isnan(padded)
@@ -92,8 +92,8 @@ def band(curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[NDArray[np.in
     """The least and the greatest of many curves of one length, over the ticks of each column.
 
     Returns:
-        The first tick of each column, and for each the least and the greatest; NaN where none of them is known. The
-        last tick stands once more at the end, where the last column does.
+        The first tick of each column, and for each column the least and the greatest; NaN where none is known. The last
+            tick is repeated at the end, where the last column ends.
     """
     ticks = len(curves[0].values)
     size = max(1, -(-ticks // columns))
@@ -106,14 +106,16 @@ def band(curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[NDArray[np.in
 
 
 def alone(values: Array) -> NDArray[np.bool_]:
-    """Which values have a gap (or the end) on both sides: no line leads to them."""
+    """Which values have a gap (or the end) on both sides, so that no line leads to them."""
     known = ~np.isnan(values)
     before, after = np.append(False, known[:-1]), np.append(known[1:], False)
     return np.asarray(known & ~before & ~after)
 
 
 def gaps(curves: Sequence[Curve], columns: int = COLUMNS) -> list[tuple[int, int]]:
-    """Spans of ticks [first, beyond) in which some curve is not known; those within a column of each other are one."""
+    """Spans of ticks [first, beyond) in which some curve is not known; spans within a column of each other are
+    joined.
+    """
     if not curves:
         return []
     ticks = len(curves[0].values)

@@ -1,9 +1,9 @@
 """What happened to a recorded node between its rows, by the events that it recorded with their ticks.
 
 A process began at rest, ran free for some periods, went on at a later tick, or changed its rung
-(:mod:`manyhands.nodes.tick_events`). Events travel with the rows of the same telemetry, and counts among the figures
-say how many there were. Where a count or the rows show that something happened, and no event says what, a node's state
-follows from nothing recorded: that is stated, with the tick, until a process begins anew.
+(:mod:`manyhands.nodes.tick_events`). Events travel with the rows of the same telemetry message, and counts among the
+figures state how many there were. Sometimes a count or the rows show that something happened, and no event states what.
+Then a node's state is unknown from that tick on, until a new process begins, and the audit reports so.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _NEVER: Final = 2**62
 
 @dataclass(frozen=True)
 class Happening:
-    """What happened to a node after its row before, and before the row that this belongs to.
+    """What happened to a node between two of its rows; it belongs to the later row.
 
     Attributes:
         began: whether this is the first row of a process, which begins at rest and at rung 0.
         jumped: whether the session had gone on without the node.
-        released: periods without force.
-        rung: to which the node changed in a tick of which it has no row; None if it did not.
+        released: number of periods without force.
+        rung: the rung that the node changed to in a tick without a row; None if it did not.
         unknown: why the node's state is not known from this row on; empty where it is.
     """
 
@@ -44,11 +44,11 @@ class Happening:
 
 @dataclass(frozen=True)
 class Course:
-    """A node's way through a recording.
+    """Everything that happened to a node in a recording.
 
     Attributes:
-        before: by tick of the row, what happened before it; of most rows, nothing.
-        rungs: by the tick at which it changed, the rung.
+        before: what happened before a row, by the row's tick; most rows are absent.
+        rungs: the rungs that it changed to, by tick.
         ticks: of the recording.
     """
 
@@ -58,7 +58,7 @@ class Course:
 
     @property
     def in_force(self) -> list[tuple[int, int]]:
-        """From which tick on which rung holds, in order, behind rung 0 from tick 0 on; who begins is at rung 0."""
+        """The rungs in force after rung 0, each with its first tick, in order; a new process begins at rung 0."""
         begun = [(k, 0) for k, happening in self.before.items() if happening.began and k > 0]
         return sorted([*begun, *self.rungs.items()], key=lambda change: change[0])
 
@@ -75,7 +75,7 @@ class Course:
 
     @property
     def resampled(self) -> NDArray[np.bool_]:
-        """The ticks at which the node may have been somewhere else when its peers heard of it than in its row."""
+        """The ticks at which the node may have been elsewhere when it sent its signal than its row states."""
         out = np.zeros(self.ticks, dtype=np.bool_)
         out[[k for k, h in self.before.items() if h.released or h.jumped or (h.began and k > 0)]] = True
         for gap in self.unknown:
@@ -89,13 +89,13 @@ def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings:
     Args:
         figures: the node's.
         rows: the ticks of which it has a row.
-        ladder: how many rungs it has.
-        couplings: of a device, the figures of its couplings: where it recorded no events, they show that its rung,
-            which is theirs, changed.
+        ladder: its number of rungs.
+        couplings: of a device, the figures of its couplings. If it recorded no events, they show that its rung, which
+            is theirs, changed.
     """
     processes = _processes(figures, ladder)
     if not any(process.recorded for process in processes):
-        changed = [changed_after(told, names.RUNG) for told in couplings]
+        changed = [changed_after(own, names.RUNG) for own in couplings]
         processes[0].doubt(min((at for at in changed if at is not None), default=_NEVER), "a rung")
     before: dict[int, Happening] = {}
     rungs: dict[int, int] = {}
@@ -109,10 +109,10 @@ def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings:
 
 
 def sent_no_force(figures: Figures, coupling: str, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The ticks without a row of a coupling in which the environment sent it no force, by the events of the latter.
+    """The ticks without a row of a coupling in which the environment sent it no force, by the environment's events.
 
-    In the others what was sent is not known: a process was killed before it could report its last ticks, telemetry was
-    lost, or the recording is older than the events.
+    In the other ticks without a row the force is not known. A process was killed before it could report its last ticks,
+    telemetry was lost, or the recording is older than the events.
 
     Args:
         figures: the environment's.
@@ -120,24 +120,24 @@ def sent_no_force(figures: Figures, coupling: str, rows: NDArray[np.bool_]) -> N
         rows: the ticks of which the coupling has a row.
     """
     out = np.zeros(len(rows), dtype=np.bool_)
-    events = [event for _, told in figures for event in events_in(told) if event.peer == coupling]
+    events = [event for _, values in figures for event in events_in(values) if event.peer == coupling]
     for i, event in enumerate(events):
         end = events[i + 1].tick if i + 1 < len(events) else len(rows)
         if event.kind is Kind.FROZEN and event.tick < len(rows):
-            again = np.flatnonzero(rows[event.tick : end])  # with a row it is no longer frozen
+            again = np.flatnonzero(rows[event.tick : end])  # a coupling with a row is no longer frozen
             out[event.tick : event.tick + int(again[0]) if len(again) else end] = True
     return out
 
 
 @dataclass
 class _Process:
-    """What one process of a node recorded of itself.
+    """The events of one process of a node.
 
     Attributes:
-        begin: the tick of its first row; 0 where no event says which.
-        recorded: whether an event says so.
+        begin: the tick of its first row; 0 where no event states it.
+        recorded: whether an event states it.
         jumps: by the tick of a row, the tick after the row before.
-        releases: by the tick awaited, periods without force.
+        releases: number of periods without force, by the tick that was awaited.
         rungs: by tick.
         known: the tick from which on events are missing.
         why: how that is known.
@@ -152,9 +152,9 @@ class _Process:
     why: str = ""
 
     def doubt(self, tick: int, what: str) -> None:
-        """Events of ``what`` are missing from ``tick`` on."""
+        """Note that events of ``what`` are missing from ``tick`` on."""
         if tick < self.known:
-            self.known, self.why = tick, f"{what} changed, and no event says at which tick"
+            self.known, self.why = tick, f"{what} changed, and no event states at which tick"
 
     def happenings(self, rows: NDArray[np.intp]) -> dict[int, Happening]:
         """What happened before each of the process's rows."""
@@ -169,7 +169,7 @@ class _Process:
             if self.jumps.get(k) == last + 1:
                 out[k] = Happening(jumped=True)
             else:
-                out[k] = Happening(unknown="it had rows missing, and no event says why")
+                out[k] = Happening(unknown="it had rows missing, and no event states why")
         for tick, periods in self.releases.items():
             for k in _row_from(rows, tick):
                 known = out.get(k, Happening())
@@ -191,11 +191,11 @@ def _row_from(rows: NDArray[np.intp], tick: int) -> list[int]:
 
 
 def _processes(figures: Figures, ladder: int) -> list[_Process]:
-    """The processes of a node, one after the other; at least one, which has not said that it began."""
+    """The processes of a node, in order; at least one, which may lack the event of its beginning."""
     out = [_Process()]
     released, rung, before = 0, 0, 0
-    for tick, told in figures:
-        events = sorted(events_in(told), key=lambda event: (event.kind is not Kind.BEGAN, event.tick))
+    for tick, values in figures:
+        events = sorted(events_in(values), key=lambda event: (event.kind is not Kind.BEGAN, event.tick))
         for event in events:
             match event.kind:
                 case Kind.BEGAN:
@@ -215,7 +215,7 @@ def _processes(figures: Figures, ladder: int) -> list[_Process]:
             ("the count of free periods", released, names.RELEASED),
             ("the rung", rung, names.RUNG),
         ):
-            if told.get(figure, count) != count:
+            if values.get(figure, count) != count:
                 out[-1].doubt(before, what)
         before = tick
     return out[1:] if len(out) > 1 and out[1].begin == 0 else out

@@ -1,8 +1,6 @@
-"""What was checked of a recording, and what came of it: the first number that is another one, or that all agree.
+"""The result of a check of a recording: the first number that differs, or that all agree.
 
-A check never says more than what it has looked at: ticks that it could not recompute are counted, with the reason.
-
-What comes of recomputing a party from the signals that it had.
+A check claims no more than it has compared: ticks that could not be recomputed are counted, with the reason.
 """
 
 from __future__ import annotations
@@ -23,23 +21,23 @@ EXACT: Final = "exact: the same arithmetic in the same order"
 
 
 class Verdict(StrEnum):
-    """What came of a check."""
+    """The result of a check."""
 
     HOLDS = "holds"
     BROKEN = "broken"
-    ASSUMPTION = "assumption"  # what the certificate takes for granted was not so: no promise of a party is broken
-    UNCHECKED = "unchecked"  # there was nothing that could be checked
+    ASSUMPTION = "assumption"  # an assumption of the certificate did not hold; no party broke its promise
+    UNCHECKED = "unchecked"  # there was nothing to compare
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A number that is not what it should be.
+    """A number that differs from the expected one.
 
     Attributes:
         tick: of the session.
         column: of the trace: a port, a mass, E.
-        recorded: what stands in the recording.
-        recomputed: what should stand there; of a bound, the bound.
+        recorded: the number in the recording.
+        recomputed: the expected number; of a bound, the bound.
     """
 
     tick: int
@@ -48,7 +46,7 @@ class Difference:
     recomputed: float
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON values."""
+        """As a JSON object."""
         return {
             "tick": self.tick,
             "column": self.column,
@@ -59,7 +57,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class UncheckedTicks:
-    """Ticks that a check does not speak of: from ``begin`` on, up to but not including ``end``, and why."""
+    """Ticks that a check does not cover, ``begin <= tick < end``, and why."""
 
     begin: int
     end: int
@@ -78,20 +76,20 @@ def gaps_of(ticks: NDArray[np.bool_], why: str) -> list[UncheckedTicks]:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked.
+    """One check of a recording.
 
     Attributes:
         name: of the check, such as ``ledger``.
-        party: of whom: a node, or the session.
-        what: was checked, a sentence.
-        verdict: what came of it.
-        numbers: how many were compared.
+        party: a node, or the session.
+        what: the claim that was checked, a sentence.
+        verdict: its result.
+        numbers: how many numbers were compared.
         first: the first that differs.
-        differing: how many do.
-        gaps: what was not checked.
-        tolerance: by which a number may differ, in its unit; the greatest of all, where it is not the same everywhere.
-        source: where the tolerance comes from.
-        told: what else there is to say.
+        differing: how many differ.
+        gaps: ticks that were not checked.
+        tolerance: by which a number may differ, in its unit; the greatest, where it varies.
+        source: the reason for the tolerance.
+        told: a further remark.
     """
 
     name: str
@@ -108,11 +106,11 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing that was promised was found broken."""
+        """Whether no promise was found broken."""
         return self.verdict is not Verdict.BROKEN
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON values."""
+        """As a JSON object."""
         return {
             "name": self.name,
             "party": self.party,
@@ -140,18 +138,18 @@ def compare(
     tolerance: Array | float = 0.0,
     source: str = EXACT,
 ) -> Check:
-    """Compare numbers with what they should be; where either is NaN there is nothing to compare.
+    """Compare numbers with the expected ones; where either is NaN there is nothing to compare.
 
     Args:
         name: of the check.
-        party: of whom.
-        what: is checked.
+        party: a node, or the session.
+        what: the claim, a sentence.
         columns: names of the columns.
         recorded: ticks x columns.
-        recomputed: likewise.
+        recomputed: ticks x columns.
         gaps: why some could not be recomputed.
-        tolerance: one number, or one for each of those compared.
-        source: where it comes from.
+        tolerance: one number, or one for each number compared.
+        source: the reason for the tolerance.
     """
     both = np.isfinite(recorded) & np.isfinite(recomputed)
     with np.errstate(invalid="ignore"):
@@ -166,7 +164,7 @@ def compare(
 
 
 def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, recomputed: Array) -> Difference | None:
-    """The first number that is marked as wrong, by tick and then by column."""
+    """The first number that is marked as wrong, by tick and then by column; None if there is none."""
     ticks = np.flatnonzero(wrong.any(axis=1))
     if not len(ticks):
         return None
@@ -176,24 +174,24 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
 
 
 def verdicts(checks: Sequence[Check]) -> Mapping[Verdict, int]:
-    """How many checks came to each verdict."""
+    """Number of checks with each verdict."""
     return {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
 
 
 Progress = Callable[[int], None]
 
 EVERY: Final = 1000
-"""Ticks between two words of progress."""
+"""Ticks between two reports of progress."""
 
 
 @dataclass(eq=False)
 class Recomputed:
-    """What a party must have told.
+    """A party's signals, computed again; NaN where they could not be.
 
     Attributes:
-        signal: x of a device or p of a coupling, ticks x ports, m; NaN where it could not be recomputed.
-        ledger: ticks x 1, J; likewise.
-        gaps: why not.
+        signal: x of a device or p of a coupling, ticks x ports, m.
+        ledger: ticks x 1, J.
+        gaps: the ticks that could not be computed, with the reason.
     """
 
     signal: Array
@@ -202,9 +200,9 @@ class Recomputed:
 
     @classmethod
     def nothing(cls, ticks: int, ports: int) -> Recomputed:
-        """Nothing yet."""
+        """All NaN, before anything is computed."""
         return cls(np.full((ticks, ports), np.nan), np.full((ticks, 1), np.nan))
 
 
 def no_progress(_tick: int) -> None:
-    """Nobody is told."""
+    """Progress that is not reported."""

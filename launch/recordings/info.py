@@ -1,4 +1,6 @@
-"""What a recording says of itself, without keeping its numbers: whose it is, how long, and what is missing in it."""
+"""A summary of a recording: its session, its length, its channels and its missing ticks, without keeping its
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,9 @@ class ChannelInfo:
 
     Attributes:
         topic: its full name.
-        messages: how many.
+        messages: number of messages.
         first: log time of the first, ns since 1970; 0 without any.
-        last: of the last.
+        last: log time of the last.
     """
 
     topic: str
@@ -38,24 +40,24 @@ class ChannelInfo:
 
     @property
     def rate(self) -> float | None:
-        """Messages a second of the session's time; None of fewer than two, or all at once."""
+        """Messages a second of the session's time; None for fewer than two, or all at one time."""
         return (self.messages - 1) * 1e9 / (self.last - self.first) if self.last > self.first else None
 
 
 @dataclass(frozen=True)
 class Info:
-    """What is in a recording.
+    """The content of a recording.
 
     Attributes:
         recorded: the session.
         size: of the file, bytes.
         first: the first tick of any device; None where there is none.
-        ticks: one more than the last.
+        ticks: one more than the last tick.
         channels: by node, in the session's order.
-        attachments: bytes by name.
-        missing: ticks that are missing between first and last, by device, those devices that miss some.
-        gaps: which they are, likewise; the first :data:`MOST_GAPS`.
-        cut: why the file cannot be read to its end, and up to which tick it can; None for a whole one.
+        attachments: size in bytes by name.
+        missing: number of ticks that are missing between first and last, by device, for devices that miss some.
+        gaps: the missing ticks by device; the first :data:`MOST_GAPS`.
+        cut: why the file cannot be read to its end, and up to which tick it can; None for a whole file.
     """
 
     recorded: Recorded
@@ -70,11 +72,11 @@ class Info:
 
     @property
     def duration(self) -> float:
-        """From the first tick to the end of the last, s of the session's time."""
+        """Time from the first tick to the end of the last, s of the session's time."""
         return (self.ticks - (self.first or 0)) * self.recorded.period
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """As a JSON object."""
         recorded = self.recorded
         return {
             "session": recorded.session,
@@ -95,16 +97,16 @@ class Info:
 
 
 def read_info(path: Path, progress: Callable[[float], None] | None = None) -> Info:
-    """Look through a recording, whole or cut.
+    """Read through a recording, whole or cut.
 
     Args:
         path: the recording.
-        progress: gets the part that is done, 0 to 1.
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
-        RecordingError: not readable, no such recording, or cut before it says what it is.
+        RecordingError: the file cannot be read, is no recording, or is cut before its metadata.
     """
-    looking = _Looking(path)
+    looking = _InfoReader(path)
     for part in parts(path, progress):
         looking.take(part)
     return looking.info()
@@ -116,8 +118,8 @@ def _node_of(topic: str) -> str:
     return node
 
 
-class _Looking:
-    """At one file."""
+class _InfoReader:
+    """Reads one file, part by part."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -154,21 +156,23 @@ class _Looking:
         together: dict[int, list[Message]] = {}
         for message in found:
             together.setdefault(message.channel, []).append(message)
-        for number, told in together.items():
+        for number, own in together.items():
             channel = self._channels.get(number)
             if channel is None:
-                continue  # the file never says of what they are
-            times = [message.log_time for message in told]
+                continue  # the file declares no such channel
+            times = [message.log_time for message in own]
             channel.first = min(times) if channel.messages == 0 else min(channel.first, *times)
             channel.last = max(channel.last, *times)
-            channel.messages += len(told)
+            channel.messages += len(own)
             if channel.topic in self._devices:
-                ticks = np.fromiter((message.sequence for message in told), dtype=np.int64, count=len(told))
+                ticks = np.fromiter((message.sequence for message in own), dtype=np.int64, count=len(own))
                 self._devices[channel.topic][1].take_each(ticks)
 
     def info(self) -> Info:
         if self._recorded is None:
-            raise RecordingError(f"{self._path}: found no word of what was recorded, but {self._why or 'another file'}")
+            raise RecordingError(
+                f"{self._path}: found no metadata of a session ({self._why or 'another file'}); expected a recording"
+            )
         devices = dict(self._devices.values())
         first = min((ticks.first for ticks in devices.values() if ticks.first is not None), default=None)
         begin, end = first or 0, max((ticks.next for ticks in devices.values()), default=0)

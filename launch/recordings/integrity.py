@@ -1,4 +1,4 @@
-"""Where a recording was changed or cut: the checksums of its format locate each change to a chunk or a record.
+"""Finds where a recording was changed or cut: the checksums of its format locate each change to a chunk or a record.
 
 | part of the file | what checks it | a change is located to |
 |---|---|---|
@@ -7,9 +7,8 @@
 | header, session's metadata, framing | being readable; the checksum of the data section | the record; the section |
 | summary and footer | the checksum of the summary | the summary |
 
-The data section ends where its last record states the section's checksum; the summary and the footer follow.
-
-The data section of a recording, record by record: which of them are damaged, and where the section ends.
+The data section ends with a record that states the section's checksum; the summary and the footer follow. :class:`Walk`
+goes through the data section record by record. :func:`findings` examines the whole file.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ _OF_DATA: Final = {
     Opcode.METADATA: "metadata",
     Opcode.DATA_END: "the end of the data",
 }
-"""What stands behind the header; schemas, channels and messages are in chunks."""
+"""The records that may follow the header; schemas, channels and messages are inside chunks."""
 
 DATA_END_BYTES: Final = FRAME.size + 4
 _LIBRARY: Final = "manyhands"
@@ -62,8 +61,8 @@ class Damage:
     """Something that is wrong with a file.
 
     Attributes:
-        begin: the first byte of what it is wrong with.
-        end: the first byte behind it.
+        begin: the first byte of the damaged part.
+        end: the first byte after it.
         what: what is wrong, a sentence without its full stop.
     """
 
@@ -74,13 +73,13 @@ class Damage:
 
 @dataclass
 class DataSection:
-    """What a walk through the records found.
+    """The result of a walk through the records.
 
     Attributes:
         damages: what is wrong.
-        whole_to: up to which byte there are records.
-        end: the first byte behind the section's last record; None where none ends it.
-        checksum: that its last record states.
+        whole_to: the records are readable up to this byte.
+        end: the first byte after the section's last record; None if the section has no such record.
+        checksum: the checksum that the last record states.
     """
 
     damages: list[Damage] = field(default_factory=list)
@@ -89,34 +88,34 @@ class DataSection:
     checksum: int = 0
 
 
-class _Wrong(Exception):
-    """A record is not as it should be; says how."""
+class _WrongRecord(Exception):
+    """A record is wrong; the message states how."""
 
 
 class Walk:
     """Goes through the records of a file's data section."""
 
     def __init__(self, file: BinaryIO, limit: int, known: Callable[[], list[int]]) -> None:
-        """Of a file that is open at any place.
+        """Prepare a walk through an open file; its position does not matter.
 
         Args:
             file: the file.
-            limit: where at the latest the section ends.
-            known: tells where records begin, by the file's own summary, in order: there the walk goes on after one
-                whose length is not to be believed. Asked when it is needed, and once.
+            limit: the last byte at which the section may end.
+            known: returns the beginnings of records by the file's own summary, in order. After a record with an
+                impossible length the walk resumes there. Called at most once, when it is needed.
         """
         self._file, self._limit, self._ask = file, limit, known
         self._out = DataSection()
         self._unpacking = Unpacking()
-        self._awaited: deque[bytes] | None = deque()  # message indexes to come; None where that is not known
+        self._awaited: deque[bytes] | None = deque()  # expected message indexes; None where they are not known
 
     def run(self, progress: Callable[[float], None]) -> DataSection:
-        """Go through it; ``progress`` gets the part that is done."""
+        """Go through the section; ``progress`` is called with the part that is done, 0 to 1."""
         out, limit = self._out, self._limit
         self._file.seek(0)
         magic = self._file.read(len(MCAP0_MAGIC))
         if magic != MCAP0_MAGIC:
-            self._tell(0, len(magic), "found a file that does not begin as MCAP does; expected a recording")
+            self._damaged(0, len(magic), "found a file that does not begin as MCAP does; expected a recording")
         out.whole_to = len(magic)
         at: int | None = out.whole_to
         while at is not None and at < limit and out.end is None:
@@ -124,17 +123,19 @@ class Walk:
             at = self._step(at)
         return out
 
-    def _tell(self, begin: int, end: int, what: str) -> None:
+    def _damaged(self, begin: int, end: int, what: str) -> None:
         self._out.damages.append(Damage(begin, end, what))
 
     def _step(self, at: int) -> int | None:
-        """Look at the record that begins at ``at``; returns where the next one does, None if that is not known."""
+        """Examine the record that begins at ``at``; returns where the next one begins, None if that is not known."""
         head = self._head(at)
         if head is None or head[1] > self._limit:
             after, self._awaited = self._resume(at), None
             if after is None and not self._known:
-                return None  # the file ends here, which its reader tells
-            self._tell(at, after or self._limit, "found a record that is longer than the file; expected one within it")
+                return None  # the file ends here, which the examination reports
+            self._damaged(
+                at, after or self._limit, "found a record that is longer than the file; expected one within it"
+            )
             return after
         opcode, end = head
         body = self._file.read(end - at - FRAME.size)
@@ -143,12 +144,12 @@ class Walk:
             return end
         try:
             self._take(at, opcode, body)
-        except _Wrong as wrong:
+        except _WrongRecord as wrong:
             followed = end == self._limit or self._plausible(end)
             after = end if followed else self._resume(at)
-            self._tell(at, after or self._limit, str(wrong))
+            self._damaged(at, after or self._limit, str(wrong))
             if self._awaited and followed and opcode != Opcode.CHUNK:
-                self._awaited.popleft()  # it was this one, then
+                self._awaited.popleft()  # the wrong record stands where this index was expected
             else:
                 self._awaited = None
             self._out.whole_to = after or self._limit
@@ -157,7 +158,7 @@ class Walk:
         return end
 
     def _head(self, at: int) -> tuple[int, int] | None:
-        """Opcode and end of the record that begins at ``at``; the file is then at its body."""
+        """Opcode and end of the record that begins at ``at``; the file's position is then at its body."""
         self._file.seek(at)
         head = self._file.read(FRAME.size)
         if len(head) < FRAME.size:
@@ -166,7 +167,7 @@ class Walk:
         return opcode, at + FRAME.size + length
 
     def _plausible(self, at: int) -> bool:
-        """Whether a record begins here, by its head."""
+        """Whether the bytes at ``at`` look like the head of a record."""
         head = self._head(at)
         return head is not None and head[0] in _OF_DATA and head[1] <= self._limit
 
@@ -186,7 +187,7 @@ class Walk:
 
     def _all_indexed(self, at: int) -> None:
         if self._awaited:
-            self._tell(
+            self._damaged(
                 at, at, f"found no message index for {len(self._awaited)} channels of the chunk before; expected one"
             )
         self._awaited = deque()
@@ -194,53 +195,55 @@ class Walk:
     def _take(self, at: int, opcode: int, body: bytes) -> None:
         first = at == len(MCAP0_MAGIC)
         if len(body) > MOST_RECORD_BYTES:
-            raise _Wrong(f"found a record of {len(body)} bytes; expected at most {MOST_RECORD_BYTES}")
+            raise _WrongRecord(f"found a record of {len(body)} bytes; expected at most {MOST_RECORD_BYTES}")
         if (opcode == Opcode.HEADER) != first or not (first or opcode in _OF_DATA):
             expected = "a header" if first else ", ".join(_OF_DATA.values())
-            raise _Wrong(f"found a record with opcode 0x{opcode:02x}; expected {expected}")
+            raise _WrongRecord(f"found a record with opcode 0x{opcode:02x}; expected {expected}")
         record = record_of(opcode, body)
         if opcode != Opcode.MESSAGE_INDEX and record is not None:
             self._all_indexed(at)
         match record:
             case Header(profile, library):
                 if profile or not library.startswith(_LIBRARY):
-                    raise _Wrong(f"found profile {profile!r:.40}, library {library!r:.40}; expected '', {_LIBRARY!r}")
+                    raise _WrongRecord(
+                        f"found profile {profile!r:.40}, library {library!r:.40}; expected '', {_LIBRARY!r}"
+                    )
             case Chunk():
                 self._chunk(record, at + FRAME.size + len(body))
             case Attachment():
-                pass  # to be read at all, it agrees with its checksum
+                pass  # it could be read, so it agrees with its checksum
             case Metadata(name, texts):
                 self._session(name, texts)
             case _ if opcode == Opcode.MESSAGE_INDEX:
                 self._index(at, FRAME.pack(opcode, len(body)) + body)
             case _:
                 kind = "a header" if first else _OF_DATA[Opcode(opcode)]
-                raise _Wrong(f"found {kind} whose lengths, texts or checksum do not agree with each other")
+                raise _WrongRecord(f"found {kind} whose lengths, texts or checksum do not agree with each other")
 
     @staticmethod
     def _session(name: str, texts: dict[str, str]) -> None:
         if name != METADATA:
-            raise _Wrong(f"found metadata of the name {name!r:.40}; expected {METADATA!r}")
+            raise _WrongRecord(f"found metadata of the name {name!r:.40}; expected {METADATA!r}")
         try:
             Recorded.from_metadata(texts)
         except ValueError as error:
-            raise _Wrong(str(error)) from error
+            raise _WrongRecord(str(error)) from error
 
     def _chunk(self, chunk: Chunk, end: int) -> None:
         try:
             self._awaited = deque(message_indexes(chunk, self._unpacking, end))
         except ValueError as error:
-            raise _Wrong(str(error)) from error
+            raise _WrongRecord(str(error)) from error
 
     def _index(self, at: int, found: bytes) -> None:
-        if self._awaited is None:  # the chunk cannot be read: its indexes may be right
+        if self._awaited is None:  # the chunk cannot be read, so its indexes cannot be compared
             if record_of(Opcode.MESSAGE_INDEX, found[FRAME.size :]) is None:
-                raise _Wrong("found a message index whose lengths do not agree with each other")
+                raise _WrongRecord("found a message index whose lengths do not agree with each other")
             return
         if not self._awaited:
-            raise _Wrong("found a message index of no chunk; expected as many as the chunk before has channels")
+            raise _WrongRecord("found a message index of no chunk; expected as many as the chunk before has channels")
         if found != self._awaited[0]:
-            raise _Wrong("found a message index that does not agree with the messages of its chunk")
+            raise _WrongRecord("found a message index that does not agree with the messages of its chunk")
         self._awaited.popleft()
 
 
@@ -260,14 +263,14 @@ _TAIL: Final = _FOOTER_BYTES + len(MCAP0_MAGIC)
 
 
 def findings(path: Path, progress: Callable[[float], None] | None = None) -> list[Damage]:
-    """What is wrong with a recording, in the order of its bytes; nothing with one that is as it was written.
+    """What is wrong with a recording, in the order of its bytes; nothing if it is as it was written.
 
     Args:
         path: the file.
-        progress: gets the part that is done, 0 to 1.
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
-        RecordingError: it cannot be read at all.
+        RecordingError: the file cannot be read at all.
     """
     try:
         with open_regular(path) as file:
@@ -278,14 +281,14 @@ def findings(path: Path, progress: Callable[[float], None] | None = None) -> lis
 
 
 class _Examination:
-    """Of one file."""
+    """The examination of one file: data section, end, and summary."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._tail_at = max(self._size - _TAIL, 0)  # where the footer begins
         tail = self._read(self._tail_at, self._size)
-        self._told = tail[:_FOOTER_BYTES]
+        self._footer_bytes = tail[:_FOOTER_BYTES]
         self._magic = tail[_FOOTER_BYTES:] == MCAP0_MAGIC
         footer = record_of(tail[0], tail[FRAME.size : _FOOTER_BYTES]) if len(tail) == _TAIL else None
         framed = tail[: FRAME.size] == FRAME.pack(Opcode.FOOTER, _FOOTER_BYTES - FRAME.size)
@@ -297,14 +300,16 @@ class _Examination:
         return self._file.read(max(end - begin, 0))
 
     def _trusted(self, footer: Footer) -> int | None:
-        """Where the summary begins, if the footer is right: the checksum agrees, or the data ends before it."""
+        """Where the summary begins, if the footer is right: its checksum agrees, or the data section ends there."""
         start = footer.summary_start
         if not DATA_END_BYTES <= start <= self._tail_at or self._tail_at - start > MOST_RECORD_BYTES:
             return None
         before = self._read(start - DATA_END_BYTES, start)
         if before[: FRAME.size] == FRAME.pack(Opcode.DATA_END, DATA_END_BYTES - FRAME.size):
             return start
-        return start if _footer_crc(self._read(start, self._tail_at), self._told) == footer.summary_crc else None
+        return (
+            start if _footer_crc(self._read(start, self._tail_at), self._footer_bytes) == footer.summary_crc else None
+        )
 
     def _known(self) -> list[int]:
         """Where records of the data section begin, by the summary."""
@@ -320,7 +325,7 @@ class _Examination:
         return sorted(found)
 
     def run(self, progress: Callable[[float], None]) -> list[Damage]:
-        """Look at everything."""
+        """Examine the whole file."""
         whole = self._size >= _TAIL and (self._magic or self._footer is not None)
         limit = self._size if not whole else self._tail_at if self._start is None else self._start
         section = Walk(self._file, limit, self._known).run(progress)
@@ -343,14 +348,14 @@ class _Examination:
         at = section.whole_to
         if section.end is None:
             what = (
-                f"the file ends at byte {self._size} as no recorder ends it: it was cut, and is whole up to byte {at}"
+                f"the file ends at byte {self._size} without a recorder's end: it was cut, and is whole up to byte {at}"
             )
         else:
             what = f"the file ends within its summary: it was cut, and its data, up to byte {at}, is whole"
         return Damage(at, self._size, what)
 
     def _checksum(self, stated: int, end: int) -> list[Damage]:
-        """Hold the data section against its checksum, when nothing else is wrong with it."""
+        """Compare the data section with its checksum, when nothing else is wrong with it."""
         actual = checksum_of(self._file, end)
         if actual == stated:
             return []
@@ -364,11 +369,11 @@ class _Examination:
         return [Damage(0, end + DATA_END_BYTES, what)]
 
     def _summary(self, start: int) -> list[Damage]:
-        """Hold summary and footer against their checksum."""
+        """Compare summary and footer with their checksum."""
         if self._tail_at - start > MOST_RECORD_BYTES:
             return [Damage(start, self._tail_at, f"found a summary longer than {MOST_RECORD_BYTES} bytes")]
-        actual = _footer_crc(self._read(start, self._tail_at), self._told)
-        stated = int.from_bytes(self._told[-_CRC_BYTES:], "little")
+        actual = _footer_crc(self._read(start, self._tail_at), self._footer_bytes)
+        stated = int.from_bytes(self._footer_bytes[-_CRC_BYTES:], "little")
         if actual == stated:
             return []
         what = f"found a summary and a footer with the checksum {actual:08x}; expected {stated:08x}, as stated"
@@ -388,5 +393,5 @@ def _records_in(summary: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _footer_crc(summary: bytes, footer: bytes) -> int:
-    """The checksum of a summary and of its footer up to where it states it."""
+    """The checksum of a summary and of its footer, up to the field that states it."""
     return zlib.crc32(footer[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(summary))

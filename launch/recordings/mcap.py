@@ -1,15 +1,14 @@
-"""The records of a recording, one after the other: of a whole file, or of one that was cut anywhere.
+"""Reads the records of a recording one after the other, from a whole file or from one that was cut anywhere.
 
-A recorder that was killed, a full disk, a power failure leave a file without its end. What is in it in whole chunks is
-read, and the last thing told is where it ends and why that is known. The file may come from anywhere: its lengths are
-held against its size and against limits, its chunks against their checksums, and nothing is unpacked beyond what a
-chunk says of itself.
+A killed recorder, a full disk or a power failure leaves a file without its end. Its whole chunks are read, and the last
+part reports where the file ends and why.
 
-The records of an MCAP file as they lie on the disk, each held to the one way in which its content is written.
+The file may come from anywhere, so nothing in it is trusted. A record is an opcode, a length and a body. Lengths are
+compared with the file's size and with limits before memory is allocated. Chunks are compared with their checksums, and
+no more is unpacked than a chunk states.
 
-A record is an opcode, a length and a body. Whoever reads a file that may be damaged trusts none of them: lengths are
-held against limits before memory is given to them, and a body counts as a record only if writing it anew gives the same
-bytes, which also holds an attachment against its checksum.
+:func:`record_of` serves the check of the bytes. It accepts a body only if writing its record anew gives the same bytes,
+which also compares an attachment with its checksum.
 """
 
 from __future__ import annotations
@@ -48,11 +47,13 @@ from manyhands.design.files import open_regular
 from manyhands.launch.recordings.recording import RecordingError
 
 MOST_RECORD_BYTES: Final = 64 * 2**20
-"""Longest record that is read, and most that a chunk may hold unpacked; a recorder's are a mebibyte or a few."""
+"""The longest record that is read, and the most that a chunk may hold unpacked; a recorder writes one mebibyte or a
+few."""
 
 _UNPACKED_ANYWAY: Final = 16 * 2**20
 _UNPACKED_PER_BYTE: Final = 1000
-"""Bytes that a file's chunks may unpack to; of what a recorder packs, a session of 2048 ports at rest reaches 700."""
+"""Bytes that the chunks of a file may unpack to, per byte of the file. A recorder's session of 2048 ports at rest
+reaches 700."""
 
 _FRAME: Final = struct.Struct("<BQ")  # opcode and length of what follows
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
@@ -61,7 +62,7 @@ _DAMAGED: Final = (McapError, struct.error, ValueError, OverflowError, zstandard
 
 
 class Message(NamedTuple):
-    """One message: its channel's number and its data, as the recorder wrote it."""
+    """One message: its channel's number, sequence number and log time (ns), and its data as the recorder wrote it."""
 
     channel: int
     sequence: int
@@ -70,13 +71,13 @@ class Message(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """The messages of one chunk, in the order in which they are in it."""
+    """The messages of one chunk, in the chunk's order."""
 
     messages: list[Message]
 
 
 class End(NamedTuple):
-    """Where the reading of a file came to its end; ``why`` if that is not the file's own."""
+    """The end of reading; ``why`` states a reason if it is not the file's regular end."""
 
     why: str | None
 
@@ -86,7 +87,7 @@ Part: TypeAlias = Metadata | Attachment | Schema | Channel | Messages | End
 
 @dataclass(frozen=True)
 class ChannelMessage:
-    """One message with the channel it is of."""
+    """One message with its channel."""
 
     channel: Channel
     message: Message
@@ -95,15 +96,15 @@ class ChannelMessage:
 def parts(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Part]:
     """The metadata, attachments, schemas, channels and messages of a file in its own order, then one :class:`End`.
 
-    A channel comes before its first message, unless the file is damaged. Message indexes and the summary at the end
-    are passed over: they say nothing that the rest does not.
+    A channel comes before its first message, unless the file is damaged. Message indexes and the summary at the end are
+    skipped: they contain nothing new.
 
     Args:
         path: the file.
-        progress: told which share of the file was read, from 0 to 1.
+        progress: called with the part of the file that was read, 0 to 1.
 
     Raises:
-        RecordingError: not readable, or not begun as such files are.
+        RecordingError: the file cannot be read, or does not begin as MCAP does.
     """
     try:
         with open_regular(path) as file:
@@ -164,7 +165,7 @@ def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator
 
 
 def _end_of_data(body: bytes, checksum: int) -> str | None:
-    """What is wrong with the data as a whole, by the record at its end; one that was cut itself says nothing."""
+    """What is wrong with the data as a whole, by the record at its end; None if that record is cut or agrees."""
     if len(body) < _CRC.size:
         return None
     stated = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
@@ -172,10 +173,10 @@ def _end_of_data(body: bytes, checksum: int) -> str | None:
 
 
 def _parts_of(opcode: int, body: bytes) -> list[Part]:
-    """What is in a record.
+    """The content of a record.
 
     Raises:
-        Those of ``_DAMAGED``: it is not what its opcode says.
+        Those of ``_DAMAGED``: the body does not fit the opcode.
     """
     stream = ReadDataStream(BytesIO(body))
     match opcode:
@@ -198,23 +199,23 @@ def _attachment(body: bytes) -> Attachment:
         raise ValueError("an attachment without its checksum")
     (stated,) = _CRC.unpack_from(body, len(body) - _CRC.size)
     if stated not in (0, zlib.crc32(body[: -_CRC.size])):
-        raise ValueError("an attachment with another checksum than its own")
+        raise ValueError("an attachment that does not agree with its checksum")
     found: Attachment = Attachment.read(ReadDataStream(BytesIO(body)))
     return found
 
 
 class Unpacking:
-    """What the chunks of one file unpack to, so far: kilobytes must not become gigabytes, nor millions of records."""
+    """Counts what the chunks of one file unpack to: kilobytes must not become gigabytes, nor millions of records."""
 
     def __init__(self) -> None:
         self._total = 0
 
     def data(self, chunk: Chunk, at: int) -> bytes:
-        """The records in the next chunk, as bytes; it ends before byte ``at`` of the file.
+        """The bytes of the records in the next chunk, which ends before byte ``at`` of the file.
 
         Raises:
             ValueError: as :func:`unpacked`, or the chunks unpack to more than a recorder packs into so many bytes.
-            zstandard.ZstdError: its packing is damaged.
+            zstandard.ZstdError: the packed bytes are damaged.
         """
         self._total += chunk.uncompressed_size
         if self._total > _UNPACKED_ANYWAY + _UNPACKED_PER_BYTE * at:
@@ -223,21 +224,22 @@ class Unpacking:
 
 
 def require_records(count: int, chunk: Chunk) -> None:
-    """Refuse more records in a chunk than packed bytes: each has a time of its own, which takes a byte when packed.
+    """Refuse more records in a chunk than packed bytes: each record has its own time, which takes at least a byte.
 
     Raises:
-        ValueError: it has more.
+        ValueError: the chunk has more.
     """
     if count > len(chunk.data):
         raise ValueError(f"a chunk of more than {len(chunk.data)} records in as many bytes; expected fewer")
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """The records in a chunk, as bytes.
+    """The bytes of the records in a chunk.
 
     Raises:
-        ValueError: larger than is read, not as large as it says, of another checksum, or packed in another way.
-        zstandard.ZstdError: its packing is damaged.
+        ValueError: the chunk is larger than is read, disagrees with its stated size or checksum, or has another
+            packing.
+        zstandard.ZstdError: the packed bytes are damaged.
     """
     size = chunk.uncompressed_size
     if size > MOST_RECORD_BYTES:
@@ -245,13 +247,13 @@ def unpacked(chunk: Chunk) -> bytes:
     if chunk.compression == "zstd":
         packing = zstandard.ZstdDecompressor(max_window_size=MOST_RECORD_BYTES)
         with packing.stream_reader(BytesIO(chunk.data)) as reader:
-            data = reader.read(size + 1)  # never more than it says, whatever is packed into it
+            data = reader.read(size + 1)  # at most one byte more than the chunk states, whatever it holds
     elif chunk.compression == "":
         data = chunk.data
     else:
         raise ValueError(f"a chunk compressed with {chunk.compression!r:.20}; expected zstd or none")
     if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError("a chunk of another length or checksum than its own")
+        raise ValueError("a chunk that does not agree with its length or checksum")
     return data
 
 
@@ -286,7 +288,7 @@ def _message(body: bytes) -> Message:
 
 
 FRAME: Final = struct.Struct("<BQ")
-"""Opcode, and length of the body that follows."""
+"""Opcode and length of the body that follows."""
 
 _MESSAGE_START: Final = struct.Struct("<HIQ")  # channel, sequence, log time; publish time and data follow
 _LEAST_BODY: Final = 2  # of a schema or a channel: its number
@@ -315,24 +317,24 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 
 def record_of(opcode: int, body: bytes) -> McapRecord | None:
-    """The record of this body; None if it is none, or not written in the one way in which it would be."""
+    """The record of this body; None if it is none, or if writing it anew gives other bytes."""
     reader = _READERS.get(opcode)
     if reader is None:
         return None
     try:
         record = reader(ReadDataStream(BytesIO(body)))
         return record if _bytes_of(record)[FRAME.size :] == body else None
-    except (McapError, struct.error, ValueError, OverflowError):  # ValueError: a text that is none
+    except (McapError, struct.error, ValueError, OverflowError):  # ValueError: a text that is no UTF-8
         return None
 
 
 def message_indexes(chunk: Chunk, unpacking: Unpacking, end: int) -> list[bytes]:
-    """The message indexes that belong to a chunk which ends before byte ``end`` of its file, as they are written.
+    """The message indexes, as they are written, of a chunk that ends before byte ``end`` of its file.
 
-    The chunk is held against its size, its checksum and its times.
+    The chunk is compared with its size, its checksum and its times.
 
     Raises:
-        ValueError: the chunk cannot be unpacked or disagrees with itself; the text says what was found.
+        ValueError: the chunk cannot be unpacked or contradicts itself; the message states what was found.
     """
     if chunk.uncompressed_crc == 0:
         raise ValueError("found a chunk without a checksum; expected one")
@@ -357,10 +359,10 @@ def _message_index(channel: int, listed: list[tuple[int, int]]) -> bytes:
 
 
 def _entries(data: bytes, chunk: Chunk) -> dict[int, list[tuple[int, int]]]:
-    """By channel, log time and offset of each message in the uncompressed bytes of a chunk.
+    """Log time and offset of each message in the uncompressed bytes of a chunk, by channel.
 
     Raises:
-        ValueError: the bytes are no schemas, channels and messages, or are more of them than there can be.
+        ValueError: the bytes are not schemas, channels and messages, or are more of them than there can be.
     """
     entries: dict[int, list[tuple[int, int]]] = {}
     at, size, count = 0, len(data), 0
@@ -368,7 +370,7 @@ def _entries(data: bytes, chunk: Chunk) -> dict[int, list[tuple[int, int]]]:
         count += 1
         require_records(count, chunk)
         if size - at < FRAME.size:
-            raise ValueError(f"{size - at} bytes behind the chunk's last record")
+            raise ValueError(f"{size - at} bytes after the chunk's last record")
         opcode, length = FRAME.unpack_from(data, at)
         begin = at + FRAME.size
         if length > size - begin:
@@ -377,6 +379,6 @@ def _entries(data: bytes, chunk: Chunk) -> dict[int, list[tuple[int, int]]]:
             channel, _, time = _MESSAGE_START.unpack_from(data, begin)
             entries.setdefault(channel, []).append((time, at))
         elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or length < _LEAST_BODY:
-            raise ValueError(f"a record in the chunk with opcode 0x{opcode:02x} that is none")
+            raise ValueError(f"a record in the chunk with opcode 0x{opcode:02x}, which does not belong there")
         at = begin + length
     return entries

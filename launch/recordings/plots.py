@@ -1,14 +1,11 @@
-"""Pictures of recordings: panels over one time axis, the delays as a histogram, what happened as numbered marks.
+"""Pictures of recordings: panels of curves over one time axis, the delays as a histogram, incidents as numbered marks.
 
-Matplotlib is used without a screen and without its global state; SVG keeps its text as text. Texts come from files
-of anywhere: none of them is read as mathematics, and none is longer than a line.
+A :class:`Picture` states what is shown, and holds no drawing. Its quantities follow from the table of topics
+(:mod:`manyhands.protocol.channels`) and from what the file holds; velocities are computed from positions. :func:`draw`
+is the way from a recording's file to its picture's, with progress.
 
-The way from a recording's file to its picture's, telling on the way how far it is.
-
-What a picture of a recording shows: panels of curves, delays, and marks of what happened; nothing is drawn here.
-
-Which quantities there are follows from the table of topics (:mod:`manyhands.protocol.channels`) and from what the file
-holds; velocities are made from the positions.
+Matplotlib is used without a screen and without its global state; SVG keeps text as text. Texts come from files of any
+origin: none is read as mathematics, and none is longer than a line.
 """
 
 from __future__ import annotations
@@ -59,26 +56,26 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
         "tau": "delays inside the tick",
     }
 )
-"""By quantity, in the order in which they are shown."""
+"""Titles by quantity, in the order in which they are shown."""
 
 QUANTITIES: Final = tuple(_TITLES)
 SHOWN: Final = ("sample", VELOCITY, "force", "ledger", "tau")
-"""What is shown where nothing is asked for, as far as it is recorded."""
+"""The quantities that are shown by default, as far as they are recorded."""
 
 _MOST_CERTIFICATE_BYTES = 64 * 2**20
 
 
 class NotDrawable(RecordingError):
-    """What was asked for cannot be shown of this recording."""
+    """The recording does not hold what was asked for."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that happened.
+    """An event in a picture.
 
     Attributes:
-        time: since tick 0, s, of the latest tick when it was told.
-        text: what, a sentence.
+        time: s since tick 0, of the latest tick when it was reported.
+        text: what happened, a sentence.
     """
 
     time: float
@@ -102,14 +99,14 @@ class Delays:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """All that one picture shows.
+    """The content of one picture.
 
     Attributes:
-        title: of what it is.
+        title: of the picture.
         period: T, s.
         first: the first tick shown.
-        ticks: how many are shown.
-        panels: over time, from above.
+        ticks: number of ticks shown.
+        panels: over time, from the top.
         delays: None where they are not shown.
         marks: in order.
         cut: why the file is not whole; None where it is.
@@ -131,14 +128,14 @@ class Picture:
 
 
 def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) -> Picture:
-    """What is shown of a recorded session.
+    """The picture of a recorded session.
 
     Args:
         run: the recording.
-        quantities: some of :data:`QUANTITIES`; by default :data:`SHOWN`, as far as there are any.
+        quantities: some of :data:`QUANTITIES`; by default :data:`SHOWN`, as far as they are recorded.
 
     Raises:
-        NotDrawable: a quantity that is none, or that is not in the file.
+        NotDrawable: a quantity is unknown or not in the file.
     """
     recorded, ticks = run.recorded, run.ticks
     realtime = recorded.clock == REALTIME
@@ -161,10 +158,10 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
 
 
 def picture_of_recording(recording: Recording, quantities: Sequence[str] | None = None) -> Picture:
-    """What is shown of a recording that holds x and f_v alone, as :func:`picture_of_run`.
+    """The picture of a recording that holds x and f_v alone; arguments as of :func:`picture_of_run`.
 
     Raises:
-        NotDrawable: likewise.
+        NotDrawable: as :func:`picture_of_run`.
     """
     topics = {topic.name: topic for topic in TOPICS[Role.DEVICE]}
     traces = {
@@ -180,17 +177,17 @@ def picture_of_recording(recording: Recording, quantities: Sequence[str] | None 
 
 
 def between(picture: Picture, start: float | None, end: float | None) -> Picture:
-    """The same of the time from ``start`` to ``end`` (s), both included.
+    """The same picture for the time from ``start`` to ``end`` (s), both included.
 
     Raises:
-        NotDrawable: no tick is in it.
+        NotDrawable: no tick lies in it.
     """
     stop = picture.first + picture.ticks
     last = (stop - 1) * picture.period
     for option, value in (("--from", start), ("--until", end)):
         if value is not None and not (math.isfinite(value) and value >= 0.0):
             raise NotDrawable(f"{option}: found {value:g} s; expected 0 or more")
-    slack = 1e-9  # of a tick: 0.3 / 0.001 is not 300
+    slack = 1e-9  # of a tick, for rounding: 0.3 / 0.001 is not 300
     first = picture.first if start is None else max(picture.first, math.ceil(start / picture.period - slack))
     beyond = stop if end is None else min(stop, math.floor(end / picture.period + slack) + 1)
     if first >= stop:
@@ -212,7 +209,7 @@ def between(picture: Picture, start: float | None, end: float | None) -> Picture
 
 
 def marks_of(conditions: Iterable[tuple[int, Condition]], period: float) -> tuple[Mark, ...]:
-    """What notices, incidents and faults were new in each condition."""
+    """The notices, incidents and faults that are new in each condition."""
     marks: list[Mark] = []
     before: Counter[str] = Counter()
     for tick, condition in conditions:
@@ -225,7 +222,7 @@ def marks_of(conditions: Iterable[tuple[int, Condition]], period: float) -> tupl
 
 
 def _wanted(quantities: Sequence[str] | None, there: Collection[str], realtime: bool) -> tuple[str, ...]:
-    """The quantities to be shown, in the order of the table."""
+    """The quantities to show, in the order of the table."""
     if unknown := [name for name in quantities or () if name not in QUANTITIES]:
         raise NotDrawable(f"--topics: found {unknown[0]!r}; expected some of {', '.join(QUANTITIES)}")
     if "tau" in (quantities or ()) and not realtime:
@@ -240,7 +237,7 @@ def _wanted(quantities: Sequence[str] | None, there: Collection[str], realtime: 
 
 
 def _panels(traces: Mapping[tuple[str, str], RecordedTrace], period: float, ticks: int) -> list[Panel]:
-    """Every quantity that is recorded, in the order of the table; a node that did fewer ticks than others has a gap."""
+    """A panel for every recorded quantity, in the order of the table; a node with fewer ticks than others has a gap."""
     found: dict[str, list[RecordedTrace]] = {}
     nodes: dict[str, list[str]] = {}
     recorded = {name for (_, name), trace in traces.items() if not np.all(np.isnan(trace.values))}
@@ -272,7 +269,7 @@ def _of_length(values: Array, ticks: int) -> Array:
 
 
 def _certified_tau(attachments: Mapping[str, bytes]) -> float | None:
-    """Tau (us) of the certificate in the file; None where there is none, or nothing that makes sense of one."""
+    """Tau (us) of the certificate in the file; None where there is no certificate, or none that makes sense."""
     text = attachments.get(CERTIFICATE_FILE, b"")
     if not 0 < len(text) <= _MOST_CERTIFICATE_BYTES:
         return None
@@ -285,7 +282,7 @@ def _certified_tau(attachments: Mapping[str, bytes]) -> float | None:
 
 FORMATS: Final = ("png", "svg")
 MOST_LINES = 12
-"""More curves than these in a panel are shown as the band that they fill."""
+"""A panel with more curves shows the band that they fill."""
 
 MOST_MARKS_LISTED = 30
 
@@ -296,14 +293,14 @@ _WIDTH = 10.0  # inches
 _PANEL, _HISTOGRAM, _LINE, _HEAD = 2.1, 2.6, 0.16, 0.7  # heights, inches
 _LONGEST_LABEL, _LINE_LENGTH = 24, 150  # characters
 _BINS = 120
-_NEAR = 0.045  # of the width: marks nearer than this share a number's place
+_NEAR = 0.045  # of the width: marks nearer than this share one label
 
 
 def require_picture(path: Path) -> None:
-    """Refuse a name that no picture can be written to; before the work, not after it.
+    """Refuse a name that no picture can be written to, before the work begins.
 
     Raises:
-        TargetError: no such folder, or another suffix than those of :data:`FORMATS`.
+        TargetError: the folder does not exist, or the suffix is none of :data:`FORMATS`.
     """
     require_target(path)
     if path.suffix.removeprefix(".") not in FORMATS:
@@ -312,17 +309,17 @@ def require_picture(path: Path) -> None:
 
 
 def write_picture(picture: Picture, path: Path) -> None:
-    """Draw ``picture`` into a file of the format of its suffix, whole or not at all.
+    """Draw ``picture`` into a file, in the format of its suffix, whole or not at all.
 
     Raises:
-        TargetError: not a name of a picture, or no folder to put it in.
+        TargetError: the name is no picture's, or its folder does not exist.
     """
     require_picture(path)
     save(figure_of(picture), path)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure whole or not at all, the same bytes for the same figure."""
+    """Write a figure whole or not at all; the same figure gives the same bytes."""
     with (
         rc_context({"svg.fonttype": "none", "svg.hashsalt": "manyhands"}),
         warnings.catch_warnings(),
@@ -334,11 +331,11 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def figure_of(picture: Picture) -> Figure:
-    """The figure; its axes are the panels in order, then, where there are any, the histogram and what happened."""
-    told = _told(picture.marks)
+    """The figure; its axes are the panels in order, then the histogram and the list of marks, where there are any."""
+    lines = _mark_lines(picture.marks)
     heights = [_PANEL] * len(picture.panels)
     heights += [_HISTOGRAM] if picture.delays is not None else []
-    heights += [_LINE * (len(told) + 1)] if told else []
+    heights += [_LINE * (len(lines) + 1)] if lines else []
     figure = Figure(figsize=(_WIDTH, sum(heights) + _HEAD), layout="constrained", facecolor="white")
     figure.suptitle(plain(picture.title, _LINE_LENGTH), x=0.01, ha="left", fontsize="medium", fontweight="bold")
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
@@ -353,10 +350,10 @@ def figure_of(picture: Picture) -> Figure:
         axes.set_xlabel("time [s]" if row == len(picture.panels) - 1 else "")
     if picture.delays is not None:
         draw_delays(figure.add_subplot(grid[len(picture.panels)]), picture.delays)
-    if told:
+    if lines:
         axes = figure.add_subplot(grid[len(heights) - 1])
         axes.axis("off")
-        axes.text(0.0, 1.0, "\n".join(told), va="top", fontsize="x-small", transform=axes.transAxes)
+        axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize="x-small", transform=axes.transAxes)
     if picture.cut is not None:
         text = f"This recording is cut: {picture.cut}"
         figure.supxlabel(
@@ -367,9 +364,9 @@ def figure_of(picture: Picture) -> Figure:
 
 
 def draw_panel(axes: Axes, time: Array, panel: Panel) -> None:
-    """Draw curves against ``time`` (s): lines of few, the band between the extremes of many.
+    """Draw curves against ``time`` (s): lines of a few, the band between the extremes of many.
 
-    Nothing is skipped where ticks are more than pixels: see :mod:`manyhands.launch.recordings.curves`.
+    No extreme is lost where there are more ticks than pixels: see :mod:`manyhands.launch.recordings.curves`.
     """
     axes.set_title(panel.title, loc="left", fontsize="small")
     axes.set_xlabel("time [s]")
@@ -416,7 +413,7 @@ def _draw_band(axes: Axes, time: Array, curves: Sequence[Curve]) -> None:
 
 
 def draw_delays(axes: Axes, delays: Delays) -> None:
-    """Draw how often each tau was, of each device or of many together, with the certificate's tau and T marked."""
+    """Draw how often each tau occurred, of each device or of many together, with the certificate's tau and T marked."""
     known = [Curve(curve.label, curve.values[curve.values > 0.0]) for curve in delays.curves]
     every = np.concatenate([curve.values for curve in known]) if known else np.zeros(0)
     axes.set_xlabel("τ [µs], from sampling x to applying f_v")
@@ -425,9 +422,9 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     if not len(every):
         axes.set_title("delays inside the tick: none recorded", loc="left", fontsize="small")
         return
-    told = "   ".join(f"{name} {np.percentile(every, share):.0f}" for name, share in
+    percentiles = "   ".join(f"{name} {np.percentile(every, share):.0f}" for name, share in
                       (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("greatest", 100.0)))  # fmt: skip
-    axes.set_title(f"delays inside the tick, µs:   {told}", loc="left", fontsize="small")
+    axes.set_title(f"delays inside the tick, µs:   {percentiles}", loc="left", fontsize="small")
     limits = [limit for limit in (delays.certified, delays.period) if limit]
     least, most = min(float(every.min()), *limits) * 0.9, max(float(every.max()), *limits) * 1.1
     edges = np.geomspace(least, most, _BINS + 1)
@@ -455,7 +452,7 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
 
 
 def _draw_marks(axes: Axes, picture: Picture, time: Array, numbers: bool) -> None:
-    """A line where something happened, and above it its number in the list; neighbours share a place."""
+    """A line at each mark, and above it its number in the list; close neighbours share one label."""
     places: list[tuple[float, int, int]] = []
     near = _NEAR * (time[-1] - time[0])
     for number, mark in enumerate(picture.marks, start=1):
@@ -470,8 +467,8 @@ def _draw_marks(axes: Axes, picture: Picture, time: Array, numbers: bool) -> Non
                       fontsize="x-small", color=_MARK)  # fmt: skip
 
 
-def _told(marks: Sequence[Mark]) -> list[str]:
-    """The list of what happened, in lines."""
+def _mark_lines(marks: Sequence[Mark]) -> list[str]:
+    """The list of marks, in lines."""
     lines = []
     for number, mark in enumerate(marks[:MOST_MARKS_LISTED], start=1):
         text = plain(f"{number}   {mark.time:.3f} s   {mark.text}", 2 * _LINE_LENGTH)
@@ -482,13 +479,13 @@ def _told(marks: Sequence[Mark]) -> list[str]:
 
 
 def plain(text: str, longest: int) -> str:
-    """A text of anywhere as matplotlib shows it as it is: in one line, printable, and no mathematics."""
+    """A text of any origin, made safe for matplotlib: one line, printable, and no mathematics."""
     line = presentable(" ".join(text.split()))
     return (line if len(line) <= longest else line[: longest - 1] + "…").replace("$", r"\$")
 
 
 def label(text: str) -> str:
-    """The same for a legend, which leaves out what begins with an underscore."""
+    """The same for a legend, which leaves out texts that begin with an underscore."""
     shown = plain(text, _LONGEST_LABEL)
     return f" {shown}" if shown.startswith("_") else shown
 
@@ -507,12 +504,12 @@ def draw(
         file: .mcap, .npz or .csv.
         target: .png or .svg.
         console: for progress.
-        quantities: what to show; None for what there usually is.
+        quantities: what to show; None for :data:`SHOWN`.
         start: s since tick 0; None for the beginning.
-        end: likewise; None for the end.
+        end: s since tick 0; None for the end.
 
     Raises:
-        RecordingError: no recording, or nothing of what was asked for is in it.
+        RecordingError: the file is no recording, or holds nothing of what was asked for.
         TargetError: the picture cannot be written there.
     """
     require_format(file, RUN_SUFFIXES)
@@ -531,7 +528,9 @@ def _picture(file: Path, quantities: Sequence[str] | None, tell: Callable[[float
 
 @contextmanager
 def _progress(console: Console, text: str) -> Iterator[Callable[[float], None]]:
-    """A bar on a terminal, gone afterwards; yields what is told how far it is, 0 ... 1."""
+    """A progress bar on a terminal, removed afterwards; yields a function to call with the part that is done, 0 to
+    1.
+    """
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(text, total=1.0)
         yield lambda part: progress.update(task, completed=part)

@@ -15,15 +15,15 @@ from manyhands.launch.run.display import say
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
-    """Say where a file is not as it was written."""
+    """Print where a file differs from what was written, a line for each damage."""
     for found in damage:
         say(out, f"{name}: damaged: bytes {found.begin} to {found.end - 1}: {found.what}")
 
 
 def print_replayed(out: Console, name: str, found: Replayed) -> None:
-    """Say whether a session that was run again is the same."""
+    """Print whether a replayed session is identical, and where it is not."""
     for device in found.given:
-        say(out, f"{device}: a person moved it: its motion is taken from the recording, and its ledger is not compared")
+        say(out, f"{device}: a person moved it, so its motion is taken from the recording and its ledger not compared")
     for deviation in found.deviations:
         first = deviation.first
         say(
@@ -32,19 +32,19 @@ def print_replayed(out: Console, name: str, found: Replayed) -> None:
             f"{first.recorded!r} {deviation.unit}, recomputed {first.recomputed!r} {deviation.unit}",
         )
     for topic, ticks in found.missing.items():
-        say(out, f"{topic}: {ticks} ticks are not in the recording")
+        say(out, f"{topic}: {ticks} ticks are missing from the recording")
     if found.ended:
-        say(out, f"run again, the session ends before the recording does: {found.ended}")
+        say(out, f"the replay ends before the recording does: {found.ended}")
     if found.identical:
         say(out, f"{name}: identical: {found.numbers} numbers of {found.ticks} ticks, bit for bit")
         return
     for incident in found.incidents:
-        say(out, f"withstood, which no replay does: {incident}")
+        say(out, f"incident in the recording, which a replay does not repeat: {incident}")
     say(out, f"{name}: not identical: {found.differing} of {found.numbers} numbers of {found.ticks} ticks differ")
 
 
 def print_audit(out: Console, name: str, audit: Audit) -> None:
-    """A line for each party, then what does not hold, what was assumed in vain, and what was not checked."""
+    """Print a line for each party, then broken checks, broken assumptions, and the ticks that were not checked."""
     certificate, *checks = audit.checks
     table = Table(title=f"{audit.session} ({audit.clock}), {audit.ticks} ticks", title_justify="left")
     for column in ("party", "recomputed and compared"):
@@ -68,7 +68,7 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         say(out, f"not checked: {line}")
     for check in checks:
         if check.verdict is Verdict.ASSUMPTION:
-            say(out, f"assumed in vain: {check.party}: {check.what}: {check.told}")
+            say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.told}")
     for check in audit.broken:
         say(out, f"broken: {check.party}: {check.name}: {sentence(check)}")
     if certificate.holds:
@@ -77,13 +77,13 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     say(
         out,
         f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[Verdict.HOLDS]} checks hold, "
-        f"{count[Verdict.BROKEN]} do not, {count[Verdict.ASSUMPTION]} assumptions of the certificate did not, "
-        f"{count[Verdict.UNCHECKED]} had nothing to check",
+        f"{count[Verdict.BROKEN]} do not; {count[Verdict.ASSUMPTION]} assumptions of the certificate did not hold; "
+        f"{count[Verdict.UNCHECKED]} had nothing to compare",
     )
 
 
 def _unchecked(check: Check) -> list[str]:
-    """What a check does not speak of, a line for each reason."""
+    """The ticks that a check does not cover, a line for each reason."""
     gaps: dict[str, list[UncheckedTicks]] = {}
     for gap in check.gaps:
         gaps.setdefault(gap.why, []).append(gap)
@@ -96,7 +96,7 @@ def _unchecked(check: Check) -> list[str]:
 
 
 def sentence(check: Check) -> str:
-    """What is wrong, by its first number."""
+    """The sentence about a broken check, with its first wrong number."""
     if check.first is None:
         return check.told or check.what
     first, within = check.first, f" within {check.tolerance:.3g}" if check.tolerance else ""

@@ -1,8 +1,8 @@
-"""Every x and f_v of a run, tick by tick, and the files they are kept in.
+"""Every x and f_v of a run, tick by tick, and the files that hold them.
 
-Two formats are written from here, chosen by the file's suffix: ``.npz`` (arrays ``x`` and ``f_v``, ticks x ports, with
-the port names, the period, the session and the certificate's id; exact) and ``.csv`` (one row a tick, for a
-spreadsheet). The third, ``.mcap``, is written while the session runs by a process of its own
+Two formats are written here, chosen by the file's suffix. ``.npz`` holds arrays ``x`` and ``f_v`` (ticks x ports), with
+the port names, the period, the session and the certificate's id; it is exact. ``.csv`` has one row a tick, for a
+spreadsheet. A third, ``.mcap``, is written while the session runs by a process of its own
 (:mod:`manyhands.launch.run.recorder`) and read by :mod:`manyhands.launch.recordings.tables`.
 """
 
@@ -28,13 +28,14 @@ Array = NDArray[np.float64]
 SUFFIXES = (".npz", ".csv")
 STREAMED = ".mcap"
 RUN_SUFFIXES = (*SUFFIXES, STREAMED)
-"""What a run of processes can be recorded to; a simulation in one process keeps all in memory anyway."""
+"""The formats of a session of processes; a simulation in one process keeps everything in memory, and writes no
+``.mcap``."""
 
-MOST_MISSING_TICKS = 1_000_000  # of one device in all; more would be nonsensical ticks, and memory for them, not a loss
+MOST_MISSING_TICKS = 1_000_000  # of one device in all; more than that is no loss but ticks that make no sense
 
 
 class RecordingError(Exception):
-    """A recording cannot be written, or is not whole."""
+    """A recording cannot be written or read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,8 @@ class Recording:
         ports: names of the m ports.
         x: ticks x m, m.
         f_v: ticks x m, N.
-        missing: ticks that were not recorded, NaN in x and f_v, by device, those devices that miss some.
-        cut: why the file it was read from is not whole, and up to which tick it is; None for one that is.
+        missing: number of ticks that were not recorded, NaN in x and f_v, by device, for devices that miss some.
+        cut: why the file it was read from is not whole, and up to which tick it is; None for a whole file.
     """
 
     session: str
@@ -75,7 +76,7 @@ class Recording:
         """Write the file whole or not at all, in the format of its suffix.
 
         Raises:
-            RecordingError: unknown suffix, or the file cannot be written.
+            RecordingError: the suffix is unknown, or the file cannot be written.
         """
         require_suffix(path)
         try:
@@ -105,11 +106,11 @@ class Recording:
 
 
 def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
-    """Refuse a file name that cannot be recorded to; before a run, not after it.
+    """Refuse a file name that cannot be recorded to, before a run begins.
 
     Raises:
         RecordingError: the suffix is none of ``suffixes``.
-        TargetError: the file cannot be there.
+        TargetError: the file cannot be written there.
     """
     require_format(path, suffixes)
     require_target(path)
@@ -119,30 +120,35 @@ def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
     """Refuse a file name whose suffix is none of ``suffixes``.
 
     Raises:
-        RecordingError: so it is.
+        RecordingError: the suffix is another.
     """
     if path.suffix not in suffixes:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(suffixes)}")
 
 
 class Collector:
-    """Puts the traces of the devices' telemetry together again, those of each device by themselves.
+    """Joins the traces of the devices' telemetry, for each device separately.
 
     Attributes:
-        refused: messages whose traces fit no device, its ports, or its ticks so far.
+        refused: number of messages whose traces fit no device, its ports, or its ticks so far.
     """
 
     def __init__(self, ports: Mapping[str, tuple[str, ...]], most_missing: int = MOST_MISSING_TICKS) -> None:
-        """``ports`` of each device, and the most ticks that one of them may miss."""
+        """Begin without any tick.
+
+        Args:
+            ports: of each device.
+            most_missing: the most ticks that one device may miss.
+        """
         self._ports, self._most_missing = ports, most_missing
         self._chunks: dict[str, list[tuple[Array, Array]]] = {device: [] for device in ports}
         self._coverage = {device: Coverage() for device in ports}
         self.refused = 0
 
     def add(self, device: str, tick: int, x: Array, f_v: Array) -> None:
-        """Take the rows that end before ``tick``; a gap is filled with NaN and counted.
+        """Add the rows that end before ``tick``; a gap is filled with NaN and counted.
 
-        What does not fit comes from outside: it is counted, and changes nothing.
+        A message that does not fit is counted and changes nothing, since it comes from outside.
         """
         ports = self._ports.get(device)
         if ports is None or x.ndim != 2 or x.shape != f_v.shape or x.shape[1] != len(ports):
@@ -163,19 +169,20 @@ class Collector:
 
     @property
     def tick(self) -> int:
-        """The number of ticks of the device that told most."""
+        """Number of ticks of the device with the most."""
         return max(coverage.next for coverage in self._coverage.values())
 
     @property
     def missing(self) -> Mapping[str, int]:
-        """Ticks of the run that a device's telemetry did not tell, by device, those devices that miss some.
+        """Number of ticks of the run that a device did not report, by device, for devices that miss some.
 
-        A realtime run may lose telemetry rather than be disturbed; a device may also stop telling, or never begin.
+        A realtime run may lose telemetry, so that no tick is disturbed. A device may also stop reporting, or never
+        begin.
         """
         return missing_by_party(self._coverage, 0, self.tick)
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
-        """The whole run: what a device did not tell is NaN, up to the last tick that any device told."""
+        """The whole run; ticks that a device did not report are NaN, up to the last tick of any device."""
         columns = [self._column(device, self.tick) for device in self._ports]
         return Recording(
             session,

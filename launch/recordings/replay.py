@@ -1,12 +1,10 @@
-"""Running a recorded session again and comparing every number that it recorded, bit for bit.
+"""Runs a recorded session again and compares every recorded number, bit for bit.
 
-Under the simulated clock nothing of a session depends on the machine: the cores take the same steps in the same order,
-and what comes out is the same to the last bit, or the recording is another version's, or was changed.
+Under the simulated clock nothing in a session depends on the machine. The cores take the same steps in the same order,
+and the result is the same to the last bit. If it is not, another version recorded it, or the recording was changed.
 
-What no arithmetic knows is taken from the recording: the displacement of a device that a person moved. A session that
-lost a process cannot be run again, for the tick of a death is nowhere written.
-
-What moved the devices of a recorded session: what can be computed again, and what was a person's doing.
+The displacement of a device that a person moved is taken from the recording, since no arithmetic can produce it. A
+session that lost a process cannot be replayed, since the tick of its death is not recorded.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ COMPUTED: Final = frozenset({"simulated", "trace"})
 
 
 def given_devices(session: Session, clock: str) -> tuple[str, ...]:
-    """The devices whose motion only a recording knows, since a person moved them; nobody does in simulated time."""
+    """The devices that a person moved, whose motion only a recording has; none under the simulated clock."""
     if clock == SIMULATED:
         return ()
     return tuple(name for name, device in session.devices.items() if device.driver not in COMPUTED)
@@ -49,14 +47,14 @@ def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | None
 
 
 class GivenMotion:
-    """A :class:`manyhands.nodes.device.drivers.Driver` that moves as was recorded, whatever is exerted on it.
+    """A :class:`manyhands.nodes.device.drivers.Driver` that moves as was recorded, whatever force is exerted on it.
 
     Attributes:
-        ticks: as many as were recorded without a gap.
+        ticks: number of ticks that were recorded without a gap.
     """
 
     def __init__(self, x: NDArray[np.float64]) -> None:
-        """``x``: ticks x axes, m."""
+        """The motion ``x``: ticks x axes, m."""
         self._x = x
         holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
         self.ticks = int(holes[0]) if len(holes) else len(x)
@@ -67,29 +65,29 @@ class GivenMotion:
         return int(self._x.shape[1])
 
     def sample(self, tick: int) -> list[float]:
-        """Where it was at that tick, m."""
+        """The position at that tick, m."""
         row: list[float] = self._x[tick].tolist()
         return row
 
     def apply(self, f: Sequence[float]) -> None:
-        """The force is not felt."""
+        """The force has no effect."""
 
     def release(self) -> None:
-        """There is none."""
+        """There is no force to release."""
 
     def idle(self) -> None:
-        """Nothing was put off."""
+        """There is no deferred work."""
 
     def intended_work(self) -> float:
-        """Unknown."""
+        """Zero: the work of a person is unknown."""
         return 0.0
 
     def figures(self) -> Mapping[str, float]:
-        """None."""
+        """No figures."""
         return {}
 
     def close(self) -> None:
-        """Nothing is held."""
+        """There is nothing to close."""
 
 
 Array = NDArray[np.float64]
@@ -97,13 +95,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Deviation:
-    """The first number of a topic that is another one when the session is run again.
+    """The first number of a topic that differs when the session is run again.
 
     Attributes:
-        node: whose.
-        topic: its name.
+        node: the node.
+        topic: its topic's name.
         unit: of the numbers.
-        first: where, and which numbers.
+        first: tick, column and both numbers.
     """
 
     node: str
@@ -114,17 +112,17 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What came of a replay.
+    """The result of a replay.
 
     Attributes:
-        ticks: that were run again.
-        numbers: how many were compared, bit for bit.
+        ticks: number of ticks that were run again.
+        numbers: how many numbers were compared, bit for bit.
         differing: how many of them differ.
-        deviations: of every topic that differs, its first number, in the order of ticks.
-        missing: by node and topic, the ticks without a recorded row before its last one.
+        deviations: the first number of every topic that differs, in the order of ticks.
+        missing: by node and topic, the number of ticks without a recorded row before its last one.
         given: devices whose motion was taken from the recording, since a person moved them.
         ended: why the session ended before its recording does; empty otherwise.
-        incidents: what the session withstood, which a replay does not.
+        incidents: the recorded session's incidents, which a replay does not repeat.
     """
 
     ticks: int
@@ -138,11 +136,11 @@ class Replayed:
 
     @property
     def identical(self) -> bool:
-        """Whether every number was there and is the same."""
+        """Whether every number was recorded and is the same."""
         return not (self.deviations or self.missing or self.ended) and self.numbers > 0
 
     def as_plain(self) -> dict[str, Any]:
-        """As JSON values."""
+        """As a JSON object."""
         return {
             "identical": self.identical,
             "ticks": self.ticks,
@@ -162,27 +160,27 @@ def require_simulated(path: Path, run: RecordedRun) -> None:
     """Refuse a recording of a session that kept real time.
 
     Raises:
-        RecordingError: so it is.
+        RecordingError: the recording has the realtime clock.
     """
     if run.recorded.clock != SIMULATED:
         raise RecordingError(
-            f"{path}: found a session in real time ({run.recorded.clock}), in which ticks come late and couplings "
-            f"freeze as the machine has it; expected one under --clock {SIMULATED}. manyhands audit {path} checks "
+            f"{path}: found a session in real time ({run.recorded.clock}), where late ticks and frozen couplings "
+            f"depend on the machine; expected one under --clock {SIMULATED}. manyhands audit {path} checks "
             "a recording of either kind"
         )
 
 
 def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None] | None = None) -> Replayed:
-    """Run a recorded session again and compare.
+    """Run a recorded session again and compare it.
 
     Args:
         prepared: the session that was recorded.
-        run: what was recorded.
-        progress: told now and then how many ticks are done.
+        run: its recording.
+        progress: called now and then with the number of ticks that are done.
 
     Raises:
         ModelError: the environment's model cannot be made.
-        ModelFailure: it gave no usable forces, as it had when it was recorded.
+        ModelFailure: the model gave no usable forces, as it had when it was recorded.
     """
     given = given_devices(prepared.session, run.recorded.clock)
     drivers = {name: GivenMotion(rows_of(run, name, DISPLACEMENT)) for name in given}
@@ -212,7 +210,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         if recomputed is None:
             if last:
                 raise RecordingError(f"found the topic {topic} of {node} in the recording; expected none of it")
-            continue  # it has no ledger to tell of
+            continue  # the node keeps no ledger, and none was recorded
         if lacking := coverage.missing_in(0, last or ticks):
             missing[f"{node}/{topic}"] = lacking
         recorded, again = trace.values[rows], recomputed[rows]
@@ -222,7 +220,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         if first is not None:
             at = Difference(int(rows[first.tick]), first.column, first.recorded, first.recomputed)
             deviations.append(Deviation(node, topic, trace.topic.unit, at))
-    untold = {
+    unrecorded = {
         f"{node}/{kept.topic.name}": ticks
         for node, topics in traces.by_node.items()
         for kept in topics
@@ -234,7 +232,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         numbers,
         differing,
         tuple(sorted(deviations, key=lambda deviation: deviation.first.tick)),
-        missing | untold,
+        missing | unrecorded,
         tuple(given),
         ended if deviations else "",
         tuple(incidents),
@@ -242,5 +240,5 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
 
 
 def _believed(trace: RecordedTrace, given: bool) -> bool:
-    """Whether a topic is taken over: where a person moved a device, and the ledger that reckons with that."""
+    """Whether a topic is taken from the recording: the motion of a device that a person moved, and its ledger."""
     return given and trace.topic.trace in (DISPLACEMENT, LEDGER)

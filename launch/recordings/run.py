@@ -1,11 +1,8 @@
-"""A recording read as a whole: every topic of every node, tick by tick, and what else the file holds.
+"""Reads a recording as a whole: every topic of every node, tick by tick, and everything else the file holds.
 
-Putting the rows of a topic together again, tick by tick, out of the messages that tell one tick each.
-
-The rows of a recording as those who recompute it take them, and the first tick at which a clutch may have moved.
-
-A row is whole or it is none. What happened to a node between two rows is in its events
-(:mod:`manyhands.launch.recordings.events`).
+A message reports one tick of one topic. A :class:`Gatherer` collects them into rows; a row is whole, or it is missing.
+:class:`RecordedRun` is the result. What happened to a node between two rows is in its events
+(:mod:`manyhands.launch.recordings.events`). :func:`first_sign` finds the first tick at which a clutch may have moved.
 """
 
 from __future__ import annotations
@@ -32,16 +29,16 @@ from manyhands.protocol.messages import Condition, Role
 Array = NDArray[np.float64]
 
 MOST_TICK: Final = 2**53
-"""Ticks beyond are no ticks of a run."""
+"""Greater numbers are no ticks of a run."""
 
 
 _ROOM_OF_A_ROW: Final = 200
 _ROOM_OF_A_NUMBER: Final = 32
-"""Bytes that a message's text takes at most, besides and for each number; longer ones are not parsed."""
+"""The most bytes of a message's text, in all besides the numbers and for each number; longer texts are not parsed."""
 
 
 def objects(texts: Sequence[bytes]) -> list[Any]:
-    """What each text is in JSON, those that are it: all at once, or one by one where that does not go."""
+    """The JSON objects of those texts that hold one: parsed all at once, or one by one if that fails."""
     try:
         found: list[Any] = json.loads(b"[%b]" % b",".join(texts))
     except (ValueError, RecursionError):
@@ -54,11 +51,11 @@ def _one_by_one(texts: Iterable[bytes]) -> Iterator[Any]:
         try:
             yield json.loads(text)
         except (ValueError, RecursionError):
-            continue  # a checksum says that this is what was written: who wrote it meant something else
+            continue  # the checksum agrees, so the writer of the file meant something else
 
 
 def fitting(plain: Iterable[Any], read: Callable[[Any], Any]) -> Iterator[Any]:
-    """What ``read`` makes of each object; those of which it says that they are none are passed over."""
+    """What ``read`` returns for each object; objects that it refuses by a ValueError are skipped."""
     for one in plain:
         try:
             yield read(one)
@@ -67,7 +64,7 @@ def fitting(plain: Iterable[Any], read: Callable[[Any], Any]) -> Iterator[Any]:
 
 
 class Gatherer:
-    """The rows of one topic of one node.
+    """Collects the rows of one topic of one node.
 
     Attributes:
         topic: the topic.
@@ -75,17 +72,17 @@ class Gatherer:
     """
 
     def __init__(self, topic: Topic, columns: tuple[str, ...]) -> None:
-        """Nothing is gathered yet."""
+        """Begin without any row."""
         self.topic, self.columns = topic, columns
         self._pieces: list[tuple[NDArray[np.int64], Array]] = []
 
     @property
     def count(self) -> int:
-        """How many rows were taken."""
+        """Number of rows that were taken."""
         return sum(len(ticks) for ticks, _ in self._pieces)
 
     def take(self, texts: Sequence[bytes]) -> None:
-        """Take in messages; what is none of this topic is passed over, and its tick is missing then."""
+        """Take in messages. One that does not fit the topic is skipped, and its tick is missing then."""
         most = _ROOM_OF_A_ROW + _ROOM_OF_A_NUMBER * len(self.columns)
         plain = objects([text for text in texts if len(text) <= most])
         piece = self._read(plain)
@@ -100,14 +97,14 @@ class Gatherer:
             self._pieces.append(piece)
 
     def _read(self, plain: list[Any]) -> tuple[NDArray[np.int64], Array] | None:
-        """Ticks and rows of messages that were read; None if not all of them are as they should be."""
+        """Ticks and rows of parsed messages; None if any of them does not fit the topic."""
         key, one = self.topic.trace, self.topic.columns is Columns.ONE
         try:
             numbers, rows = [each[TICK] for each in plain], [each[key] for each in plain]
             kinds = {type(value) for value in (rows if one else chain.from_iterable(rows))}
             if {type(number) for number in numbers} != {int} or not kinds <= {float, int, NoneType}:
                 return None
-            ticks, values = np.array(numbers, dtype=np.int64), np.array(rows, dtype=np.float64)  # None: not a number
+            ticks, values = np.array(numbers, dtype=np.int64), np.array(rows, dtype=np.float64)  # None becomes NaN
         except (LookupError, TypeError, ValueError, OverflowError):
             return None
         values = values[:, None] if one else values
@@ -116,49 +113,50 @@ class Gatherer:
 
     @property
     def first(self) -> int | None:
-        """The earliest tick that was told of; None if none was."""
+        """The earliest tick with a row; None if there is none."""
         return min((int(at.min()) for at, _ in self._pieces), default=None)
 
     def end(self, most: int) -> int:
-        """One more than the latest tick of those below ``most``."""
+        """One more than the latest tick below ``most``."""
         return max((int(at[at < most].max(initial=-1)) + 1 for at, _ in self._pieces), default=0)
 
     def rows(self, span: range) -> tuple[Array, NDArray[np.bool_]]:
-        """The rows of the ticks of ``span``, NaN where there are none, and which of them were told."""
+        """The rows of the ticks of ``span``, NaN where there are none, and which ticks have one."""
         values = np.full((len(span), len(self.columns)), np.nan)
-        told = np.zeros(len(span), dtype=np.bool_)
+        present = np.zeros(len(span), dtype=np.bool_)
         for at, piece in self._pieces:
             inside = (at >= span.start) & (at < span.stop)
             row = at[inside] - span.start
-            values[row], told[row] = piece[inside], True
-        return values, told
+            values[row], present[row] = piece[inside], True
+        return values, present
 
 
 def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
-    """The ticks that there are, up to the latest told of; such that no more than ``most_missing`` numbers are missing.
+    """The ticks of a recording, up to the latest with a row, such that at most ``most_missing`` numbers are missing.
 
-    From tick 0 on, unless so many are missing before the first that was told of, in a recording of a session's later
-    hours: then from there. A single message of a tick out of this world would otherwise cost memory for all before it.
+    The span begins at tick 0. It begins at the first tick with a row if more than that is missing before, in a
+    recording of a session's later hours. Without the limit, a single message with an absurd tick would cost memory for
+    all ticks before it.
     """
-    told = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
+    found = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
     width = sum(len(gatherer.columns) for gatherer in gatherers)
-    room = (told + most_missing) // max(1, width)
+    room = (found + most_missing) // max(1, width)
     earliest = min((gatherer.first for gatherer in gatherers if gatherer.first is not None), default=0)
     first = earliest if earliest >= room else 0
     return range(first, max((gatherer.end(first + room) for gatherer in gatherers), default=first))
 
 
 MOST_VALUES: Final = 500_000_000
-"""Most numbers that are read from one recording: 4 GB, about four hours of three users."""
+"""The most numbers that are read from one recording: 4 GB, about four hours of three users."""
 
 MOST_MISSING: Final = 100_000_000
-"""Most numbers that are filled with NaN where something is missing: 0.8 GB."""
+"""The most numbers that are filled with NaN where something is missing: 0.8 GB."""
 
 MOST_OTHERS: Final = 10_000_000
-"""Most figures and conditions, messages of both together."""
+"""The most messages with figures and conditions, both together."""
 
 MOST_ATTACHED_BYTES: Final = 256 * 2**20
-"""Most bytes of all attachments together."""
+"""The most bytes of all attachments together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +164,10 @@ class RecordedTrace:
     """One topic of one node.
 
     Attributes:
-        topic: which.
+        topic: the topic.
         columns: names of its columns.
-        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`RecordedRun`); NaN where it was
-        not
-            recorded.
+        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`RecordedRun`); NaN where
+            nothing was recorded.
     """
 
     topic: Topic
@@ -180,17 +177,18 @@ class RecordedTrace:
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """Everything of a recording.
+    """The content of a recording.
 
     Attributes:
         recorded: the session.
-        traces: by node and topic name, in the table's order, all of the same length; one of which nothing was recorded
-            is NaN, but for ledgers, which a node has only where it keeps one.
-        figures: by node, tick and figures of each telemetry.
-        conditions: how the session was, each with the latest tick then.
-        attachments: contents by name, of the session's file and the certificate's.
-        cut: why the file is not whole, and up to which tick it is; None for one that is.
-        first: the tick of the first row: 0, unless the recording began so late that what came before has no room.
+        traces: by node and topic name, in the table's order, all of the same length. A topic without any record is all
+            NaN; a ledger without any record is absent, since not every node keeps one.
+        figures: by node, tick and figures of each telemetry message.
+        conditions: the session's conditions, each with the latest tick at that time.
+        attachments: contents by name, of the session file and the certificate.
+        cut: why the file is not whole, and up to which tick it is; None for a whole file.
+        first: the tick of the first row: 0, unless the recording begins so late that there is no room for the ticks
+            before.
     """
 
     recorded: Recorded
@@ -203,7 +201,7 @@ class RecordedRun:
 
     @property
     def ticks(self) -> int:
-        """The number of rows of the longest trace."""
+        """Number of rows of the longest trace."""
         return max((len(trace.values) for trace in self.traces.values()), default=0)
 
     @property
@@ -212,24 +210,24 @@ class RecordedRun:
         return np.arange(self.first, self.first + self.ticks, dtype=np.float64) * self.recorded.period
 
     def require_beginning(self, path: Path) -> RecordedRun:
-        """Itself, where row k is tick k.
+        """This run, checked to begin at tick 0, so that row k is tick k.
 
         Raises:
-            RecordingError: it began too late for that.
+            RecordingError: it begins too late for that.
         """
         require_beginning(path, self.first)
         return self
 
 
 def read_run(path: Path, progress: Callable[[float], None] | None = None) -> RecordedRun:
-    """Read an ``.mcap`` recording of this program, whole or cut anywhere behind its beginning.
+    """Read an ``.mcap`` recording of this program, whole or cut anywhere after its metadata.
 
     Args:
         path: the recording.
-        progress: told which share of the file was read, from 0 to 1.
+        progress: called with the part of the file that was read, 0 to 1.
 
     Raises:
-        RecordingError: not readable, no such recording, larger than is read, or cut before it says what it is.
+        RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata.
     """
     reading = read_topics(path, lambda node, topic: True, progress)
     span = span_of([*reading.gatherers.values()], MOST_MISSING)
@@ -245,20 +243,20 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
 
 
 def cut_at(why: str, ticks: int) -> str:
-    """Why a file is not whole, for people; ``ticks``: how far it goes all the same."""
-    return f"{why}, and not as a recorder ends it; what it holds goes to tick {ticks}"
+    """Why a file is not whole, in a sentence; ``ticks`` is the tick up to which it can be read."""
+    return f"{why}, without a recorder's end; what it holds goes to tick {ticks}"
 
 
 def require_beginning(path: Path, first: int) -> None:
-    """Refuse a recording whose beginning there is no room for.
+    """Refuse a recording that begins too late to be computed from tick 0 on.
 
     Raises:
         RecordingError: its first row is that of another tick than 0.
     """
     if first:
         raise RecordingError(
-            f"{path}: found a recording that begins at tick {first}; expected one of a session's first hours, from "
-            "whose beginning on this is computed; export and plot take it as it is"
+            f"{path}: found a recording that begins at tick {first}; expected one from tick 0 on, since this command "
+            "computes from there; export and plot take it as it is"
         )
 
 
@@ -268,14 +266,20 @@ class Reading:
     Attributes:
         recorded: the session.
         gatherers: the rows of the wanted topics, by node and topic name, in the table's order.
-        figures: by node, tick and figures.
+        figures: tick and figures of each telemetry message, by node.
         conditions: tick and condition.
         attachments: contents by name.
         why: why the file is not whole; None if it is.
     """
 
     def __init__(self, path: Path, recorded: Recorded, wanted: Callable[[str, Topic], bool]) -> None:
-        """A file that has said what it is of; ``wanted`` says which topics of which nodes to read."""
+        """Begin after the metadata of a file.
+
+        Args:
+            path: the recording, for messages.
+            recorded: the session.
+            wanted: which topics of which nodes to read.
+        """
         self._path = path
         self.recorded = recorded
         self.gatherers = {
@@ -309,10 +313,10 @@ class Reading:
         self.conditions += fitting(objects(texts), decode_condition)
 
     def take(self, part: object) -> None:
-        """Take in a part of the file; what is nobody's is passed over.
+        """Take in a part of the file; a part that belongs to no topic is skipped.
 
         Raises:
-            RecordingError: more than is read.
+            RecordingError: the file holds more than is read.
         """
         match part:
             case Channel():
@@ -325,9 +329,9 @@ class Reading:
                 texts: dict[int, list[bytes]] = {}
                 for message in found:
                     texts.setdefault(message.channel, []).append(message.data)
-                for channel, told in texts.items():
+                for channel, own in texts.items():
                     if channel in self._channels:
-                        self._channels[channel](told)
+                        self._channels[channel](own)
             case End(why):
                 self.why = why
         self._require_room()
@@ -346,7 +350,7 @@ class Reading:
 def read_topics(
     path: Path, wanted: Callable[[str, Topic], bool], progress: Callable[[float], None] | None = None
 ) -> Reading:
-    """Read those topics of a recording that are ``wanted``, by node and topic; the rest as :func:`read_run`.
+    """Read the topics of a recording that are ``wanted``, by node and topic; everything else as :func:`read_run`.
 
     Raises:
         RecordingError: as :func:`read_run`.
@@ -360,11 +364,13 @@ def read_topics(
                 except ValueError as error:
                     raise RecordingError(f"{path}: {error}") from error
             case End(why) if reading is None:
-                raise RecordingError(f"{path}: found no word of what was recorded, but {why or 'another file'}")
+                raise RecordingError(
+                    f"{path}: found no metadata of a session ({why or 'another file'}); expected a recording"
+                )
             case _ if reading is not None:
                 reading.take(part)
     if reading is None:
-        raise RecordingError(f"{path}: found no end")  # the last part is an end
+        raise RecordingError(f"{path}: found no metadata of a session; expected a recording")
     return reading
 
 
@@ -372,12 +378,12 @@ Figures = Sequence[tuple[int, Mapping[str, float]]]
 
 
 def rows_of(run: RecordedRun, node: str, trace: str) -> Array:
-    """The rows of one trace of a node, ticks x columns; NaN where it has none, and for every tick where it is missing.
+    """The rows of one trace of a node, ticks x columns; NaN in ticks without a row.
 
     Args:
         run: the recording.
-        node: whose.
-        trace: by its name in telemetry, such as ``x``.
+        node: its name.
+        trace: its name in telemetry, such as ``x``.
     """
     for (of, _), kept in run.traces.items():
         if of == node and kept.topic.trace == trace:
@@ -396,10 +402,10 @@ def there(rows: Array) -> NDArray[np.bool_]:
 
 
 def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | None:
-    """The tick behind which a figure first was no longer ``at_rest``, as far as its telemetry says; None for never."""
+    """The tick after which a figure first differed from ``at_rest``, as far as telemetry reports it; None for never."""
     begin = 0
-    for tick, told in figures:
-        value = told.get(name, at_rest)
+    for tick, values in figures:
+        value = values.get(name, at_rest)
         if value != at_rest and not np.isnan(value):
             return begin
         begin = tick
@@ -409,27 +415,27 @@ def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | No
 def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
 
-    A clutch moves when a coupling is frozen, comes back, or changes its rung, and when the devices have waited so long
-    that they have let go; and when one is held to its energy budget. The devices count who lets go, the environment
-    all the others.
+    A clutch moves when a coupling is frozen, comes back, changes its rung, or is held to its energy budget. It also
+    moves when the devices have waited so long that they have let go. The devices count how often they let go; the
+    environment counts all the rest.
     """
-    told, signs = run.figures.get(environment, ()), [(run.ticks, "")]
+    counts, signs = run.figures.get(environment, ()), [(run.ticks, "")]
 
     def look(figures: Figures, name: str, why: str) -> None:
         begin = changed_after(figures, name)
         if begin is not None:
             signs.append((begin, why))
 
-    look(told, names.FROZEN, "a coupling was frozen")
-    look(told, names.FROZEN_TICKS, "a coupling was frozen")
+    look(counts, names.FROZEN, "a coupling was frozen")
+    look(counts, names.FROZEN_TICKS, "a coupling was frozen")
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:
         figures = run.figures.get(node, ())
         look(figures, names.RELEASED, f"{node} ran free")
         look(figures, names.JUMPS, f"{node} went on at a later tick")
         look(figures, names.RUNG, f"{node} changed its rung")
-        look(told, f"{names.RUNG}_{node}", f"{node} changed its rung")
-        look(told, f"{names.SCALED}{node}", f"{node} was held to its budget")
+        look(counts, f"{names.RUNG}_{node}", f"{node} changed its rung")
+        look(counts, f"{names.SCALED}{node}", f"{node} was held to its budget")
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():

@@ -1,12 +1,11 @@
-"""Reading what :meth:`manyhands.launch.recordings.recording.Recording.save` wrote: ``.npz`` and ``.csv``.
+"""Recordings as tables: reads x and f_v from files of any format, and writes any topic as a table.
 
-The files may come from anywhere: nothing in them is run (no pickles), and their size is looked at before they are read.
+:func:`read_saved` reads what :meth:`manyhands.launch.recordings.recording.Recording.save` wrote, ``.npz`` and ``.csv``.
+:func:`read_recording` reads an ``.mcap`` file, whole or as far as it goes. The files may come from anywhere: nothing in
+them is executed (no pickles), and their size is checked before they are read.
 
-The devices' motions and forces of a recording that was written as it happened: whole, or as far as it goes.
-
-A recording as a table: one row a tick, one column of each topic's; for a spreadsheet, numpy, or a data frame.
-
-A column is named ``NODE.TOPIC[COLUMN]_UNIT``, such as ``dx.sample[x]_m``. Every number is exact, and not a number where
+:func:`export` writes one row a tick and one column for each of a topic's columns, for a spreadsheet, numpy or a data
+frame. A column is named ``NODE.TOPIC[COLUMN]_UNIT``, such as ``dx.sample[x]_m``. Every number is exact, and NaN where
 the recording has none.
 """
 
@@ -45,22 +44,22 @@ from manyhands.protocol.channels import DISPLACEMENT, FORCE, topic_name, topics_
 from manyhands.protocol.messages import Role
 
 MOST_BYTES: Final = 4 * 2**30
-"""Longest file (of ``.npz``: of what is packed in it) that is read."""
+"""The longest file that is read; of ``.npz``, the most unpacked bytes."""
 
 _ARRAYS: Final = ("x", "f_v", "ports", "period", "session", "certificate")
 _COLUMN = re.compile(r"(x|f_v)\[(.+)\]_(m|N)")
-_LINES_TOLD = 10_000  # lines between two words on how far the reading is
+_LINES_TOLD = 10_000  # lines between two reports of progress
 
 
 def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a ``.npz`` or ``.csv`` recording; a ``.csv`` has no session's name but the file's, and no certificate.
+    """Read a ``.npz`` or ``.csv`` recording; for ``.csv`` the file's name is the session's, and the certificate empty.
 
     Args:
         path: the file.
-        progress: told how far it is, 0 ... 1.
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
-        RecordingError: another suffix, not readable, or no such recording.
+        RecordingError: the suffix is another, or the file cannot be read or is no recording.
     """
     require_format(path, (".npz", ".csv"))
     try:
@@ -100,11 +99,11 @@ def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
         raise ValueError(f"{len(table)} lines of ticks, which show no period")
     period = float(time[-1] / (len(time) - 1))
     if not np.array_equal(ticks, np.arange(len(table))) or not 0.0 < period < math.inf:
-        raise ValueError("ticks that do not go on one by one from 0, or no time with them")
+        raise ValueError("ticks that do not count up from 0, or no times beside them")
     return Recording(path.stem, "", period, ports, table[:, 2 : 2 + m], table[:, 2 + m :])
 
 
-def _rows(file: TextIO, tell: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
+def _rows(file: TextIO, progress: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
     """The ports of the heading, and every number below it."""
     reader = csv.reader(file, strict=True)
     try:
@@ -120,7 +119,7 @@ def _rows(file: TextIO, tell: Callable[[], None]) -> tuple[tuple[str, ...], arra
                 raise ValueError(f"line {reader.line_num}: {len(row)} columns beside {len(head)} of the heading")
             values.extend(map(float, row))
             if reader.line_num % _LINES_TOLD == 0:
-                tell()
+                progress()
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num}: {error}") from error
     return ports, values
@@ -130,13 +129,14 @@ _SIGNALS = (DISPLACEMENT, FORCE)
 
 
 def read_recording(path: Path) -> Recording:
-    """Read x and f_v of an ``.mcap`` recording of this program, whole or cut anywhere behind its beginning.
+    """Read x and f_v of an ``.mcap`` recording of this program, whole or cut anywhere after its metadata.
 
-    What devices did not record, or what is lost with the end of a file that was cut, is NaN up to the last tick that
-    any device recorded, and counted in ``missing``. A tick is recorded where both its x and its f_v are.
+    The rows end with the last tick that any device recorded. Ticks that a device did not record are NaN and counted in
+    ``missing``, and so are ticks that are lost with the end of a cut file. A tick is recorded where both its x and its
+    f_v are.
 
     Raises:
-        RecordingError: not readable, no such recording, larger than is read, or cut before it says what it is.
+        RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata.
     """
     sample, force = (next(t.name for t in topics_of(Role.DEVICE) if t.trace == signal) for signal in _SIGNALS)
     reading = read_topics(path, lambda node, topic: topic.name in (sample, force))
@@ -147,8 +147,8 @@ def read_recording(path: Path) -> Recording:
         _signal_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices
     ]
     coverages = {device: Coverage() for device in recorded.devices}
-    for coverage, (_, _, told) in zip(coverages.values(), columns, strict=True):
-        coverage.take_each(np.flatnonzero(told))
+    for coverage, (_, _, recorded_ticks) in zip(coverages.values(), columns, strict=True):
+        coverage.take_each(np.flatnonzero(recorded_ticks))
     ticks = max(coverage.next for coverage in coverages.values())
     return Recording(
         recorded.session,
@@ -163,32 +163,32 @@ def read_recording(path: Path) -> Recording:
 
 
 def _signal_columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Both signals of a device, x and f_v, and the ticks of which both were told; NaN in the others."""
-    (x, x_told), (f_v, f_told) = sample.rows(span), force.rows(span)
-    told = x_told & f_told
-    x[~told] = f_v[~told] = np.nan
-    return x, f_v, told
+    """The x and f_v of a device, NaN in ticks that lack one of them, and which ticks have both."""
+    (x, x_there), (f_v, f_there) = sample.rows(span), force.rows(span)
+    both = x_there & f_there
+    x[~both] = f_v[~both] = np.nan
+    return x, f_v, both
 
 
 Progress = Callable[[float], None]
 
 TICK: Final = "tick"
 TIME: Final = "time_s"
-_ROWS: Final = 2048  # that are turned into text at a time
+_ROWS: Final = 2048  # rows that are converted to text at a time
 
 
 def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
-    """The traces that are meant: all without patterns.
+    """The traces that the patterns name; all without patterns.
 
     Args:
         run: the recording.
         patterns: with ``*`` and ``?``, each for a full name ``/SESSION/NODE/TOPIC``, ``NODE/TOPIC``, a node or a topic.
 
     Raises:
-        RecordingError: a pattern means none.
+        RecordingError: a pattern names no trace.
     """
     names = {
-        key: (topic_name(run.recorded.session, *key), "/".join(key), *key)  # each of them may be meant
+        key: (topic_name(run.recorded.session, *key), "/".join(key), *key)  # a pattern may match any of these
         for key in run.traces
     }
     meant = set()
@@ -196,7 +196,7 @@ def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], R
         fitting = {key for key, texts in names.items() if any(fnmatchcase(text, pattern) for text in texts)}
         if not fitting:
             there = ", ".join("/".join(key) for key in names)
-            raise RecordingError(f"--topics: found {pattern!r}, which is none of this recording's; expected of {there}")
+            raise RecordingError(f"--topics: found {pattern!r}, which matches no topic here; expected one of {there}")
         meant |= fitting
     return {key: trace for key, trace in run.traces.items() if not patterns or key in meant}
 
@@ -207,7 +207,7 @@ def column_names(node: str, trace: RecordedTrace) -> list[str]:
 
 
 def about(recorded: Recorded) -> dict[str, str]:
-    """What a table says of the session besides its numbers, as texts."""
+    """The session's properties that a table states besides its numbers, as texts."""
     return {
         "session": recorded.session,
         "certificate": recorded.certificate,
@@ -224,13 +224,13 @@ def export(
 
     Args:
         run: the recording.
-        path: where the table goes.
+        path: the table's file.
         to: the format, one of :data:`FORMATS`.
-        patterns: which topics; see :func:`chosen`.
-        progress: gets the part that is done, 0 to 1.
+        patterns: the topics to write; see :func:`chosen`.
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
-        RecordingError: a pattern means no topic, the format cannot be written here, or the file cannot.
+        RecordingError: a pattern names no topic, the format cannot be written here, or the file cannot be written.
     """
     traces = chosen(run, patterns)
     write = FORMATS[to]
@@ -268,7 +268,7 @@ def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
     recorded = run.recorded
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
-    for name in (DISPLACEMENT, FORCE):  # as a simulation's file has them, for whoever reads those
+    for name in (DISPLACEMENT, FORCE):  # under the names of a simulation's file, so that one reader suits both
         every = [t.values for (node, _), t in traces.items() if node in recorded.devices and t.topic.trace == name]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
@@ -282,13 +282,14 @@ def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Pr
         from pyarrow import parquet
     except ImportError as error:
         raise RecordingError(
-            "--to parquet: found no pyarrow, which writes such files; expected it: pip install 'manyhands[parquet]'"
+            "--to parquet: found no pyarrow, which writes such files; expected it installed: "
+            "pip install 'manyhands[parquet]'"
         ) from error
-    told = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
+    metadata = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
     table = pa.table(
         {name: pa.array(np.ascontiguousarray(values)) for name, values in _table_columns(run, traces).items()}
     )
-    parquet.write_table(table.replace_schema_metadata(told), file)
+    parquet.write_table(table.replace_schema_metadata(metadata), file)
     progress(1.0)
 
 
@@ -297,4 +298,4 @@ FORMATS: Final[Mapping[str, Callable[[RecordedRun, Traces, BinaryIO, Progress], 
     "npz": _save_npz,
     "parquet": _save_parquet,
 }
-"""How a table can be written."""
+"""The formats of a table, with the functions that write them."""

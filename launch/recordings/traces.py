@@ -1,7 +1,7 @@
-"""What every node of a session would tell of its ticks, kept by a simulation of it.
+"""The traces that every node would report, kept by a simulation of the session.
 
-A node's telemetry holds one row a tick of each of its topics (:mod:`manyhands.protocol.channels`). Here are the same
-rows by the same names, but for tau, which is the machine's and not the session's.
+A node's telemetry holds one row a tick of each of its topics (:mod:`manyhands.protocol.channels`). The same rows are
+kept here under the same names, except for tau, which depends on the machine and not on the session.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Kept:
     """One topic of one node.
 
     Attributes:
-        topic: which.
+        topic: the topic.
         columns: names of its columns.
         values: ticks x columns; NaN in ticks that the node did not do.
     """
@@ -39,28 +39,28 @@ class Traces:
     """The traces of a run of ``ticks`` ticks.
 
     Attributes:
-        by_node: by node, the topics that it tells of, in the table's order.
+        by_node: the topics of each node, in the table's order.
     """
 
     def __init__(self, plan: Plan, ledgers: Mapping[str, Ledger], ticks: int) -> None:
-        """Everything NaN.
+        """All values begin as NaN.
 
         Args:
-            plan: whose nodes.
-            ledgers: by node, of those that keep one.
-            ticks: how many.
+            plan: of the session.
+            ledgers: by node, for the nodes that keep one.
+            ticks: number of ticks.
         """
         graph, masses = plan.graph, mass_names(plan.session)
         self.by_node: dict[str, tuple[Kept, ...]] = {}
         for name, role in graph.nodes.items():
-            told = [
+            topics = [
                 topic
                 for topic in topics_of(role, masses)
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
-            columns = [topic.columns_of(graph.ports[name], masses) for topic in told]
+            columns = [topic.columns_of(graph.ports[name], masses) for topic in topics]
             self.by_node[name] = tuple(
-                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(told, columns, strict=True)
+                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(topics, columns, strict=True)
             )
         self._signals = {
             name: [kept for kept in own if kept.topic.trace != LEDGER] for name, own in self.by_node.items()
@@ -68,8 +68,14 @@ class Traces:
         self._ledgers = ledgers
 
     def keep(self, node: str, tick: int, *signals: Sequence[float]) -> None:
-        """A tick that ``node`` has done: ``signals`` in the order of its topics; its ledger is looked up."""
-        for one, row in zip(self._signals[node], signals, strict=False):  # where there are no masses, q has no topic
+        """Keep a tick that ``node`` has done.
+
+        Args:
+            node: its name.
+            tick: the tick.
+            signals: in the order of its topics, without the ledger, which is read from ``ledgers``.
+        """
+        for one, row in zip(self._signals[node], signals, strict=False):  # without masses, q has no topic
             one.values[tick] = row
         if node in self._ledgers:
             self.by_node[node][-1].values[tick] = self._ledgers[node].total

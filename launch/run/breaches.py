@@ -1,24 +1,22 @@
-"""What follows when a device measures that its loop is not the one the certificate is about: pure.
+"""What follows when a device measures that its loop differs from the certified one: pure.
 
 A certificate assumes that a force acts at most tau after its sample, and that samples come every T. Each device counts
-the ticks in which that did not hold; here the counts of its telemetry are made into a decision.
+the ticks in which that did not hold. :class:`BreachPolicy` turns these counts into a decision: a notice, a softer
+coupling, or the session's end. :class:`Assumptions` feeds it with the telemetry of one run, and reports each notice
+once.
 
-What a device had to wait for *another* user is not its own: the environment charges late couplings
-(:mod:`manyhands.nodes.environment.late_arrivals`), and freezes who is late again and again. Of each telemetry of a
-device the ticks that were charged to couplings other than its own are taken off, and the rest is judged. The
-environment's word may come later than the device's; so a telemetry is judged once it has.
+The time that a device waited for *another* user is not its own. The environment charges late couplings
+(:mod:`manyhands.nodes.environment.late_arrivals`), and freezes one that is late again and again. The ticks that were
+charged to other couplings are taken off a device's telemetry, and the rest is judged. The environment's telemetry may
+arrive after the device's, so a message is judged only when the environment has reported its ticks.
 
 A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
-time, so that the number of changes grows with the logarithm of time.
+time. So the number of changes grows with the logarithm of time.
 
-What telemetry says of the certificate's assumptions: told to people at once and once, and judged by the policy.
-
-What a session withstands of its users' energy, in sentences for people: who was held to a budget, and who let go.
-
-A device that is beyond its limits knows that it is, and not what moved it. The environment knows whose energy went
-where (:mod:`manyhands.nodes.environment.energy`). Here the two come together, so that the sentence names the supplier
-and not the one who was moved. Pure: telemetry goes in, sentences come out.
+:class:`EnergyIncidents` describes what a session survives of its users' energy. A device beyond its limits knows that
+it is, but not what moved it. The environment knows whose energy went where (:mod:`manyhands.nodes.environment.energy`).
+The two are combined here, so that the incident names the supplier and not the user that was moved.
 """
 
 from __future__ import annotations
@@ -40,37 +38,38 @@ from manyhands.nodes.bundle import REALTIME
 from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.01
-"""Of the ticks between two telemetry messages, so many may break an assumption: every machine is late now and then."""
+"""The part of the ticks between two telemetry messages that may break an assumption: every machine is late now and
+then."""
 
 IN_A_ROW: Final = 2
-"""Telemetry messages that must break it one after the other: one may be a disturbance that is over already."""
+"""Number of successive telemetry messages that must break it: a single one may be a disturbance that is over already.
+"""
 
 
 UNSURE: Final = 1 / 3
-"""Of the ticks in which a device waited for others, so many more may be theirs: before it is told that it is late, and
-before its coupling is softened for it. A quarter of a late guest's ticks may fall where nobody can tell whose they are
-(CROSSING in nodes/environment/late_arrivals.py), and by chance more of some fifty. Who makes others wait often is
-frozen soon, and with it this excuse goes.
-"""
+"""The part of the ticks in which a device waited for others that is excused on top of those ticks. It applies before
+a notice reports the device as late, and before its coupling is softened. A quarter of a late guest's ticks may fall
+where the environment cannot decide whose they are (CROSSING in nodes/environment/late_arrivals.py), and by chance more
+of some fifty. A user that often makes others wait is frozen soon, which ends the excuse."""
 
 CALM: Final = 5.0
-"""Seconds in which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
+"""Seconds for which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
 
 MARGIN: Final = 0.8
-"""Part of a rung's delay that is used before a coupling climbs to it; it is softened when more than all of it is."""
+"""The part of a rung's delay that may be used before a coupling climbs to it; it is softened above the whole delay."""
 
 MOST_DOUBLINGS: Final = 10
-"""Of :data:`CALM`: an hour and a half at most."""
+"""The most doublings of :data:`CALM`: it grows to an hour and a half at most."""
 
 MOST_HELD: Final = 8
-"""Telemetry messages of a device that are held at most until the environment has told of their ticks."""
+"""The most telemetry messages of a device that are held until the environment has reported their ticks."""
 
 MOST_WAITS: Final = 32
 """Telemetry messages of the environment that are kept: a device's are a few behind at most."""
 
 
 class Policy(StrEnum):
-    """What the session wishes."""
+    """What the session file asks for in ``faults.breach``."""
 
     WARN = "warn"
     SOFTEN = "soften"
@@ -78,29 +77,29 @@ class Policy(StrEnum):
 
 
 class Breach(StrEnum):
-    """Which assumption does not hold."""
+    """An assumption of the certificate that does not hold."""
 
     DELAY = "delay"
     PERIOD = "period"
 
 
 class Remedy(StrEnum):
-    """What is done."""
+    """What is done about a breach."""
 
-    TELL = "tell"
+    NOTICE = "notice"
     SOFTEN = "soften"
     END = "end"
 
 
 REMEDIES: Final[Mapping[tuple[Policy, Breach], Remedy]] = {
-    (Policy.WARN, Breach.DELAY): Remedy.TELL,
-    (Policy.WARN, Breach.PERIOD): Remedy.TELL,
+    (Policy.WARN, Breach.DELAY): Remedy.NOTICE,
+    (Policy.WARN, Breach.PERIOD): Remedy.NOTICE,
     (Policy.SOFTEN, Breach.DELAY): Remedy.SOFTEN,
-    (Policy.SOFTEN, Breach.PERIOD): Remedy.TELL,  # a softer coupling is certified for a longer delay, not another T
+    (Policy.SOFTEN, Breach.PERIOD): Remedy.NOTICE,  # a softer coupling is certified for a longer delay, not another T
     (Policy.STOP, Breach.DELAY): Remedy.END,
     (Policy.STOP, Breach.PERIOD): Remedy.END,
 }
-"""What each wish comes to."""
+"""The remedy for each policy and breach."""
 
 _COUNTS: Final = {Breach.DELAY: names.TAU_BREACHES, Breach.PERIOD: names.PERIOD_BREACHES}
 
@@ -115,13 +114,13 @@ class CertifiedLadder(Protocol):
 
     @property
     def independent(self) -> bool:
-        """Whether every coupling may change by itself."""
+        """Whether each coupling may change without the others."""
         ...
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Tell people; a later notice under the same ``key`` says nothing new."""
+    """A sentence for people; a later notice under the same ``key`` is not shown again."""
 
     key: str
     text: str
@@ -137,7 +136,7 @@ class ShiftCoupling:
 
 @dataclass(frozen=True)
 class EndSession:
-    """End the session, for this reason."""
+    """End the session for ``reason``."""
 
     reason: str
 
@@ -146,14 +145,14 @@ Decision = Notice | ShiftCoupling | EndSession
 
 
 @dataclass(frozen=True)
-class _Told:
-    """One telemetry of a device.
+class _DeviceTelemetry:
+    """One telemetry message of a device.
 
     Attributes:
         tick: the tick after its last.
         counts: of breaches so far.
         figures: all of them.
-        taus: the delay of each of its ticks, s; empty where it does not say.
+        taus: the delay of each of its ticks, s; empty where the device does not report it.
     """
 
     tick: int
@@ -163,14 +162,14 @@ class _Told:
 
 
 @dataclass
-class _Watched:
-    """What the last telemetry of a device said, and for how many in a row each assumption has not held."""
+class _DeviceHistory:
+    """The last telemetry of a device, and for how many messages in a row each assumption has not held."""
 
     tick: int
     counts: Mapping[Breach, float]
     in_a_row: dict[Breach, int]
     worst: list[float]  # the longest delay in each of the latest messages, s
-    calm: list[int]  # by rung: ticks in a row for which it would have done
+    calm: list[int]  # by rung: number of ticks in a row for which the rung would have sufficed
 
 
 class BreachPolicy:
@@ -185,7 +184,7 @@ class BreachPolicy:
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
     ) -> None:
-        """Nothing has been measured yet.
+        """Begin without any telemetry.
 
         Args:
             policy: the session's wish.
@@ -193,15 +192,15 @@ class BreachPolicy:
             tau: the delay that the certificate allows, s.
             period: T, s.
             ladder: softer couplings; None where there are none.
-            rungs: the rung that each coupling was changed to, kept by who carries out the decisions.
+            rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
         """
         self._policy, self._chains, self._tau, self._period = policy, chains, tau, period
         self._ladder = ladder
         self._rungs = rungs
-        self._watched: dict[str, _Watched] = {}
-        self._held: dict[str, deque[_Told]] = {}
+        self._watched: dict[str, _DeviceHistory] = {}
+        self._held: dict[str, deque[_DeviceTelemetry]] = {}
         self._waits: deque[tuple[int, Mapping[str, Collection[int]]]] = deque(maxlen=MOST_WAITS)
-        self._climbed: set[str] = set()  # and not softened since
+        self._climbed: set[str] = set()  # couplings that climbed, and were not softened since
         self._doublings: dict[str, int] = {}
 
     def forget(self, device: str) -> None:
@@ -210,28 +209,29 @@ class BreachPolicy:
         self._held.pop(device, None)
 
     def judge(self, device: str, tick: int, figures: Mapping[str, float], taus: Sequence[float] = ()) -> list[Decision]:
-        """What follows from a device's telemetry up to ``tick``. Of anybody else, or of no sense, nothing does.
+        """Decide what follows from a device's telemetry; unknown nodes and counts that make no sense have no
+        consequence.
 
         Args:
             device: its name.
             tick: the tick after the telemetry's last.
             figures: the telemetry's.
-            taus: the delay of each of its ticks, s; empty where it does not say.
+            taus: the delay of each of its ticks, s; empty where the device does not report it.
         """
         counts = {breach: figures.get(name, 0.0) for breach, name in _COUNTS.items()}
         if device not in self._chains or not all(math.isfinite(count) and count >= 0.0 for count in counts.values()):
             return []
-        told = _Told(tick, counts, figures, taus)
+        message = _DeviceTelemetry(tick, counts, figures, taus)
         if not self._waits or tick <= self._waits[-1][0]:
-            return self._judge(device, told)
+            return self._judge(device, message)
         held = self._held.setdefault(device, deque())
-        held.append(told)
+        held.append(message)
         return self._judge(device, held.popleft()) if len(held) > MOST_HELD else []
 
     def take_waits(self, tick: int, late: Mapping[str, Collection[int]]) -> list[Decision]:
-        """What follows once the environment has told, up to ``tick``, in which ticks each coupling was late."""
+        """Decide what follows once the environment has reported the late ticks of each coupling up to ``tick``."""
         if self._waits and tick <= self._waits[-1][0]:
-            self._waits.clear()  # a new process, and the ticks are its
+            self._waits.clear()  # a new process of the environment, which counts the ticks anew
         self._waits.append((tick, late))
         out: list[Decision] = []
         for device, held in self._held.items():
@@ -239,24 +239,24 @@ class BreachPolicy:
                 out += self._judge(device, held.popleft())
         return out
 
-    def _judge(self, device: str, told: _Told) -> list[Decision]:
-        tick, counts = told.tick, told.counts
+    def _judge(self, device: str, message: _DeviceTelemetry) -> list[Decision]:
+        tick, counts = message.tick, message.counts
         out: list[Decision] = []
         before = self._watched.get(device)
         if before is not None and (tick <= before.tick or any(counts[b] < before.counts[b] for b in Breach)):
             before = None  # another process
-        begin = tick - len(told.taus)
+        begin = tick - len(message.taus)
         since, already = (begin, 0.0) if before is None else (before.tick, before.counts[Breach.DELAY])
         for_others = self._waited_for_others(device, since - 1, tick)  # a period ends in the tick after
-        own = sorted((tau for at, tau in enumerate(told.taus, begin) if at not in for_others), reverse=True)
-        longest = max(own, default=0.0) if for_others and told.taus else _longest_delay(told.figures)
-        # who was waited for often was waited for in ticks, too, of which the environment cannot be sure
+        own = sorted((tau for at, tau in enumerate(message.taus, begin) if at not in for_others), reverse=True)
+        longest = max(own, default=0.0) if for_others and message.taus else _longest_delay(message.figures)
+        # often-late couplings were late in further ticks as well, in which the environment could not be sure of it
         unsure = max(SHARE * (tick - since), UNSURE * len(for_others)) if for_others else 0.0
-        if counts[Breach.DELAY] - already > len(for_others) + unsure:  # its own, and at once, whatever comes of it
-            out.append(Notice(device, self._assumption(device, told.figures, longest)))
+        if counts[Breach.DELAY] - already > len(for_others) + unsure:  # the device itself was late: a notice at once
+            out.append(Notice(device, self._assumption(device, message.figures, longest)))
         if before is None:
             calm = [0] * (1 if self._ladder is None else len(self._ladder.taus))
-            self._watched[device] = _Watched(tick, counts, dict.fromkeys(Breach, 0), [], calm)
+            self._watched[device] = _DeviceHistory(tick, counts, dict.fromkeys(Breach, 0), [], calm)
             return out
         before.worst = [*before.worst, longest][-IN_A_ROW:]
         for breach in Breach:
@@ -270,13 +270,21 @@ class BreachPolicy:
         return out + self._climb(device, before, own)
 
     def _waited_for_others(self, device: str, begin: int, end: int) -> set[int]:
-        """The ticks from ``begin`` on, before ``end``, in which a coupling was late that is not the device's."""
+        """The ticks in ``begin <= tick < end`` in which a coupling was late that does not belong to ``device``."""
         chain = self._chains[device]
-        late = (ticks for _, told in self._waits for coupling, ticks in told.items() if coupling not in chain)
+        late = (
+            ticks for _, by_coupling in self._waits for coupling, ticks in by_coupling.items() if coupling not in chain
+        )
         return {tick for ticks in late for tick in ticks if begin <= tick < end}
 
-    def _climb(self, device: str, watched: _Watched, own: Sequence[float]) -> list[Decision]:
-        """The couplings of ``device`` that go back to the next stiffer rung; ``own``: its delays, the longest first."""
+    def _climb(self, device: str, watched: _DeviceHistory, own: Sequence[float]) -> list[Decision]:
+        """Decide which couplings of ``device`` go back to the next stiffer rung.
+
+        Args:
+            device: its name.
+            watched: what is known of it.
+            own: the delays of its last ticks, s, the longest first.
+        """
         ladder = self._ladder
         if ladder is None or not own:
             return []
@@ -295,7 +303,9 @@ class BreachPolicy:
             self._climbed.update(group)
             for other in self._devices_of(group):
                 self._watched[other].calm = [0] * len(ladder.taus)
-            text = f"{', '.join(group)}: back to rung {rung}, for every delay was within {ladder.taus[rung] * 1e6:g} us"
+            text = (
+                f"{', '.join(group)}: back to rung {rung}, since every delay was within {ladder.taus[rung] * 1e6:g} us"
+            )
             out.append(Notice(f"{group[0]} back to {rung}", text))
         return out
 
@@ -315,7 +325,9 @@ class BreachPolicy:
         return tuple(dict.fromkeys(coupling for chain in self._chains.values() for coupling in chain))
 
     def _remedy(self, device: str, breach: Breach, measured: float) -> list[Decision]:
-        """``measured``: a delay, s, that each of the messages in question reached; one outlier does not decide."""
+        """Apply the policy; ``measured`` is a delay, s, that each message in question reached, so one outlier decides
+        nothing.
+        """
         found = f"a delay of {measured * 1e6:.0f} us" if breach is Breach.DELAY else "a period"
         allowed = f"{self._tau * 1e6:g} us" if breach is Breach.DELAY else f"{self._period * 1e6:g} us"
         what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
@@ -324,7 +336,7 @@ class BreachPolicy:
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
                 return self._soften(device, measured, what)
-            case Remedy.TELL:
+            case Remedy.NOTICE:
                 return [Notice(f"{device} {breach}", what)]
 
     def _soften(self, device: str, measured: float, what: str) -> list[Decision]:
@@ -358,22 +370,22 @@ class BreachPolicy:
 
 
 def _longest_delay(figures: Mapping[str, float]) -> float:
-    """The longest since the last telemetry, s; for a device that does not say, what 99 % of all ticks kept within."""
+    """The longest delay since the last telemetry, s; where a device does not report it, the 99th percentile."""
     for name in (names.TAU_WORST, f"{names.TAU}_p99"):
-        if math.isfinite(told := figures.get(name, math.nan)):
-            return told * 1e-6
+        if math.isfinite(delay := figures.get(name, math.nan)):
+            return delay * 1e-6
     return math.inf
 
 
 class Assumptions:
-    """The assumptions of one run.
+    """The certificate's assumptions in one run.
 
     Attributes:
-        notices: those found broken, in words, by what each is about.
+        notices: the assumptions found broken, as sentences, by what each is about.
     """
 
     def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
-        """Nothing has been heard yet.
+        """Begin without any telemetry.
 
         Args:
             prepared: the session with its coupling and certificate.
@@ -394,7 +406,7 @@ class Assumptions:
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self._chains, self._moved = chains, dict[str, float]()
-        self._policy.take_waits(0, {})  # the environment tells who was waited for, from the first tick on
+        self._policy.take_waits(0, {})  # from tick 0 on, the environment reports which couplings were late
         self.notices: dict[str, str] = {}
 
     def forget(self, node: str) -> None:
@@ -402,7 +414,7 @@ class Assumptions:
         self._policy.forget(node)
 
     def check(self, node: str, telemetry: Telemetry) -> list[ShiftCoupling | EndSession]:
-        """Take what is to be told of ``node`` into the notices; returns what is to be done."""
+        """Add what a node's telemetry shows to the notices; returns what is to be done."""
         deeds: list[ShiftCoupling | EndSession] = []
         if node == ENVIRONMENT:
             self._moved = {key: J for key, J in telemetry.figures.items() if key.startswith(names.MOVED)}
@@ -421,7 +433,9 @@ class Assumptions:
         return deeds
 
     def _moved_by(self, node: str) -> str:
-        """Who moved a device or a coupling most, where the environment has told of anybody, in words."""
+        """The supplier that put the most energy into a device or a coupling, as the end of a sentence; empty if there
+        is none.
+        """
         couplings = self._chains.get(node, (node,))
         by: dict[str, float] = {}
         for key, energy in self._moved.items():
@@ -432,10 +446,10 @@ class Assumptions:
         return "" if most is None else f"; of all others {most} has put the most energy into it, {by[most]:.3g} J"
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
-        """In which ticks the others waited, by whom they waited for; who was frozen for it is told to people."""
+        """The ticks in which each coupling was late. A coupling that was frozen for it gets a notice."""
         for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
             if lateness.frozen:
-                text = f"{name} made the others wait, and was frozen for it; nobody else is softened"
+                text = f"{name} made the others wait, and was frozen for it; no other coupling is softened"
                 self.notices.setdefault(f"{name} late", text)
         traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
         return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}
@@ -445,14 +459,15 @@ _NO_TAU: Final = np.empty((0, 1))
 
 
 QUIET: Final = 10.0
-"""s between two sentences about the same party: who comes back by a ramp may be beyond its limits again at once."""
+"""Seconds between two incidents of the same party: a user that returns by a ramp may be beyond its limits again at
+once."""
 
 
 class EnergyIncidents:
-    """The incidents of one run."""
+    """The energy incidents of one run: pure, telemetry goes in and sentences come out."""
 
     def __init__(self, graph: Topology, period: float) -> None:
-        """Nothing has been heard yet."""
+        """Begin without any telemetry; ``period`` is T, s."""
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
         self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}
@@ -460,8 +475,8 @@ class EnergyIncidents:
         self._moved: dict[tuple[str, str], float] = {}  # J, by supplier and receiver
         self._then: dict[str, dict[tuple[str, str], float]] = {}  # the same at a device's last sentence
         self._counts: dict[str, float] = {}
-        self._awaiting: dict[str, int] = {}  # a device that let go, and the tick up to which the environment must tell
-        self._next: dict[str, float] = {}  # tick from which on there is a sentence again
+        self._awaiting: dict[str, int] = {}  # devices that let go, and the tick that the environment must have reported
+        self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
@@ -470,8 +485,8 @@ class EnergyIncidents:
             self._moved, self._then = {}, {}
             self._counts = {key: count for key, count in self._counts.items() if key in self._couplings}
 
-    def hear(self, node: str, telemetry: Telemetry) -> list[str]:
-        """What a node's telemetry says of it."""
+    def receive(self, node: str, telemetry: Telemetry) -> list[str]:
+        """The incidents that follow from a node's telemetry."""
         figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
         if node in self._worlds:
             out = list(self._budgets(telemetry.tick, figures))
@@ -517,7 +532,7 @@ class EnergyIncidents:
         return f"{coupling} ({', '.join(devices)})"
 
     def _grown(self, key: str, count: float, tick: int) -> bool:
-        """Whether ``count`` has grown, and there was no sentence about it lately."""
+        """Whether ``count`` has grown, and no sentence about it was given lately."""
         grown = count > self._counts.get(key, 0.0)
         self._counts[key] = count
         if not grown or tick < self._next.get(key, 0.0):

@@ -1,9 +1,9 @@
-"""What a running session shows to whoever may enter its directory: a description, and then all that its nodes tell.
+"""What a running session shows to observers: a description first, and then all that its nodes report.
 
-This is the supervisor's end; :mod:`manyhands.launch.observe` is the other one. Nobody is waited for, and nothing that
-anybody looks at reaches a node.
-
-The observers of a session: of each node's telemetry each is told the part that it may read, and nothing else.
+:class:`Showing` serves everyone with access to the run's directory, and shows all of it. :class:`ObserverBroadcast`
+serves the observers with keys, and each receives only the part of a node's telemetry that it may read. The supervisor
+waits for no observer, and nothing that an observer does reaches a node. The receiving end is
+:mod:`manyhands.launch.observe`.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from manyhands.protocol.transport.broadcast import Broadcast
 
 
 def observation_frame(node: str, telemetry: Telemetry) -> bytes | None:
-    """What is told of a node's telemetry to who may know all of it; None where that is longer than a frame may be."""
+    """The frame with all of a node's telemetry; None where it is longer than a frame may be."""
     try:
         return encode(Observation(node, telemetry.tick, telemetry.figures, telemetry.traces))
-    except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+    except ValueError:  # a node may have filled the longest frame; that must not end the supervisor
         return None
 
 
 def condition_of(progress: Progress) -> Condition:
-    """How the session is, from what a display is told."""
-    told = (progress.notices, progress.incidents, progress.faults)
-    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in told)
+    """The session's condition, as a message, from its progress."""
+    sentences = (progress.notices, progress.incidents, progress.faults)
+    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in sentences)
     silent = tuple(sorted(progress.silent))
     return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
 
 
 def condition_frame(progress: Progress) -> bytes | None:
-    """What is told of how the session is; None where its sentences are longer than a frame may be."""
+    """The frame with the session's condition; None where its sentences are longer than a frame may be."""
     try:
         return encode(condition_of(progress))
-    except ValueError:  # as above: the next one may be shorter
+    except ValueError:  # as above; the next condition may be shorter
         return None
 
 
 def describe(
     prepared: Prepared, clock: str, transport: str, ticks: int, remote: Collection[str] = frozenset()
 ) -> About:
-    """The session's description, as it is about to be started; ``remote`` nodes run on other machines."""
+    """The description of a session that is about to start; ``remote`` nodes run on other machines."""
     session, graph = prepared.session, prepared.graph
     masses, springs = _world(session)
     return About(
@@ -92,7 +92,7 @@ def describe(
 
 
 def _grips(session: Session, clock: str, remote: Collection[str]) -> tuple[str, ...]:
-    """The devices that can be held: here, and at a pace that a person could keep."""
+    """The devices that a person can hold in the browser: on this machine, and under the realtime clock."""
     if clock == SIMULATED:
         return ()
     return tuple(n for n, device in session.devices.items() if device.driver == "browser" and n not in remote)
@@ -111,7 +111,7 @@ def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbo
 
 
 def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """Masses (kg) and springs of an environment that is a network; of an interval the middle, as it is run."""
+    """Masses (kg) and springs of a network environment; an interval is shown by its middle, which is what runs."""
     environment = session.environment
     if not isinstance(environment, NetworkEnvironment):
         return {}, ()
@@ -126,15 +126,15 @@ class Showing:
     """One session's broadcast, from before its nodes are started to after their end."""
 
     def __init__(self, directory: Path, about: About, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
-        """Open it in the session's directory.
+        """Open the broadcast in the session's directory.
 
         Args:
             directory: the session's.
             about: its description.
-            files: what belongs to it besides, contents by name; there before the description is, for their user alone.
+            files: further files, contents by name, readable for their user alone; written before the description.
 
         Raises:
-            OSError, TransportError: it cannot be opened there.
+            OSError, TransportError: the broadcast cannot be opened there.
         """
         self._broadcast = Broadcast(directory)
         try:
@@ -146,13 +146,13 @@ class Showing:
             self._broadcast.close()
             raise
 
-    def tell(self, frame: bytes | None) -> None:
-        """Show a node's observation, or how the session is; nothing where that is too long to be shown."""
+    def show(self, frame: bytes | None) -> None:
+        """Show an observation or a condition; None, a frame that was too long, shows nothing."""
         if frame is not None:
             self._broadcast.show(frame)
 
     def close(self) -> None:
-        """Close it. A second time does nothing."""
+        """Close the broadcast. A second call does nothing."""
         self._broadcast.close()
 
 
@@ -162,13 +162,13 @@ TRACE_OF: Mapping[str, str] = {
     "tool": names.FREE_POSITION,
     "reaction": names.FORCE,
 }
-"""The trace of a node's telemetry that holds what went over a channel of its."""
+"""By channel, the trace of a node's telemetry that holds the channel's signal."""
 
 
 def visible(node: str, telemetry: Telemetry, channels: Collection[str]) -> Observation | None:
-    """The observation of ``node`` for somebody who may read these of its channels; None if that is nothing.
+    """The part of a node's telemetry that belongs to ``channels``; None if that is nothing.
 
-    Figures belong to the channel ``telemetry``; each trace to the signal it holds.
+    Figures belong to the channel ``telemetry``; each trace belongs to the channel of its signal.
     """
     wanted = {TRACE_OF[channel] for channel in channels if channel in TRACE_OF}
     traces = {name: trace for name, trace in telemetry.traces.items() if name in wanted}
@@ -177,11 +177,10 @@ def visible(node: str, telemetry: Telemetry, channels: Collection[str]) -> Obser
 
 
 class ObserverBroadcast:
-    """The observers, each with a link of its own, on which the supervisor speaks and never listens.
+    """The observers, each with a link of its own, on which the supervisor sends and never receives.
 
     Attributes:
-        missed: observations that nobody was there to take, that were not taken fast enough, or that are too long, with
-            the name of their node, to be sent on.
+        missed: number of observations that were not sent: the observer was absent or too slow, or the frame too long.
     """
 
     def __init__(self, session: Session) -> None:
@@ -199,8 +198,10 @@ class ObserverBroadcast:
             )
         return endpoints
 
-    def tell(self, node: str, telemetry: Telemetry) -> None:
-        """Pass on to each observer what it may know; who does not keep up misses it, and nobody waits."""
+    def send(self, node: str, telemetry: Telemetry) -> None:
+        """Send each observer the part that it may read; an observer that is too slow misses it, and the supervisor
+        never waits.
+        """
         for observer, link in self._links.items():
             observation = visible(node, telemetry, self._channels[observer].get(node, ()))
             if observation is not None and not _send(link, observation):
@@ -210,5 +211,5 @@ class ObserverBroadcast:
 def _send(link: Link, observation: Observation) -> bool:
     try:
         return link.send(encode(observation))
-    except ValueError:  # a node may have filled the longest frame, and it is not for this process to end
+    except ValueError:  # a node may have filled the longest frame; that must not end the supervisor
         return False

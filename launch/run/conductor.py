@@ -1,10 +1,10 @@
-"""What the supervisor decides, without any I/O: events of the nodes go in, instructions come out.
+"""The decisions of the supervisor, without any I/O: events of the nodes go in, instructions come out.
 
-The nodes' states and what moves them stand in :data:`TRANSITIONS`. The session as a whole starts up, runs, ends
-and is over; the first thing that goes wrong is its reason, and everything after that is only clearing up. What a
-running session withstands is the business of :mod:`manyhands.launch.run.recovery`.
+:data:`TRANSITIONS` lists the nodes' states and what moves them. A session starts, runs, ends and is over. The first
+fault is the reason of its end; everything after it only clears up. Faults that a running session survives are handled
+by :mod:`manyhands.launch.run.recovery`.
 
-Who may join a session, and what is said at the door: hellos go in, answers come out.
+:class:`Reception` decides whether a node or an observer may join. It compares the hello with the session.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from manyhands.protocol.messages import (
 
 @dataclass(frozen=True)
 class Reception:
-    """What a hello is held against.
+    """Compares a hello with the session.
 
     Attributes:
         graph: the session's nodes and links.
@@ -67,7 +67,11 @@ class Reception:
         return check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
 
     def connects(self, endpoints: Mapping[tuple[str, str], str]) -> list[Instruction]:
-        """All nodes are here: where each finds its peers, from the ``endpoints`` by binder and connector."""
+        """Tell each node where its peers are, once all have joined.
+
+        Args:
+            endpoints: of every link, by binder and connector.
+        """
         out: list[Instruction] = []
         for node in self.graph.nodes:
             binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
@@ -77,12 +81,12 @@ class Reception:
     def greet_observer(
         self, name: str, hello: NodeHello | ForeignHello, places: Mapping[str, str]
     ) -> list[Instruction]:
-        """Tell an observer where it is served, or refuse it; either way the next one of its name may come.
+        """Send an observer its endpoint, or refuse it. In both cases its name becomes free for its next visit.
 
         Args:
             name: the observer.
-            hello: what it said.
-            places: where each observer is served.
+            hello: the frame it sent.
+            places: the endpoint of each observer.
         """
         roles = {**self.graph.nodes, **dict.fromkeys(places, Role.OBSERVER)}
         refusal = check_node_hello(hello, self.certificate, self.session, roles, name)
@@ -90,9 +94,6 @@ class Reception:
             return [Send(name, refusal), ReleaseName(name)]
         endpoints = {Role.SUPERVISOR.value: places[name]}
         return [Send(name, Welcome()), Send(name, Connect(endpoints)), ReleaseName(name)]
-
-
-# what a decision is made of lives next door; who carries it out need not know that
 
 
 @dataclass
@@ -104,17 +105,17 @@ class Conductor:
         certificate: the id that all nodes must share.
         session: the session's name.
         ticks: number of ticks to run; 0 runs until interrupted.
-        remote: nodes that are started elsewhere; of those no process can be seen to end.
-        observers: where each observer is served.
+        remote: nodes that are started on other machines; the supervisor cannot see their processes end.
+        observers: the endpoint of each observer.
         budget: how often a node may come back; without restarts, the first death ends the session.
-        together: whether a guest that leaves ends the session, as one without restarts does.
-        phase: where the session stands.
-        states: where each node stands.
-        reports: the last words received.
-        left: the last words of guests that left a session that went on.
-        faults: what went wrong, in the order it was heard; empty for a good run.
-        interrupted: whether the user ended it.
-        ignored: messages that came out of turn, or made no sense.
+        together: whether a guest that leaves ends the session, as it does in a session without restarts.
+        phase: of the session.
+        states: of each node.
+        reports: the final report of each node that sent one.
+        left: the final reports of guests that left while the session went on.
+        faults: what went wrong, in the order of arrival; empty for a good run.
+        interrupted: whether the user ended the session.
+        ignored: number of messages that came out of turn, or could not be read.
     """
 
     graph: Topology
@@ -143,21 +144,21 @@ class Conductor:
 
     @property
     def incidents(self) -> Incidents:
-        """What the session withstood."""
+        """The incidents that the session survived."""
         return self._recovery.incidents
 
     @property
     def rungs(self) -> Mapping[str, int]:
-        """The rung of the ladder that each coupling was asked to change to; those that never were are absent."""
+        """The rung of the ladder that each coupling was asked to change to; couplings that never changed are absent."""
         return self._recovery.rungs
 
-    def hear(self, sender: str, received: Received, now: int) -> list[Instruction]:
-        """A message from a node.
+    def receive(self, sender: str, received: Received, now: int) -> list[Instruction]:
+        """Decide what follows from a frame of a node or an observer.
 
         Args:
-            sender: the identity it came from.
-            received: what the frame turned out to be.
-            now: monotonic ns, from which the first tick's instant is reckoned.
+            sender: the name that the hub gives the frame's connection.
+            received: the decoded frame.
+            now: monotonic ns; the instant of tick 0 is set from it.
         """
         if isinstance(received, NodeHello | ForeignHello):
             if sender in self.observers:
@@ -172,8 +173,8 @@ class Conductor:
             self.ignored += 1
             return []
         if isinstance(received, Offer) and self.phase is SessionPhase.RUNNING:
-            told = self._recovery.hear_offer(sender, received, now)
-            return self._out_of_turn(sender) if told is None else told
+            instructions = self._recovery.receive_offer(sender, received, now)
+            return self._out_of_turn(sender) if instructions is None else instructions
         if isinstance(received, Malformed):
             return self._out_of_turn(sender)
         target = TRANSITIONS.get((state, type(received)))
@@ -194,53 +195,59 @@ class Conductor:
         return []
 
     def exited(self, node: str, code: int, now: int) -> list[Instruction]:
-        """A node's process has ended with ``code`` (negative: the signal that killed it), as seen at ``now``."""
+        """Decide what follows from the end of a node's process.
+
+        Args:
+            node: its name.
+            code: exit code; negative: the signal that killed it.
+            now: monotonic ns.
+        """
         return self._ended(node, ending(code), now)
 
     def started(self, node: str, pid: int) -> None:
-        """The process of a node that is to come back has this id: a hello of the former one may still be on its way."""
+        """Note the process id of a node that is to come back: a hello of its former process may still arrive."""
         self._recovery.pids[node] = pid
 
     def not_started(self, node: str, why: str, now: int) -> list[Instruction]:
-        """There was no process to be had for a node that is to come back."""
+        """Decide what follows when no process could be started for a node that is to come back."""
         return self._ended(node, f"could not be started ({why})", now)
 
     def silent(self, node: str, now: int) -> list[Instruction]:
-        """Nothing was heard of a remote node for so long that it must be gone."""
+        """Decide what follows when a remote node has been silent for so long that it counts as gone."""
         if self.states[node] in (NodeState.ENDED, NodeState.LOST, NodeState.GONE):
             return []
         return self._ended(node, "fell silent", now)
 
     def look(self, now: int) -> list[Instruction]:
-        """What falls due by time alone: a return that takes too long."""
+        """Decide what follows from time alone: a node that takes too long to return is given up."""
         return self._withstood(self._recovery.overdue(now)) if self.phase is SessionPhase.RUNNING else []
 
     def shift(self, coupling: str, rung: int) -> list[Instruction]:
-        """Have ``coupling`` changed to ``rung`` of the ladder."""
+        """Change ``coupling`` to ``rung`` of the ladder."""
         return self._recovery.shift(coupling, rung) if self.phase is SessionPhase.RUNNING else []
 
     def stop(self, reason: str) -> list[Instruction]:
-        """End the session because of what a node has measured; ``reason`` is told as its fault."""
+        """End the session because of a measurement; ``reason`` becomes its fault."""
         return self._fail(reason) if self.phase is SessionPhase.RUNNING else []
 
-    def tell(self, sentence: str, now: int) -> None:
-        """Something happened that the session withstands."""
-        self._recovery.tell(sentence, now)
+    def note(self, sentence: str, now: int) -> None:
+        """Record an incident that happened ``now``, monotonic ns."""
+        self._recovery.note(sentence, now)
 
     @property
     def awaited(self) -> tuple[str, ...]:
-        """Remote nodes that have not joined yet; people start those, and people take their time."""
+        """Remote nodes that have not joined yet. People start those, so the start-up deadline waits for them."""
         return tuple(n for n in self.graph.nodes if n in self.remote and self.states[n] is NodeState.STARTING)
 
     def interrupt(self) -> list[Instruction]:
-        """The user wants the session to end; who asks again wants it at once."""
+        """End the session for its user. A second interrupt kills every process at once."""
         if self.interrupted:
             return [Kill()]
         self.interrupted = True
         return self._end()
 
     def too_late(self) -> list[Instruction]:
-        """The time for the present phase is over: start-up failed, or a process does not end."""
+        """Decide what follows when the time for a phase is over: a start failed, or a process does not end."""
         match self.phase:
             case SessionPhase.STARTING:
                 waiting = (f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
@@ -248,14 +255,14 @@ class Conductor:
             case SessionPhase.RUNNING if self.reports:
                 return self._leave_behind()
             case SessionPhase.ENDING:
-                for node in self.remote:  # which nobody here can kill
+                for node in self.remote:  # the supervisor cannot kill a process on another machine
                     self.states[node] = NodeState.ENDED
                 self._over_if_all_ended()
                 return [Kill()]
         return []
 
     def _is_awaited(self, node: str, hello: NodeHello | ForeignHello) -> bool:
-        """Whether a hello of ``node`` is in turn."""
+        """Whether a hello of ``node`` is expected now, and comes from its present process."""
         if node in self.remote and self.phase is SessionPhase.RUNNING:
             return self.states[node] is NodeState.LOST
         pid = self._recovery.pids.get(node)
@@ -280,19 +287,19 @@ class Conductor:
 
     def _refused(self, sender: str, refusal: Refusal, now: int) -> list[Instruction]:
         """What follows the refusal of a hello."""
-        if sender not in self.states:  # a stranger: no reason to end a session that is not its own
+        if sender not in self.states:  # a stranger must not be able to end the session
             self.ignored += 1
             return []
         if self.phase is not SessionPhase.RUNNING:
-            self.states[sender] = NodeState.FAULTED  # heard once; what it says after that is out of turn
+            self.states[sender] = NodeState.FAULTED  # so its later messages are out of turn
             return self._fail(refusal.text)
-        if sender in self.remote:  # it stays lost; its user may come with the right bundle
+        if sender in self.remote:  # it stays lost; its user may join again with the right bundle
             self.ignored += 1
             return [ReleaseName(sender)]
         return self._withstood(self._recovery.lose(sender, f"was refused: {refusal.text}", now, alive=True))
 
     def _connect_if_all_here(self) -> list[Instruction]:
-        """Once all are here, tell each where its peers are."""
+        """Send each node the endpoints of its peers, once all nodes have joined."""
         if self.phase is not SessionPhase.STARTING or set(self.states.values()) != {NodeState.WELCOMED}:
             return []
         self.states.update(dict.fromkeys(self.states, NodeState.CONNECTED))
@@ -310,51 +317,57 @@ class Conductor:
         for node in self.graph.nodes:
             self.states[node] = NodeState.RUNNING
             self.budget.ran(node, now)
-        # those that wait for others first, so that nobody's first tick finds a partner still in the handshake
+        # the environment first and the devices last: each node's first signal then finds its peer past the handshake
         return [Send(node, start) for node in reversed(list(self.graph.nodes))]
 
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
-        told: list[Instruction] = [Send(sender, Stop("reported"))]
+        out: list[Instruction] = [Send(sender, Stop("reported"))]
         early = self.phase is SessionPhase.RUNNING and not 0 < self.ticks <= report.ticks
         if early and self._does_without(sender):
             self.left[sender] = report
-            return told + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
+            return out + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
         self.reports[sender] = report
-        if early:  # the others would wait for it for ever
-            told += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
+        if early:  # the other nodes would wait for its signals for ever
+            out += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
         elif self.phase is SessionPhase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
-            told += self._recovery.close(now)
+            out += self._recovery.close(now)
         self._gone_if_remote(sender)
-        return told
+        return out
 
     def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
-        """A node ends by its own decision: the session's end, unless it is a guest's or was only on its way back."""
-        told: list[Instruction] = [Send(sender, Stop("heard"))]
+        """A node ends by its own decision. That ends the session, except for a guest or a node that was on its way
+        back.
+        """
+        out: list[Instruction] = [Send(sender, Stop("received"))]
         if self.phase is SessionPhase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
-            return told + self._withstood(lost)
-        if self.phase is SessionPhase.RUNNING and self._does_without(sender):  # or a guest could end it by one word
-            return told + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
+            return out + self._withstood(lost)
+        if self.phase is SessionPhase.RUNNING and self._does_without(
+            sender
+        ):  # a guest's Fault must not end the session
+            return out + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
         if (
             self.phase is SessionPhase.STARTING
             and state is NodeState.WELCOMED
             and sender in self.remote
             and not self.together
         ):
-            return told + self._awaited_again(sender, text)
-        told += self._fail(text)
+            return out + self._awaited_again(sender, text)
+        out += self._fail(text)
         self._gone_if_remote(sender)
-        return told
+        return out
 
     def _does_without(self, node: str) -> bool:
-        """Whether the others go on without ``node``, and wait for it to join again: a guest, where that is wanted."""
+        """Whether the session goes on without the guest ``node`` and lets it join again; never so without restarts."""
         return node in self.remote and self.budget.restarts > 0 and not self.together
 
     def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
-        """A guest ends while others are still to join: none of them was told of it, so its place is as it was."""
+        """Take back the welcome of a guest that ended before all had joined. No peer knows of it yet, so it may start
+        over.
+        """
         self.states[guest] = NodeState.STARTING
         self._endpoints = {ends: place for ends, place in self._endpoints.items() if ends[0] != guest}
-        self.incidents.tell(f"{why}; the session waits for {guest} again")
+        self.incidents.add(f"{why}; the session waits for {guest} again")
         return [ReleaseName(guest)]
 
     def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
@@ -373,14 +386,14 @@ class Conductor:
         return out
 
     def _withstood(self, out: list[Instruction]) -> list[Instruction]:
-        """What the recovery does about a loss, and the session's end where nothing is left to recover."""
+        """Return the recovery's instructions, and end the session if nothing is left to recover."""
         if self._recovery.hopeless:
             return out + self._end()
         self._over_if_all_ended()
         return out
 
     def _gone_if_remote(self, node: str) -> None:
-        """A remote node's last word is all that is seen of its end."""
+        """Count a remote node as ended: its last message is all that the supervisor sees of its end."""
         if node in self.remote:
             self.states[node] = NodeState.ENDED
         self._over_if_all_ended()
@@ -390,11 +403,11 @@ class Conductor:
             self.phase = SessionPhase.OVER
 
     def _leave_behind(self) -> list[Instruction]:
-        """Some were done long ago and others are not: no fault of the session if the environment is among the done."""
+        """End the session when some nodes are long overdue: a fault unless the environment is done."""
         left = ", ".join(node for node, state in self.states.items() if state is NodeState.RUNNING)
         if not self._recovery.closing:
             return self._fail(f"{', '.join(self.reports)} had done every tick long before {left}")
-        self.incidents.tell(f"{left} had not finished when the session was over")
+        self.incidents.add(f"{left} had not finished when the session was over")
         return self._end()
 
     def _fail(self, reason: str) -> list[Instruction]:
@@ -408,7 +421,7 @@ class Conductor:
         farewell = [Send(node, Stop("the session ends")) for node in self.graph.nodes if node in self.remote]
         for node, state in self.states.items():
             if node in self.awaited or state in (NodeState.LOST, NodeState.GONE):
-                self.states[node] = NodeState.ENDED  # nobody to wait for
+                self.states[node] = NodeState.ENDED  # there is no process to wait for
         self._over_if_all_ended()
         return [Terminate(), *farewell]
 

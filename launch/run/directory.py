@@ -1,8 +1,8 @@
-"""Where a run keeps its files: a directory of its own that is gone afterwards, and the one that its user keeps.
+"""The directories of a run: a temporary one that is removed afterwards, and the one that its user keeps.
 
-Bundles, sockets, keys of one run and the processes' error output are in the first (mode 0700), which goes with the run.
-The logs are in its folder ``log``, which leads to the second where there is one, so that they outlive a supervisor that
-was killed.
+The temporary directory (mode 0700) holds bundles, sockets, keys of the run and the processes' error output. Its folder
+``log`` holds the logs. If the user keeps a directory, ``log`` is a link into it, so that the logs survive a supervisor
+that is killed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REPORT: Final = "report.json"
 
 @contextmanager
 def run_directory(logs: Path | None = None) -> Iterator[Path]:
-    """A new directory that is gone afterwards; the logs in its folder ``log`` stay if ``logs`` is where they go."""
+    """A new directory that is removed afterwards; ``logs`` is the folder that its ``log`` links to, and stays."""
     sweep_directories()
     directory, lock = _new_directory()
     try:
@@ -48,12 +48,12 @@ def run_directory(logs: Path | None = None) -> Iterator[Path]:
         with naming(directory):
             yield directory
     finally:
-        shutil.rmtree(directory)  # a link is removed, not what it leads to
+        shutil.rmtree(directory)  # of a link this removes the link, not the folder behind it
         os.close(lock)
 
 
 def _new_directory() -> tuple[Path, int]:
-    """A new directory, and the descriptor that holds the lock on it: for as long as its supervisor lives."""
+    """A new directory, and the file descriptor that holds its lock for as long as its supervisor lives."""
     while True:
         directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-"))
         descriptor = os.open(directory, _FOLDER)
@@ -61,17 +61,17 @@ def _new_directory() -> tuple[Path, int]:
             if _lock(descriptor) is not Lock.HELD and os.path.samestat(os.fstat(descriptor), os.stat(directory)):
                 return directory, descriptor
         except FileNotFoundError:
-            pass  # somebody swept it between its making and its locking
+            pass  # another supervisor swept it before it was locked here: make a new one
         os.close(descriptor)
 
 
 def sweep_directories() -> None:
-    """Remove what runs whose supervisor was killed have left in the temporary directory.
+    """Remove the directories that killed supervisors have left in the temporary directory.
 
-    A supervisor holds a lock on its directory, which the kernel takes from it when it ends. Its process id, which the
-    directory's name bears, does not show whether it lives: containers that share a temporary directory and a user have
-    process ids of their own. A directory is removed when its lock can be taken and no process here has that id (a
-    supervisor of version 0.5.0 or before holds no lock).
+    A supervisor holds a lock on its directory, and the kernel releases it when the process ends. The process id in the
+    directory's name does not show whether the supervisor lives: containers that share a temporary directory and a user
+    have process ids of their own. A directory is removed when its lock can be taken and no process here has that id. (A
+    supervisor of version 0.5.0 or before holds no lock.)
     """
     for path, descriptor in _ours():
         pid = path.name.removeprefix(_PREFIX).split("-")[0]
@@ -80,16 +80,16 @@ def sweep_directories() -> None:
 
 
 def run_directories() -> list[Path]:
-    """The directories of the runs of this user whose supervisors live."""
+    """The directories of this user's runs whose supervisors live."""
     return [path for path, descriptor in _ours() if _lock(descriptor, fcntl.LOCK_SH) is not Lock.TAKEN]
 
 
 class Lock(Enum):
-    """What came of asking for the lock of a run's directory."""
+    """The result of asking for the lock of a run's directory."""
 
-    TAKEN = "taken"  # by us: its supervisor is gone
-    HELD = "held"  # by its supervisor
-    NONE = "none"  # the file system has no locks: nobody can say, and nothing is removed
+    TAKEN = "taken"  # we hold it now: its supervisor is gone
+    HELD = "held"  # its supervisor holds it
+    NONE = "none"  # the file system has no locks: the state is unknown, and nothing is removed
 
 
 def _lock(descriptor: int, how: int = fcntl.LOCK_EX) -> Lock:
@@ -103,13 +103,13 @@ def _lock(descriptor: int, how: int = fcntl.LOCK_EX) -> Lock:
 
 
 def _ours() -> Iterator[tuple[Path, int]]:
-    """This user's directories of runs, each with a descriptor that is open until the next one is asked for."""
+    """This user's run directories, each with a file descriptor that is open until the next one is asked for."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         if not path.name.removeprefix(_PREFIX).split("-")[0].isdigit():
             continue
         try:
             descriptor = os.open(path, _FOLDER)
-        except OSError:  # it went meanwhile, is another user's, a link or a file
+        except OSError:  # it is gone meanwhile, belongs to another user, or is a link or a file
             continue
         try:
             if os.fstat(descriptor).st_uid == os.getuid():
@@ -119,10 +119,11 @@ def _ours() -> Iterator[tuple[Path, int]]:
 
 
 def require_new(path: Path) -> None:
-    """Refuse what cannot become a run's folder; before a run, not after it.
+    """Refuse a path that cannot become a run's folder, before the run begins.
 
     Raises:
-        TargetError: it is there and not empty, or no folder, or another user's, or its own folder is not there.
+        TargetError: the path is a file, a folder that is not empty or belongs to another user, or its parent does not
+            exist.
     """
     if not path.absolute().parent.is_dir():
         raise TargetError(f"{path}: found no folder {path.parent}; expected one that exists")
@@ -137,9 +138,9 @@ def require_new(path: Path) -> None:
 
 
 def kept_files(prepared: Prepared) -> dict[str, bytes]:
-    """What is kept of a session beside its run, contents by name: itself with every override, and its certificate.
+    """The files that are kept of a session, contents by name: the session with every override, and its certificate.
 
-    Both are read back as what they were: :func:`manyhands.launch.session.load_session`,
+    Both can be read again by :func:`manyhands.launch.session.load_session` and
     :func:`manyhands.design.certificate.load`.
     """
     text = yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True)
@@ -150,37 +151,37 @@ def kept_files(prepared: Prepared) -> dict[str, bytes]:
 
 
 class SessionDirectory:
-    """Everything of one run that its user keeps, in one place; never a key.
+    """The folder that a user keeps of one run; it never holds a key.
 
     Attributes:
-        path: the directory.
+        path: of the folder.
     """
 
     def __init__(self, path: Path) -> None:
-        """Make the directory, for its user alone (mode 0700).
+        """Make the folder, for its user alone (mode 0700).
 
         Raises:
-            TargetError: as :func:`require_new`, or it cannot be made.
+            TargetError: as :func:`require_new`, or the folder cannot be made.
         """
         self.path = path
         try:
             require_new(path)
             path.mkdir(mode=0o700, exist_ok=True)
-            path.chmod(0o700)  # whatever the umask, and for one that was there
+            path.chmod(0o700)  # despite the umask, and for a folder that existed
             self.logs.mkdir(mode=0o700)
         except OSError as error:
             raise TargetError(f"{path}: cannot be made a run's folder: {error.strerror}") from error
 
     @property
     def logs(self) -> Path:
-        """Where the processes' logs are."""
+        """The folder of the processes' logs."""
         return self.path / LOG_FOLDER
 
     def keep_session(self, prepared: Prepared) -> None:
-        """Write the session as it is run, overrides applied, and its certificate if it has one.
+        """Write the session as it runs, overrides applied, and its certificate if it has one.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: a file cannot be written.
         """
         for name, data in kept_files(prepared).items():
             with replacing(self.path / name) as file:
@@ -190,11 +191,11 @@ class SessionDirectory:
         """Write the report.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         save_json(report, self.path / REPORT)
 
 
 def is_bare(file: Path) -> bool:
-    """Whether a file is named without a folder, and so belongs in a run's directory where there is one."""
+    """Whether a file is named without a folder, and so belongs into the run's folder where there is one."""
     return file.name == str(file)

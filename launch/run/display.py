@@ -1,6 +1,6 @@
-"""What a person sees while a session runs: one table that updates, or plain lines where there is no terminal.
+"""What a person sees while a session runs: a table that updates, or plain lines where there is no terminal.
 
-Which figures of a node a table shows while a session runs, in which order and form: one place for all tables.
+:data:`COLUMNS` lists the figures of a node that every such table shows, their order and their form.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Column:
     """A column of a table.
 
     Attributes:
-        title: above it, with its unit.
+        title: its heading, with the unit.
         figure: the figure of a node's telemetry that it shows.
-        form: how, as :func:`format` has it.
-        rank: where there is little room the columns of the highest rank are left out first.
+        form: its format, as :func:`format` has it.
+        rank: in a narrow table the columns of the highest rank are left out first.
     """
 
     title: str
@@ -41,7 +41,7 @@ class Column:
     rank: int
 
     def cell(self, figures: Mapping[str, float]) -> str:
-        """What stands in it; nothing where the node has no such figure."""
+        """The cell for a node with these figures; empty if the node has no such figure."""
         value = figures.get(self.figure)
         return "" if value is None else format(value, self.form)
 
@@ -60,14 +60,14 @@ COLUMNS: Final = (
 """In the order in which they are shown."""
 
 LEAST_SHOWN: Final = 1e-3
-"""J below which nobody is said to have moved anybody."""
+"""J; pairs that exchanged less energy are not shown."""
 
 MOST_SHOWN: Final = 6
-"""Pairs that are shown, those with the most energy."""
+"""The most pairs that are shown, those with the most energy."""
 
 
 def energy_line(figures: Mapping[str, float]) -> str:
-    """Who moved whom, and who is held to an energy budget, in a line; empty for nothing."""
+    """One line with the energy between users and the couplings held to a budget; empty if there is none."""
     pairs = ((value, *key.removeprefix(names.MOVED).partition("/")) for key, value in figures.items()
              if key.startswith(names.MOVED) and value >= LEAST_SHOWN)  # fmt: skip
     moved = [f"{supplier} → {receiver} {value:.3g}" for value, supplier, _, receiver in sorted(pairs, reverse=True)]
@@ -80,7 +80,7 @@ def energy_line(figures: Mapping[str, float]) -> str:
 
 @contextmanager
 def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what is being done; yields a function that changes the text."""
+    """Show the present activity on a terminal; yields a function that changes the text."""
     if not console.is_terminal:
         yield lambda _text: None
         return
@@ -89,33 +89,35 @@ def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
 
 
 def printable(text: str) -> str:
-    """``text`` without what a terminal would obey: names and sentences of files and guests may hold its commands."""
+    """``text`` with a replacement character for every control code: names and sentences of guests may hold terminal
+    commands.
+    """
     return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in text)
 
 
 def say(console: Console, text: str) -> None:
-    """Print a message as it is: no markup, no line breaks but its own, and nothing that a terminal would obey."""
+    """Print a message as it is: no markup, no added line breaks, and no control codes."""
     console.print(printable(text), markup=False, soft_wrap=True)
 
 
-_LINE_EVERY = 2.0  # s between two plain lines
+_LINE_EVERY = 2.0  # s between two lines of progress without a terminal
 
 
 class LiveTable:
     """Shows a run's progress on a console; call it with each :class:`Progress`.
 
-    A console that takes nothing now is not waited for, since the session would wait, too.
+    It never waits for a console that takes no output now, since the session would wait as well.
     """
 
     def __init__(self, console: Console, title: str, graph: Topology, ticks: int) -> None:
         """Show the nodes of ``graph`` under ``title``; ``ticks`` of 0 has no end."""
         self._console, self._title, self._graph, self._ticks = console, title, graph, ticks
-        # refreshed by the supervisor's own loop: no thread beside it
+        # the supervisor's loop refreshes it, so no second thread is needed
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._rates: dict[str, tuple[float, int, float]] = {}
         self._line_at = 0.0
         self._phase: SessionPhase | None = None
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
         self._lost: str | None = None
 
     def __enter__(self) -> Self:
@@ -130,7 +132,7 @@ class LiveTable:
             self._live.stop()
 
     def __call__(self, progress: Progress) -> str | None:
-        """Show ``progress``; returns why nobody can see it any more, once, when that happens."""
+        """Show ``progress``; when the console is lost, returns an incident that reports it, once."""
         if self._lost is None and has_room(self._console.file):
             self._show(progress)
             self._lost = lost_at(self._console.file)
@@ -146,9 +148,9 @@ class LiveTable:
             self._phase = progress.phase
             say(self._console, f"{self._title}: {progress.phase}")
         for incident in progress.incidents:
-            if incident not in self._said:
+            if incident not in self._printed:
                 say(self._console, f"! {incident}")
-        self._said = {*progress.incidents}
+        self._printed = {*progress.incidents}
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed
             done = max((t.tick for t in progress.telemetry.values()), default=0)
@@ -174,11 +176,11 @@ class LiveTable:
             table.add_row(name, role.value, str(telemetry.tick), rate,
                           *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        energy = [Text(line) for told in progress.telemetry.values() if (line := energy_line(told.figures))]
+        energy = [Text(line) for latest in progress.telemetry.values() if (line := energy_line(latest.figures))]
         return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
-        """Ticks a second since a telemetry of at least half a second ago."""
+        """Ticks per second since a telemetry message of at least half a second ago."""
         then, tick, shown = self._rates.get(name, (elapsed, telemetry.tick, 0.0))
         if elapsed - then >= 0.5:
             shown = (telemetry.tick - tick) / (elapsed - then)
@@ -188,7 +190,7 @@ class LiveTable:
 
 
 def not_admitted(refused: Mapping[str, int]) -> list[str]:
-    """What the supervisor did not admit, in a line; none where there was nothing."""
+    """One line with what the supervisor did not admit, by kind; none if there was nothing."""
     counts = ", ".join(f"{kind} {count}" for kind, count in refused.items())
     return [f"not admitted by the supervisor: {counts}"] if counts else []
 

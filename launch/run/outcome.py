@@ -1,6 +1,6 @@
-"""What is told of a run: while it goes on, and how it went.
+"""The progress and the outcome of a run, and its report.
 
-The report of a run, as architecture and other programs expect it: one JSON object.
+The report is one JSON object for people and other programs; docs/files.md lists its keys.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from manyhands.protocol.messages import Report, Role, Telemetry
 
 @dataclass(frozen=True)
 class Progress:
-    """What a display is told.
+    """The state of a run, for a display.
 
     Attributes:
-        phase: where the session stands.
-        states: where each node stands.
+        phase: of the session.
+        states: of each node.
         pids: process ids of the nodes that run.
         telemetry: the latest telemetry of each node.
         elapsed: since the first tick, s.
-        notices: assumptions found broken, each told once.
-        refused: what strangers tried at the supervisor's door, and what members sent out of turn, by kind.
-        silent: nodes that run, and whose telemetry has not come for a while.
-        incidents: what the session withstood, the latest of it.
+        notices: assumptions found broken, one sentence for each.
+        refused: what the supervisor did not admit, by kind: attempts of strangers, and messages of members out of turn.
+        silent: nodes that run, but have sent no telemetry for a while.
+        incidents: the latest faults that the session survived.
         faults: what went wrong.
     """
 
@@ -56,14 +56,14 @@ class Outcome:
 
     Attributes:
         code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP, 131 on SIGQUIT). A process
-            that failed and came back, or was on its way back at the end, is no failure of the run: it is an incident.
+            that failed and came back, or was on its way back at the end, is an incident and no failure of the run.
         faults: what went wrong, empty for a good run.
         notices: assumptions of the certificate that the run broke.
         report: the report's object.
-        recording: every x and f_v, when wanted and any were received.
-        lost: ticks missing from the recording, by device.
-        refused: what strangers tried at the supervisor's door, and what members sent out of turn, by kind.
-        incidents: what the session withstood, the latest of it.
+        recording: every x and f_v, if it was asked for and any were received.
+        lost: number of ticks missing from the recording, by device.
+        refused: what the supervisor did not admit, by kind: attempts of strangers, and messages of members out of turn.
+        incidents: the latest faults that the session survived.
     """
 
     code: int
@@ -77,25 +77,26 @@ class Outcome:
 
 
 _INCIDENTS: Final = {"frozen": names.FROZEN_TICKS, "released": names.RELEASED, "jumps": names.JUMPS}
-"""Counts of what a node withstood: ticks with a frozen coupling, periods without force, jumps to a later tick."""
+"""Counts of the faults that a node survived: ticks with a frozen coupling, periods without force, jumps to a later
+tick."""
 
 
 def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
-    """A node's part of the report; keys that its role does not have, or that it did not tell properly, are absent.
+    """A node's part of the report. Keys that its role does not have are absent, and so are values that make no sense.
 
     Args:
         role: the node's.
-        report: its last word; of a node that came back, what its last process did.
+        report: its final report; of a node that came back, that of its last process.
         restarts: how often it came back.
     """
-    figures = {name: value for name, value in report.figures.items() if math.isfinite(value)}  # JSON has no other
+    figures = {name: value for name, value in report.figures.items() if math.isfinite(value)}  # JSON has no NaN
     counts = report.counts
     entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks}
     if names.LATE in counts:
         entry["late"] = counts[names.LATE]
     for quantity in (names.TAU, names.PERIOD):
-        told = report.percentiles.get(quantity, {})
-        percentiles = {name: told[name] for name in PERCENTILES if math.isfinite(told.get(name, math.nan))}
+        reported = report.percentiles.get(quantity, {})
+        percentiles = {name: reported[name] for name in PERCENTILES if math.isfinite(reported.get(name, math.nan))}
         if percentiles:
             entry[quantity] = percentiles
     causes = {key.removeprefix(names.LATE_CAUSE): n for key, n in counts.items() if key.startswith(names.LATE_CAUSE)}
@@ -141,7 +142,9 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
 
 
 def _energy(figures: Mapping[str, float]) -> dict[str, Any]:
-    """Who moved whom, J: by coupling what it put into others and received, by pair, and who was scaled."""
+    """Energy between users, J: given and received by each coupling, moved by each pair, and ticks scaled and
+    stopped.
+    """
     kinds = {"given": names.GIVEN, "received": names.RECEIVED, "moved": names.MOVED, "scaled": names.SCALED,
              "stopped": names.STOPS}  # fmt: skip
     out: dict[str, Any] = {}
@@ -173,12 +176,12 @@ def run_report(
         session: the session's name.
         certificate: the id it ran under.
         clock: "realtime" or "simulated".
-        duration: what was run, in the session's own time, s.
+        duration: time that was run, by the session's clock, s.
         nodes: every node's role.
-        reports: the last words of those that gave one.
-        refused: what the supervisor did not admit, by kind; those kinds that occurred.
-        incidents: what the session withstood.
-        enforced: parties whose promise a controller keeps at run time, and no proof.
+        reports: the final reports of the nodes that sent one.
+        refused: what the supervisor did not admit, by kind; only kinds that occurred.
+        incidents: the faults that the session survived.
+        enforced: parties whose level is enforced at run time instead of proved.
     """
     restarts = incidents.restarts
     return {
@@ -196,7 +199,7 @@ def run_report(
 
 
 def save_json(data: Mapping[str, Any], path: Path) -> None:
-    """Write one JSON object, whole or not at all.
+    """Write one JSON object; a failed write leaves any former file as it was.
 
     Raises:
         OSError: the file cannot be written.

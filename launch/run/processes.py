@@ -1,11 +1,12 @@
-"""The one keeper of child processes: started, watched through process file descriptors, ended and reaped.
+"""Child processes and signals: the supervisor keeps a session's nodes here, a recording its recorder, the doctor its
+probe.
 
-The supervisor keeps a session's nodes here, a recording its recorder, the doctor its probe.
+:class:`Processes` starts processes, watches them through process file descriptors, ends and reaps them. Nothing else in
+the product starts one.
 
-Ctrl-C, SIGTERM and what else a terminal sends, noted rather than raised, and a file descriptor that wakes a poll.
-
-An exception out of a signal handler can surface between any two instructions, a process just started and not
-yet written down among them. While processes run, the request is a flag.
+:class:`Interrupt` notes Ctrl-C, SIGTERM and the other signals of a terminal, and wakes a poll by a file descriptor. It
+raises no exception. One raised by a signal handler can surface between any two instructions, even after a process has
+started and before it is noted here. So while processes run, a request to end is a flag.
 """
 
 from __future__ import annotations
@@ -23,42 +24,42 @@ from typing import Self
 from manyhands.nodes.lifetime import terminal_signals
 from manyhands.protocol.messages import Role
 
-_LOG_SHOWN = 2000  # characters of a process's own error output that a message quotes
+_LOG_SHOWN = 2000  # characters of a process's error output that a message quotes
 
-# Matrices of a few rows gain nothing from threads, and idle BLAS threads spin beside the loop.
+# Matrices of a few rows gain nothing from threads, and idle BLAS threads would take processor time from the loop.
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Processes:
-    """Some child processes by name; several names may share one process."""
+    """Child processes by name; several names may share one process."""
 
     def __init__(self, directory: Path) -> None:
-        """Make a keeper of no processes; their logs, and the sockets of nodes, are in ``directory``."""
+        """A keeper without processes; ``directory`` holds their logs and the sockets of nodes."""
         self._directory = directory
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._fds: dict[int, tuple[str, ...]] = {}
 
     @property
     def fds(self) -> tuple[int, ...]:
-        """Descriptors that become readable when their process ends."""
+        """File descriptors that become readable when their process ends."""
         return tuple(self._fds)
 
     @property
     def pids(self) -> Mapping[str, int]:
-        """Process ids of those that still run, by name."""
+        """Process ids of the processes that still run, by name."""
         return {name: process.pid for name, process in self._running.items()}
 
     def start(self, nodes: Sequence[str], role: Role, bundles: Sequence[Path], processor: int | None = None) -> None:
-        """Start a node, and those that share its process.
+        """Start a node, and the nodes that share its process.
 
         Args:
-            nodes: the node, whose log is the process's, and those that it carries.
+            nodes: the node, whose name the log has, and those that its process carries.
             role: the node's.
-            bundles: one for each.
-            processor: the one to run on; any by default.
+            bundles: one bundle file for each.
+            processor: the processor to run on; any by default.
 
         Raises:
-            OSError: there is no process to be had.
+            OSError: the process cannot be started.
         """
         for node in nodes:
             self._sweep(node)
@@ -72,19 +73,19 @@ class Processes:
         processor: int | None = None,
         output: int | None = None,
     ) -> None:
-        """Start ``python -m MODULE FIRST PARENT_PID OTHERS...``; its log goes on where an earlier process left it.
+        """Start ``python -m MODULE FIRST PARENT_PID OTHERS...``; its log is appended to that of an earlier process.
 
-        In a session of its own, so that Ctrl-C in a terminal reaches the parent alone.
+        The process has a session of its own, so that Ctrl-C in a terminal reaches the parent alone.
 
         Args:
-            names: of the process; the first is its log's.
-            module: what it runs.
-            arguments: the first one, and the others.
-            processor: the one to run on; any by default.
-            output: the descriptor that is its standard output; by default its log.
+            names: of the process; the first names its log.
+            module: the module to run.
+            arguments: FIRST and OTHERS.
+            processor: the processor to run on; any by default.
+            output: the file descriptor of its standard output; by default its log.
 
         Raises:
-            OSError: there is no process to be had.
+            OSError: the process cannot be started.
         """
         first, *others = arguments
         with (self._directory / f"{names[0]}.log").open("ab") as log:
@@ -99,11 +100,13 @@ class Processes:
         self._running.update(dict.fromkeys(names, process))
         self._fds[os.pidfd_open(process.pid)] = tuple(names)
         if processor is not None:
-            with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor tells
-                os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
+            with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor reports
+                os.sched_setaffinity(process.pid, {processor})  # before it starts threads, which inherit it
 
     def reap(self, fds: set[int]) -> dict[str, int]:
-        """The processes behind the readable ``fds``: exit codes by name (negative: killed by that signal)."""
+        """Reap the processes behind the readable ``fds``; returns exit codes by name (negative: killed by that
+        signal).
+        """
         out = {}
         for fd in fds & self._fds.keys():
             nodes = self._fds.pop(fd)
@@ -117,18 +120,18 @@ class Processes:
             process.send_signal(which)
 
     def _sweep(self, name: str) -> None:
-        """Remove the sockets that a killed process has left; it binds ``NAME-PEER``, and no name has a hyphen."""
+        """Remove the sockets that a killed process has left: it binds ``NAME-PEER``, and no name contains a hyphen."""
         for path in self._directory.glob(f"{name}-*"):
             if path.is_socket():
                 path.unlink()
 
     def kill(self, name: str) -> None:
-        """Kill one process if it still runs; its end is seen as any other."""
+        """Kill one process if it still runs; its end is reported like any other."""
         if name in self._running:
             self._running[name].send_signal(signal.SIGKILL)
 
     def end_all(self) -> None:
-        """Kill and reap whatever still runs; for the way out of an error."""
+        """Kill and reap every process that still runs; for the way out after an error."""
         self.send(signal.SIGKILL)
         for process in self._running.values():
             process.wait()
@@ -138,7 +141,7 @@ class Processes:
         self._fds.clear()
 
     def log(self, name: str) -> str:
-        """The end of what a process wrote to its error output; empty if nothing, or if it was not started here."""
+        """The end of a process's error output; empty if there is none, or if the process runs elsewhere."""
         path = self._directory / f"{name}.log"
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""
 
@@ -149,7 +152,7 @@ _Handler = Callable[[int, FrameType | None], object] | int | None
 class Interrupt:
     """While entered, SIGINT, SIGTERM, SIGHUP and SIGQUIT set :attr:`signal` and make :attr:`fd` readable.
 
-    SIGHUP stays ignored where it was, as under nohup.
+    SIGHUP stays ignored if it was ignored before, as under nohup.
     """
 
     def __init__(self) -> None:
@@ -174,7 +177,7 @@ class Interrupt:
         os.close(self._write)
 
     def clear(self) -> None:
-        """Empty the pipe, so that :attr:`fd` wakes a poll only for what comes next."""
+        """Empty the pipe, so that :attr:`fd` wakes a poll only for the next signal."""
         try:
             while os.read(self.fd, 256):
                 continue

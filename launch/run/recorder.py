@@ -1,10 +1,9 @@
-"""What a supervisor asks of whoever writes its run down while it goes on.
+"""The supervisor's end of a recorder: starts its process, supplies it with frames, and reports what became of the
+recording.
 
-The supervisor's end of a recorder: starts it, keeps it supplied, and tells what became of the recording.
-
-A recorder that does not keep up never holds up anyone in real time: what it has no room for is lost and counted. Under
-the simulated clock nothing may be lost: there ``has_room`` asks the supervisor to leave what nodes tell in the nodes'
-own queues for a while. Either way hardly more than :data:`MOST_WAITING_BYTES` is kept here.
+A slow recorder never delays a node in real time: frames without room are lost and counted. Under the simulated clock
+nothing may be lost. There ``has_room`` makes the supervisor leave the nodes' frames in the nodes' own queues for a
+while. Either way hardly more than :data:`MOST_WAITING_BYTES` is kept here.
 """
 
 from __future__ import annotations
@@ -34,33 +33,37 @@ from manyhands.protocol.transport.zeromq import ZmqTransport
 
 
 class Recorder:
-    """Who writes a run down while it goes on: here nobody, in :class:`RecorderProcess` a process of its own."""
+    """What the supervisor asks of a recorder. This one records nothing; :class:`RecorderProcess` records in its own
+    process.
+    """
 
     def start(self, directory: Path) -> None:
         """Start it; ``directory`` is the run's own."""
 
     def await_ready(self, interrupt: int) -> None:
-        """Wait until it can be told something, or the descriptor ``interrupt`` is readable."""
+        """Wait until it accepts frames, or the file descriptor ``interrupt`` is readable."""
 
     @property
     def fds(self) -> tuple[int, ...]:
-        """Descriptors to wait on; when one of them is readable, :meth:`attend`."""
+        """File descriptors to wait on; when one of them is readable, call :meth:`attend`."""
         return ()
 
     @property
     def has_room(self) -> bool:
-        """Whether what nodes tell should be read on; False only where nothing may be lost."""
+        """Whether the supervisor should read more frames of the nodes; False only where nothing may be lost."""
         return True
 
-    def tell(self, frame: bytes | None) -> None:
-        """Pass on what was told, now or when there is room for it; None is what is too long to be passed on."""
+    def take(self, frame: bytes | None) -> None:
+        """Pass on a frame, now or when there is room for it; None stands for a frame that was too long."""
 
     def attend(self, ready: set[int]) -> str | None:
-        """Hear what it says and supply it; returns why the recording has stopped, once, when that happens."""
+        """Read the recorder's status and supply it with frames; returns why the recording stopped, once, when it
+        does.
+        """
         return None
 
     def finish(self, interrupt: int) -> str | None:
-        """The session is over: have the rest written, unless ``interrupt`` becomes readable; returns as ``attend``."""
+        """Have the rest written after the session, unless ``interrupt`` becomes readable; returns as :meth:`attend`."""
         return None
 
     def close(self) -> None:
@@ -68,30 +71,30 @@ class Recorder:
 
     @property
     def missing(self) -> Mapping[str, int]:
-        """Ticks that were never told of, by device, those devices that miss some."""
+        """Number of ticks without any telemetry, by device, for the devices that miss some."""
         return {}
 
     @property
     def failure(self) -> str | None:
-        """What is wrong with a recording that has to be whole, the simulated clock's; None if nothing is."""
+        """Why a recording that must be complete (under the simulated clock) is not; None otherwise."""
         return None
 
     def as_plain(self) -> dict[str, Any]:
-        """What it adds to a report: ``recording``, unless there is none."""
+        """What the report contains about it: the key ``recording``, or nothing."""
         return {}
 
 
 MOST_WAITING_BYTES: Final = 16 * 2**20
-"""Of observations that the recorder has not asked for yet: seconds of the telemetry of a large session."""
+"""The most bytes of observations that wait for the recorder: seconds of the telemetry of a large session."""
 
 MOST_UNDER_WAY: Final = 128
-"""Frames sent and not yet taken: as many as are sure to find room in a link's queue."""
+"""The most frames that are sent but not yet taken: as many as surely fit into a link's queue."""
 
 STARTING_TIME: Final = from_seconds(30.0)
 CLOSING_TIME: Final = from_seconds(30.0)
-"""How long the rest of a recording may take to reach the disk when a session is over."""
+"""The longest time that the rest of a recording may take to reach the disk after the session."""
 
-_NAME: Final = "recorder"  # of its process, for the keeper and in the log's name
+_NAME: Final = "recorder"  # of its process and its log
 
 
 class RecorderProcess(Recorder):
@@ -99,7 +102,7 @@ class RecorderProcess(Recorder):
 
     Attributes:
         path: the recording.
-        lost: what the recorder had no room for, or observations that are too long to be passed on.
+        lost: number of observations without room at the recorder, or too long for a frame.
         incident: why the recording stopped before its session, if it did.
     """
 
@@ -108,8 +111,8 @@ class RecorderProcess(Recorder):
 
         Args:
             prepared: the session.
-            clock_name: what paces it, "realtime" or "simulated".
-            path: where the recording goes.
+            clock_name: the clock that paces it, "realtime" or "simulated".
+            path: the recording's file.
             clock: for time limits.
         """
         self.path = path
@@ -133,10 +136,13 @@ class RecorderProcess(Recorder):
         self._finishing = self._gone = False
 
     def start(self, directory: Path) -> None:
-        """Start the process; ``directory`` is the run's own, for its plan, its socket and its error output.
+        """Start the process.
+
+        Args:
+            directory: the run's own, for the recorder's plan, its socket and its error output.
 
         Raises:
-            OSError: it cannot be started.
+            OSError: the process cannot be started.
         """
         plan = directory / "recorder.plan"
         started = time.time_ns()
@@ -149,14 +155,14 @@ class RecorderProcess(Recorder):
             self._processes.spawn((_NAME,), "manyhands.nodes.recorder", [str(plan)], output=its_end)
         finally:
             os.close(its_end)
-        # Unix-domain sockets whatever carries the session: the recorder is here, and the directory keeps others out
+        # Unix-domain sockets, whatever transport the session has: the recorder runs here, in a private directory
         self._transport = ZmqTransport.ipc(directory)
 
     def await_ready(self, interrupt: int) -> None:
-        """Wait until the file is begun, or the descriptor ``interrupt`` is readable.
+        """Wait until the file is begun, or the file descriptor ``interrupt`` is readable.
 
         Raises:
-            RecordingError: it cannot be begun.
+            RecordingError: the recording cannot be begun.
         """
         deadline = Instant(self._clock.now() + STARTING_TIME)
         while self._link is None:
@@ -165,12 +171,12 @@ class RecorderProcess(Recorder):
                 return
             self.attend(ready)
             if self.incident is not None or not ready:
-                silent = self.incident or "the recorder did not say that it is ready"
+                silent = self.incident or "the recorder did not report that it is ready"
                 why = self._end.text if isinstance(self._end, Stopped) else silent
                 raise RecordingError(f"{self.path}: cannot be recorded to: {why}")
 
     def _wait(self, deadline: Instant, *more: int) -> set[int]:
-        """Those of its descriptors and of ``more`` that are ready; none when the time is over."""
+        """The ready ones among its file descriptors and ``more``; an empty set when the time is over."""
         poll = select.poll()
         for fd in (*self.fds, *more):
             poll.register(fd, select.POLLIN)
@@ -191,11 +197,11 @@ class RecorderProcess(Recorder):
 
     @property
     def has_room(self) -> bool:
-        """False when too much is waiting and none of it may be lost; see :class:`Recorder`."""
+        """False when too much waits for the recorder and none of it may be lost; see :class:`Recorder`."""
         return self._gone or not self._lossless or self._waiting_bytes < MOST_WAITING_BYTES
 
-    def tell(self, frame: bytes | None) -> None:
-        """Send it on, keep it for a while, or lose it and count that; see :class:`Recorder`."""
+    def take(self, frame: bytes | None) -> None:
+        """Send the frame, keep it for a while, or drop and count it; see :class:`Recorder`."""
         if self._gone:
             return
         if frame is None:
@@ -209,7 +215,7 @@ class RecorderProcess(Recorder):
         self._supply()
 
     def _supply(self) -> None:
-        """Send on what there is room for."""
+        """Send waiting frames while there is room."""
         link = self._link
         while link is not None and self._waiting and self._sent - self._taken < MOST_UNDER_WAY:
             if not link.send(self._waiting[0]):
@@ -218,18 +224,18 @@ class RecorderProcess(Recorder):
             self._waiting_bytes -= len(self._waiting.popleft())
 
     def attend(self, ready: set[int]) -> str | None:
-        """Hear what the recorder says, supply it, and note its end; see :class:`Recorder`."""
+        """Read the recorder's status, supply it, and note its end; see :class:`Recorder`."""
         if self._processes is None or not ready.intersection(self.fds):
             return None
-        self._hear()
+        self._read_statuses()
         if ended := self._processes.reap(ready):
-            self._hear()  # its last word may have come between
+            self._read_statuses()  # its last status may have arrived between the two calls
             self._ended(ended[_NAME])
             return self.incident
         self._supply()
         return None
 
-    def _hear(self) -> None:
+    def _read_statuses(self) -> None:
         if self._pipe is None:
             return
         try:
@@ -251,7 +257,7 @@ class RecorderProcess(Recorder):
                 self._lines.nonsense += 1
 
     def _ended(self, code: int) -> None:
-        """Its process is gone; so is what it has not taken."""
+        """The process has ended; the frames that it has not taken are dropped."""
         self._gone = True
         self._waiting.clear()
         self._waiting_bytes = 0
@@ -260,18 +266,18 @@ class RecorderProcess(Recorder):
                 return
             case Closed(_, tick):
                 self.incident = (
-                    f"recording ended at tick {tick}: somebody ended the recorder; {self.path} is whole up to there"
+                    f"recording ended at tick {tick}: a signal ended the recorder; {self.path} is complete up to there"
                 )
             case Stopped(text, tick):
                 self.incident = f"recording stopped at tick {tick}: {text}; {self.path} can be read up to there"
             case None:
                 how = f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
                 self.incident = (
-                    f"recording stopped: the recorder {how}; {self.path} can be read up to what it had written"
+                    f"recording stopped: the recorder {how}; {self.path} can be read up to the last data it wrote"
                 )
 
     def finish(self, interrupt: int) -> str | None:
-        """Have the rest written, and wait for that as long as a disk may take; see :class:`Recorder`."""
+        """Have the rest written, and wait for that as long as a disk may need; see :class:`Recorder`."""
         if self._processes is None or self._gone:
             return None
         deadline = Instant(self._clock.now() + CLOSING_TIME)
@@ -282,7 +288,7 @@ class RecorderProcess(Recorder):
         while not self._gone:
             ready = self._wait(deadline, *others)
             self.attend(ready)
-            if not ready or ready & {*others}:
+            if not ready or ready & {*others}:  # too slow, or the user does not wait: from now on only its end counts
                 self._processes.kill(_NAME)
                 deadline, others = Instant(2**62), ()
         return self.incident
@@ -300,18 +306,18 @@ class RecorderProcess(Recorder):
 
     @property
     def missing(self) -> Mapping[str, int]:
-        """As the recorder counted them; see :class:`Recorder`."""
+        """As the recorder counted it; see :class:`Recorder`."""
         return self._end.missing if isinstance(self._end, Closed) else {}
 
     @property
     def failure(self) -> str | None:
-        """Under the simulated clock, that it is not whole; see :class:`Recorder`."""
+        """Under the simulated clock, why the recording is not complete; see :class:`Recorder`."""
         if not self._lossless or (self.incident is None and self.lost == 0):
             return None
         return self.incident or f"{self.lost} observations were not recorded; expected none under the simulated clock"
 
     def as_plain(self) -> dict[str, Any]:
-        """File, ticks, and what is wrong with it; see :class:`Recorder`."""
+        """File, ticks, and what is missing; see :class:`Recorder`."""
         out: dict[str, Any] = {"file": str(self.path)}
         if self._end is not None:
             out["ticks"] = self._end.tick

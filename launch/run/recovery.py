@@ -1,24 +1,19 @@
-"""How a running session loses a node and gets it back: pure, as the rest of the conductor.
+"""How a running session loses a node and gets it back: pure, like the rest of the conductor.
 
-Who is linked to a node that died is told that it is absent, and goes on with frozen ports. The node is started anew
-when everything that it connects to is there to be found: whoever binds a link comes back before who connects to it. On
-its return it is told who is absent meanwhile, so that it does not wait for them, and where the others are; those of
-them that connect to it are told where it is.
+When a node dies, its linked peers are informed and go on with frozen ports. The node is started anew once every peer
+that it connects to has an endpoint for it; so the binder of a link returns before its connector. A returning node
+learns which peers are absent, so that it does not wait for them, and where the others are. The peers that connect to it
+learn its new endpoint.
 
     lost -> starting -> connecting -> shaking hands -> running          (a node elsewhere: from lost to connecting)
 
-Nobody returns more often than the budget allows, and nobody once the environment is done: the session's ticks are its.
+A link that lost one of its ends is cut. It can be joined again once its binder has bound a fresh endpoint. A running
+binder *offers* an endpoint when it learns of the absence; a returning binder names it in its hello. The supervisor
+passes the endpoint on when the connector is there, and then the link is joined.
 
-The links of a running session, as far as the supervisor has to mend them.
-
-A link that lost one of its ends is cut. It can be joined again once there is a fresh place to meet at, which is the
-binder's to make: one that runs *offers* it when it is told of the absence, one that comes back names it in its hello.
-The connector is told of the place when it is there itself, and then the link is joined.
-
-How often a node may come back: a budget with a stable-start window.
-
-A node that ran for the whole window has a clean slate, so that a session of hours does not lose it by its fourth
-mishap; one that dies again and again soon after its start is given up.
+A node may come back a limited number of times in a row. After a run of :data:`WINDOW` its earlier deaths are forgotten,
+so that a session of hours does not lose it at its fourth mishap. A node that keeps dying soon after its start is given
+up. No node returns once the environment is done, because the environment counts the session's ticks.
 """
 
 from __future__ import annotations
@@ -45,11 +40,11 @@ from manyhands.protocol.messages import Absent, Connect, Offer, Return, Role, Sh
 
 
 class LinkState(StrEnum):
-    """Where a link stands."""
+    """The state of a link."""
 
     JOINED = "joined"
     CUT = "cut"
-    OFFERED = "offered"  # cut, and there is a fresh place that the connector has not been told of
+    OFFERED = "offered"  # cut, and there is a fresh endpoint that the connector does not know yet
 
 
 class LinkEvent(StrEnum):
@@ -57,9 +52,9 @@ class LinkEvent(StrEnum):
 
     BINDER_LOST = "binder lost"
     CONNECTOR_LOST = "connector lost"
-    PLACE = "place"  # the binder has bound a fresh one
-    ASKED = "asked"  # the binder, at its return, is told that the connector is absent, and binds once more
-    TOLD = "told"  # the connector is told where to connect to
+    PLACE = "place"  # the binder has bound a fresh endpoint
+    ASKED = "asked"  # the returning binder learns that the connector is absent, and binds once more
+    SENT = "sent"  # the connector has been sent the endpoint
 
 
 LINK_TRANSITIONS: Final[Mapping[tuple[LinkState, LinkEvent], LinkState]] = {
@@ -69,24 +64,23 @@ LINK_TRANSITIONS: Final[Mapping[tuple[LinkState, LinkEvent], LinkState]] = {
     (LinkState.CUT, LinkEvent.CONNECTOR_LOST): LinkState.CUT,
     (LinkState.CUT, LinkEvent.PLACE): LinkState.OFFERED,
     (LinkState.OFFERED, LinkEvent.BINDER_LOST): LinkState.CUT,
-    (LinkState.OFFERED, LinkEvent.CONNECTOR_LOST): LinkState.OFFERED,  # nobody has been there: it is as good as new
+    (LinkState.OFFERED, LinkEvent.CONNECTOR_LOST): LinkState.OFFERED,  # the endpoint is unused, so it stays good
     (LinkState.OFFERED, LinkEvent.ASKED): LinkState.CUT,
-    (LinkState.OFFERED, LinkEvent.TOLD): LinkState.JOINED,
+    (LinkState.OFFERED, LinkEvent.SENT): LinkState.JOINED,
 }
-"""Everything that can happen to a link. A link that is cut, and whose binder runs, is owed one Offer: no more than one
-is ever on its way."""
+"""All events of a link. The running binder of a cut link owes one Offer: at most one is on its way at any time."""
 
 
 def other_end(link: LinkPlan, node: str) -> str:
-    """Who is at the end of ``link`` that is not ``node``'s."""
+    """The node at the end of ``link`` that is not ``node``'s."""
     return link.connector if link.binder == node else link.binder
 
 
 class Links:
-    """The state of every link, and the places of those that are offered."""
+    """The state of every link, and the endpoints of those that are offered."""
 
     def __init__(self, graph: Topology) -> None:
-        """All joined, as after a start."""
+        """All links begin joined, as after a start."""
         self._of = {node: graph.links_of(node) for node in graph.nodes}
         self._states = {(link.binder, link.connector): LinkState.JOINED for link in graph.links}
         self._places: dict[tuple[str, str], str] = {}
@@ -97,11 +91,11 @@ class Links:
         return self._of[node]
 
     def state(self, link: LinkPlan) -> LinkState:
-        """Where ``link`` stands."""
+        """The state of ``link``."""
         return self._states[link.binder, link.connector]
 
     def lost(self, node: str) -> list[str]:
-        """``node`` is gone: cut its links; returns the other ends of those that were joined."""
+        """Cut the links of ``node``, which is gone; returns the other ends of those that were joined."""
         severed = []
         for link in self._of[node]:
             if self.state(link) is LinkState.JOINED:
@@ -110,22 +104,22 @@ class Links:
         return severed
 
     def owed(self, binder: str, connector: str) -> bool:
-        """Whether ``binder`` may offer a place for ``connector``."""
+        """Whether ``binder`` may offer an endpoint to ``connector``."""
         return self._states.get((binder, connector)) is LinkState.CUT
 
     def offer(self, binder: str, connector: str, place: str) -> None:
-        """``binder`` has bound a fresh place; the link must be cut."""
+        """Note the fresh endpoint ``place`` that ``binder`` has bound; the link must be cut."""
         state = self._states[binder, connector]
         self._states[binder, connector] = LINK_TRANSITIONS[state, LinkEvent.PLACE]
         self._places[binder, connector] = place
 
     def ask(self, link: LinkPlan) -> None:
-        """The binder of an offered link is told that the connector is absent."""
+        """The binder of an offered link learns that the connector is absent."""
         self._move(link, LinkEvent.ASKED)
 
-    def tell(self, link: LinkPlan) -> str:
-        """The connector of an offered link is told; returns the place."""
-        self._move(link, LinkEvent.TOLD)
+    def join(self, link: LinkPlan) -> str:
+        """The connector of an offered link is sent the endpoint, which is returned."""
+        self._move(link, LinkEvent.SENT)
         return self._places.pop((link.binder, link.connector))
 
     def offered_between(self, nodes: Iterable[str]) -> Iterator[LinkPlan]:
@@ -144,11 +138,11 @@ WINDOW: Final = from_seconds(60.0)
 
 @dataclass
 class RestartBudget:
-    """Counts the deaths of each node against what is allowed.
+    """Counts the deaths of each node, and compares them with the number allowed.
 
     Attributes:
-        restarts: how many deaths in a row a node may come back from; with 0 none does.
-        window: after a run of this length (ns) all earlier deaths are forgotten.
+        restarts: number of deaths in a row that a node may come back from; with 0 no node comes back.
+        window: after a run of this length, ns, all earlier deaths are forgotten.
     """
 
     restarts: int = 0
@@ -157,37 +151,37 @@ class RestartBudget:
     _ran_since: dict[str, int] = field(default_factory=dict)
 
     def ran(self, node: str, now: int) -> None:
-        """``node`` runs from ``now`` on (monotonic ns)."""
+        """``node`` runs from ``now`` on, monotonic ns."""
         self._ran_since[node] = now
 
     def died(self, node: str, now: int) -> bool:
-        """Count a death at ``now``; whether the node may come back from it."""
-        since = self._ran_since.pop(node, None)  # a death before the next run is none after a long one
+        """Count a death at ``now``, monotonic ns; returns whether the node may come back."""
+        since = self._ran_since.pop(node, None)  # removed: a death before the next run follows no stable one
         stable = since is not None and now - since >= self.window
         deaths = self._deaths[node] = 1 if stable else self._deaths.get(node, 0) + 1
         return deaths <= self.restarts
 
 
 RETURN_TIME = from_seconds(60.0)
-"""How long a node may take from its start to its hello, and again over its handshakes."""
+"""The longest time that a node may take from its start to its hello, and again for its handshakes."""
 
 
 @dataclass
 class Recovery:
-    """What is known of the nodes of a running session, for the sake of those that are lost.
+    """What the conductor knows of the nodes of a running session, in order to bring lost ones back.
 
     Attributes:
         graph: the session's nodes and links.
-        remote: nodes that are started elsewhere.
+        remote: nodes that are started on other machines.
         budget: how often a node may come back.
-        states: where each node stands; the conductor's own.
-        faults: where it is said who is gone for good; the conductor's own.
-        incidents: what happened.
-        start: what every node was told at the first tick, and is told again at its return, with ``reached``.
-        reached: the latest tick that the environment has told of; the ticks are its.
+        states: of each node; shared with the conductor.
+        faults: receives a sentence for each node that is gone for good; shared with the conductor.
+        incidents: those of the session.
+        start: the message that every node received before tick 0; a returning node receives it again, with ``reached``.
+        reached: the latest tick that the environment has reported; it counts the session's ticks.
         rungs: the rung of the ladder that each coupling was asked to change to.
         pids: process ids of those that were started anew here.
-        closing: whether the environment has done its ticks, so that nobody returns any more.
+        closing: whether the environment has done its ticks, so that no node returns any more.
     """
 
     graph: Topology
@@ -202,27 +196,27 @@ class Recovery:
     pids: dict[str, int] = field(default_factory=dict)
     closing: bool = False
     _links: Links = field(init=False)
-    _then: dict[str, NodeState] = field(default_factory=dict)  # of those that leave
-    _since: dict[str, int] = field(default_factory=dict)  # from when on a return is waited for
+    _then: dict[str, NodeState] = field(default_factory=dict)  # the state of a leaving node after its process's end
+    _since: dict[str, int] = field(default_factory=dict)  # when the present wait for a returning node began
 
     def __post_init__(self) -> None:
         self._links = Links(self.graph)
 
     def lose(self, node: str, how: str, now: int, *, alive: bool = False) -> list[Instruction]:
-        """``node`` is lost, or has failed to return; that is charged to its budget.
+        """Take ``node`` out of the session: it is lost, or has failed to return. Its budget is charged for that.
 
         Args:
-            node: who.
-            how: what became of it, for a person.
+            node: its name.
+            how: what happened to it, to follow its name in a sentence.
             now: monotonic ns.
-            alive: whether its process is still to be seen to end.
+            alive: whether the end of its process is still to come.
         """
-        self.tell(f"{node} {how}", now)
+        self.note(f"{node} {how}", now)
         out = self._drop(node, self._future(self.budget.died(node, now)), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
                 f"{node} {how}; it stays away, for its {self.budget.restarts} restarts without a run of "
-                f"{self.budget.window / 1e9:g} s between them are used up"
+                f"{self.budget.window / 1e9:g} s between them are used up (faults.restarts, faults.window)"
             )
         return out + self.proceed(now)
 
@@ -232,15 +226,15 @@ class Recovery:
         return self.proceed(now)
 
     def greet(self, node: str, endpoints: dict[str, str], now: int) -> list[Instruction]:
-        """``node`` is back and was welcomed; it has bound ``endpoints``."""
+        """``node`` is back and was welcomed; it has bound ``endpoints``, by peer."""
         self.states[node] = NodeState.WELCOMED
-        self._since.pop(node, None)  # from here on it waits for others
+        self._since.pop(node, None)  # from here on it waits for others, so no deadline runs
         for peer, endpoint in endpoints.items():
             self._links.offer(node, peer, endpoint)
         return self.proceed(now)
 
-    def hear_offer(self, node: str, offer: Offer, now: int) -> list[Instruction] | None:
-        """A place for somebody who is absent; None if ``node`` was not asked for one."""
+    def receive_offer(self, node: str, offer: Offer, now: int) -> list[Instruction] | None:
+        """``node`` offers an endpoint to an absent peer; None if it was not asked for one."""
         if self.states[node] not in OFFERING or not self._links.owed(node, offer.peer):
             return None
         self._links.offer(node, offer.peer, offer.endpoint)
@@ -252,22 +246,24 @@ class Recovery:
         self._since.pop(node, None)
         self.budget.ran(node, now)
         self.incidents.restarts[node] += 1
-        self.tell(f"{node} is back", now)
-        start = replace(self.start, tick=max(1, self.reached))  # not 0: it is not at the beginning
+        self.note(f"{node} is back", now)
+        start = replace(self.start, tick=max(1, self.reached))  # tick 0 would mean the session's beginning
         return [Send(node, start), *self._repeated_shifts(node), *self.proceed(now)]
 
     def disown(self, node: str) -> list[Instruction]:
-        """A former process of ``node`` still speaks, or its frames are still coming in: its name is for the next one.
+        """Free the name of ``node`` when frames of its former process still come in: the name is for the next process.
 
-        One on another machine that was taken for lost, and was not, is told, so that its user may join again.
+        A remote process that was wrongly counted as lost is sent a Stop, so that its user may join again.
         """
         if self.states[node] not in (NodeState.LOST, NodeState.GONE, NodeState.STARTING):
             return []
-        farewell: list[Instruction] = [Send(node, Stop("you were taken for lost"))] if node in self.remote else []
+        farewell: list[Instruction] = (
+            [Send(node, Stop("the session counted this node as lost; join again"))] if node in self.remote else []
+        )
         return [*farewell, ReleaseName(node)]
 
     def overdue(self, now: int) -> list[Instruction]:
-        """Give up those who take too long to return."""
+        """Give up the nodes that take too long to return."""
         late = [node for node, since in self._since.items() if now - since > RETURN_TIME]
         out: list[Instruction] = []
         for node in late:
@@ -278,12 +274,14 @@ class Recovery:
         return out
 
     def shift(self, coupling: str, rung: int) -> list[Instruction]:
-        """Have ``coupling`` changed to ``rung``; the environment is told, now and whenever it must be told again."""
+        """Change ``coupling`` to ``rung``: the environment receives that now, and again after a restart that forgets
+        it.
+        """
         self.rungs[coupling] = rung
         return [Send(world, Shift(coupling, rung)) for world in self._environments()]
 
     def close(self, now: int) -> list[Instruction]:
-        """The environment is done: nobody is waited for who does not run, and nobody returns."""
+        """The environment is done: no node returns, and only running nodes are waited for."""
         self.closing = True
         out: list[Instruction] = []
         for node, state in self.states.items():
@@ -297,18 +295,18 @@ class Recovery:
 
     @property
     def hopeless(self) -> bool:
-        """Whether nobody is left to go on with: no environment, or no device that its forces could reach."""
+        """Whether the session cannot go on: the environment is gone, or its forces can reach no device."""
         if any(self._awaits(world, NodeState.GONE) for world in self._environments()):
             return True
         devices = [node for node, role in self.graph.nodes.items() if role is Role.DEVICE]
         return all(self._cut_off(device) for device in devices)
 
     def proceed(self, now: int) -> list[Instruction]:
-        """Whatever can go on: starts, connections, links between two that run."""
+        """Do what has become possible: start lost nodes, connect returning ones, join links between running ones."""
         out: list[Instruction] = []
         if self.closing:
             return out
-        for node in reversed(list(self.graph.nodes)):  # binders before those who connect to them
+        for node in reversed(list(self.graph.nodes)):  # the binder of a link before its connector
             state = self.states[node]
             if state is NodeState.LOST and node not in self.remote and self._all_to_be_found(node):
                 self.states[node], self._since[node] = NodeState.STARTING, now
@@ -318,7 +316,7 @@ class Recovery:
                 out += self._connect(node)
         running = [node for node, state in self.states.items() if state is NodeState.RUNNING]
         for link in list(self._links.offered_between(running)):
-            out.append(Send(link.connector, Return(link.binder, self._links.tell(link))))
+            out.append(Send(link.connector, Return(link.binder, self._links.join(link))))
         return out
 
     def _future(self, allowed: bool) -> NodeState:
@@ -327,15 +325,15 @@ class Recovery:
         return NodeState.LOST if allowed else NodeState.GONE
 
     def _awaits(self, node: str, end: NodeState) -> bool:
-        """Whether ``node`` is, or will be once its process has ended, in the state ``end``."""
+        """Whether ``node`` is in the state ``end``, or will be once its process has ended."""
         return self.states[node] is end or (self.states[node] is NodeState.LEAVING and self._then[node] is end)
 
-    def tell(self, sentence: str, now: int) -> None:
-        """Something happened ``now``, monotonic ns, that the session withstands."""
-        self.incidents.tell(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
+    def note(self, sentence: str, now: int) -> None:
+        """Record an incident that happened ``now``, monotonic ns, with its time since tick 0."""
+        self.incidents.add(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
 
     def _drop(self, node: str, future: NodeState, alive: bool, now: int) -> list[Instruction]:
-        """Take ``node`` out of the session, and tell those who were linked to it."""
+        """Take ``node`` out of the session, and inform the peers that were linked to it."""
         self._since.pop(node, None)
         if alive:
             self.states[node], self._then[node] = NodeState.LEAVING, future
@@ -345,18 +343,19 @@ class Recovery:
         for peer in self._links.lost(node):
             if self.states[peer] is NodeState.RUNNING:
                 out.append(Send(peer, Absent(node)))
-            elif self.states[peer] in RETURNING:  # it shakes hands with somebody who will not answer
-                self.tell(f"{peer} cannot return: {node} was lost meanwhile", now)
+            elif self.states[peer] in RETURNING:  # its handshake with ``node`` will never be answered
+                self.note(f"{peer} cannot return: {node} was lost meanwhile", now)
                 out += self._end_process(peer)
-                out += self._drop(peer, self._future(allowed=True), peer not in self.remote, now)  # no fault of its own
+                # the peer is not to blame, so its budget is not charged
+                out += self._drop(peer, self._future(allowed=True), peer not in self.remote, now)
         return out
 
     def _end_process(self, node: str) -> list[Instruction]:
-        """End a process that cannot return; one elsewhere is asked to end, and may be started by its user again."""
+        """End a process that cannot return. A remote one is asked to end, and its user may start it again."""
         return [Send(node, Stop("the return failed; join again"))] if node in self.remote else [KillProcess(node)]
 
     def _all_to_be_found(self, node: str) -> bool:
-        """Whether everybody that ``node`` connects to either has a place for it or will not have one for long."""
+        """Whether every peer that ``node`` connects to has an endpoint for it, or will not have one for long."""
         return all(self._to_be_found(link) for link in self._links.of(node) if link.connector == node)
 
     def _to_be_found(self, link: LinkPlan) -> bool:
@@ -364,18 +363,22 @@ class Recovery:
         if state is NodeState.RUNNING:
             return self._links.state(link) is LinkState.OFFERED
         if state is NodeState.LOST:
-            return link.binder in self.remote  # who knows when its user comes back
+            return (
+                link.binder in self.remote
+            )  # a remote binder may stay away for long, so its peer does not wait for it
         return state not in RETURNING and state is not NodeState.LEAVING
 
     def _connect(self, node: str) -> Iterator[Instruction]:
-        """Tell ``node`` who is absent and where the others are, and those who connect to it where it is."""
+        """Send ``node`` the absent peers and the endpoints of the others, and send its own to the peers that connect to
+        it.
+        """
         endpoints: dict[str, str] = {}
         returns: list[Instruction] = []
         for link in self._links.of(node):
             peer = other_end(link, node)
             offered = self._links.state(link) is LinkState.OFFERED
             if self.states[peer] is NodeState.RUNNING and offered:
-                place = self._links.tell(link)
+                place = self._links.join(link)
                 if link.connector == node:
                     endpoints[peer] = place
                 else:
@@ -388,10 +391,10 @@ class Recovery:
         yield from returns
 
     def _repeated_shifts(self, node: str) -> list[Instruction]:
-        """What a node that starts at rung 0 must be told again, and whom it concerns."""
+        """The shifts to send again for a node that starts at rung 0: of its own block, or of those linked to it."""
         peers = {node, *(other_end(link, node) for link in self._links.of(node))}
         concerned = [coupling for coupling in self.rungs if coupling in peers]
-        return [told for coupling in concerned for told in self.shift(coupling, self.rungs[coupling])]
+        return [instruction for coupling in concerned for instruction in self.shift(coupling, self.rungs[coupling])]
 
     def _environments(self) -> list[str]:
         return [node for node, role in self.graph.nodes.items() if role is Role.ENVIRONMENT]

@@ -1,4 +1,4 @@
-"""One run as the command line wants it: shown while it goes on, its files written, its faults told."""
+"""One run as the command line needs it: show its progress, write its files, print its faults."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run_session(
     keep: bool = False,
     together: bool = False,
 ) -> Outcome:
-    """Run a session, show its progress on ``console``, and write what was asked for.
+    """Run a session, show its progress on ``console``, and write the files that were asked for.
 
     Args:
         prepared: the session with its coupling and certificate.
@@ -40,10 +40,10 @@ def run_session(
         clock: "realtime" or "simulated".
         reach: how the processes reach each other.
         ticks: number of ticks; 0 runs until interrupted.
-        record: where every x and f_v goes; ``.mcap`` while the session runs, other formats at its end.
-        report: where the report goes.
-        directory: where session, certificate, report and logs are kept besides.
-        keep: whether to return the recording without writing it.
+        record: the file for every x and f_v; ``.mcap`` is written while the session runs, other formats at its end.
+        report: the file for the report.
+        directory: a folder that keeps session, certificate, report and logs as well.
+        keep: whether to return the recording in the outcome, even if it is not written.
         together: whether a guest that leaves ends the session.
 
     Raises:
@@ -91,11 +91,11 @@ def run_session(
 
 
 def _write_each(writes: Sequence[tuple[Callable[[], None], str]], console: Console) -> None:
-    """Write every file, whichever cannot be written.
+    """Write every file, even when one of them cannot be written.
 
     Args:
-        writes: what writes a file, and what is printed when it has.
-        console: where that goes, and every error but the first.
+        writes: functions that write a file, each with the line to print afterwards.
+        console: receives those lines, and every error except the first.
 
     Raises:
         RecordingError, TargetError, OSError: a file cannot be written; the first error.

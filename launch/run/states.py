@@ -1,10 +1,7 @@
-"""Where nodes and their session stand, and which message leads a node where.
+"""The states of nodes and of their session, the instructions to the supervisor, and the list of incidents.
 
-What the conductor has the supervisor do: the only way in which a decision becomes a deed.
-
-What happened to a session that it withstood: told in order, and counted for each node.
-
-How a process ended, in words.
+A message moves a node from one state to the next by the table :data:`TRANSITIONS`. The conductor decides and returns
+instructions; the supervisor carries them out. An incident is a fault that the session survives.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ from manyhands.protocol.messages import Fault, Message, NodeHello, Probe, Ready,
 
 
 class NodeState(StrEnum):
-    """Where a node stands in its life."""
+    """The state of a node, from its start to its end."""
 
     STARTING = "starting"
     WELCOMED = "connecting"
@@ -29,14 +26,14 @@ class NodeState(StrEnum):
     RUNNING = "running"
     REPORTED = "done"
     FAULTED = "failed"
-    LEAVING = "leaving"  # its process is as good as over, and is waited for
-    LOST = "lost"  # it died while the session ran; it may come back
+    LEAVING = "leaving"  # it takes part no longer; the supervisor waits for its process to end
+    LOST = "lost"  # its process died while the session ran; it may come back
     GONE = "gone for good"
     ENDED = "ended"
 
 
 class SessionPhase(StrEnum):
-    """Where the session stands."""
+    """The phase of a session."""
 
     STARTING = "starting"
     RUNNING = "running"
@@ -58,15 +55,16 @@ TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
     (NodeState.READY, Fault): NodeState.FAULTED,
     (NodeState.RUNNING, Fault): NodeState.FAULTED,
 }
-"""Every message a node may send unasked, and where it leaves the node. Anything else is counted and ignored.
+"""Every message that a node may send of its own accord, and the state that follows. Any other is counted and ignored.
 
-An Offer is an answer, and heard from whoever was asked for it: see :mod:`manyhands.launch.run.recovery`."""
+An Offer answers a request, so it is accepted from the node that was asked: see :mod:`manyhands.launch.run.recovery`.
+"""
 
 RETURNING: Final = frozenset({NodeState.STARTING, NodeState.WELCOMED, NodeState.CONNECTED, NodeState.READY})
-"""While the session runs: on the way back into it."""
+"""The states of a node that is on its way back into a running session."""
 
 OFFERING: Final = frozenset({NodeState.CONNECTED, NodeState.RUNNING})
-"""In these states a node has been told who is absent, and may offer a place for them."""
+"""In these states a node knows which peers are absent, and may offer an endpoint to them."""
 
 
 @dataclass(frozen=True)
@@ -79,21 +77,21 @@ class Send:
 
 @dataclass(frozen=True)
 class ReleaseName:
-    """Let another connection have this name at the hub: an observer's next visit, or a node's next process."""
+    """Make a name at the hub free for another connection: an observer's next visit, or a node's next process."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class StartProcess:
-    """Start the process of a node anew; the earlier one has ended."""
+    """Start a new process for a node; the earlier process has ended."""
 
     node: str
 
 
 @dataclass(frozen=True)
 class KillProcess:
-    """End one node's process (SIGKILL): what it waits for will not come."""
+    """Kill one node's process (SIGKILL), because it waits for a peer that will not come."""
 
     node: str
 
@@ -112,17 +110,17 @@ Instruction = Send | ReleaseName | StartProcess | KillProcess | Terminate | Kill
 
 
 MOST_INCIDENTS: Final = 100
-"""How many are kept, the latest: a session may run for days."""
+"""Number of incidents that are kept, the latest ones: a session may run for days."""
 
 
 _FORGOTTEN = " earlier incidents"
 
 
 class Incidents:
-    """The latest incidents, and how many there were.
+    """The latest incidents of a session, and how many there were.
 
     Attributes:
-        total: how many were told in all.
+        total: number of all incidents.
         restarts: how often each node came back into the session.
     """
 
@@ -131,30 +129,30 @@ class Incidents:
         self.total = 0
         self.restarts: Counter[str] = Counter()
 
-    def tell(self, sentence: str) -> None:
-        """One more happened."""
+    def add(self, sentence: str) -> None:
+        """Add an incident, in one sentence."""
         self._latest.append(sentence)
         self.total += 1
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The latest, oldest first; the first line says how many are no longer kept, if any are not."""
+        """The latest incidents, oldest first. If older ones were dropped, the first line states how many."""
         forgotten = self.total - len(self._latest)
         return (*([f"{forgotten}{_FORGOTTEN}"] if forgotten else []), *self._latest)
 
 
 def is_summary(sentence: str) -> bool:
-    """Whether a sentence says how many incidents are no longer kept, and tells none."""
+    """Whether a sentence is the line that counts the dropped incidents, and no incident itself."""
     return sentence.endswith(_FORGOTTEN) and sentence.removesuffix(_FORGOTTEN).isdecimal()
 
 
 def ending(code: int) -> str:
-    """What an exit code says (negative: the signal that killed it), to follow the process's name."""
+    """How a process with this exit code ended, to follow its name; a negative code is the signal that killed it."""
     return f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
 
 
 def signal_name(number: int) -> str:
-    """A signal's name; the realtime signals between the first and the last have none."""
+    """The name of a signal. Realtime signals between the first and the last have no name, and are given by number."""
     try:
         return signal.Signals(number).name
     except ValueError:

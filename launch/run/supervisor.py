@@ -1,15 +1,12 @@
-"""Runs a session's processes from start to end, and leaves nothing behind.
+"""Runs the processes of a session from start to end, and leaves nothing behind.
 
-The decisions are the :class:`manyhands.launch.run.conductor.Conductor`'s; here are its senses and hands: the hub's
-frames, the ends of processes, Ctrl-C and deadlines go in, and its instructions are carried out. One thread, one
-poll over all of them, and no waiting for time to pass.
+The :class:`manyhands.launch.run.conductor.Conductor` decides; this module does its I/O. Frames at the hub, ends of
+processes, Ctrl-C and deadlines go in, and the supervisor carries out the instructions that come back. One thread waits
+in one poll for all of them, and never for time to pass.
 
-How much the supervisor listens: a budget of frames that refills with time, so that a flood costs bounded work.
-
-What is beyond the budget stays unread; ZeroMQ takes turns between senders and stops reading those whose queues are
-full, so one who floods is slowed down and the others' frames still come through.
-
-When each node was last heard of.
+A budget of frames that refills with time bounds the work of a flood. Frames beyond it stay unread: ZeroMQ takes turns
+between senders and stops reading those whose queues are full. So a flooding sender is slowed down, and the frames of
+the others still come through.
 """
 
 from __future__ import annotations
@@ -62,14 +59,15 @@ _NS_PER_S = 1_000_000_000
 
 
 class FrameAllowance:
-    """A token bucket that, once dry, stays so until a tenth of a second's worth is there: few wake-ups in a flood.
+    """A token bucket of frames. Once empty it stays closed until it holds a tenth of a second's worth: few wake-ups in
+    a flood.
 
     Attributes:
-        exhausted: times that it ran dry.
+        exhausted: number of times that it ran empty.
     """
 
     def __init__(self, per_second: int, now: Instant) -> None:
-        """Full at ``now``: ``per_second`` frames at once, and as many a second in the long run."""
+        """The bucket is full at ``now``: ``per_second`` frames at once, and as many a second in the long run."""
         self._interval = _NS_PER_S // per_second
         self._credit = _NS_PER_S  # ns
         self._at = now
@@ -77,7 +75,7 @@ class FrameAllowance:
         self.exhausted = 0
 
     def spend(self, frames: int, now: Instant) -> None:
-        """Take this many frames off, though it be more than there are."""
+        """Take ``frames`` off, even if that is more than there are."""
         self._refill(now)
         self._credit -= frames * self._interval
         if self._credit < self._interval and not self._dry:
@@ -85,7 +83,7 @@ class FrameAllowance:
             self.exhausted += 1
 
     def pause(self, now: Instant) -> Duration:
-        """How long not to listen; 0 while there is something left."""
+        """How long not to read, ns; 0 while frames are left."""
         self._refill(now)
         wanted = _NS_PER_S // 10 if self._dry else self._interval
         if self._credit >= wanted:
@@ -98,40 +96,44 @@ class FrameAllowance:
         self._at = now
 
 
-class Attention:
-    """Remembers instants by name; who was never heard of counts as heard when first asked for."""
+class LastHeard:
+    """Remembers when each node was last heard from; an unknown node counts as heard from when it is first asked for."""
 
     def __init__(self) -> None:
         self._heard: dict[str, Instant] = {}
 
     def note(self, name: str, now: Instant) -> None:
-        """``name`` was heard of."""
+        """``name`` was heard from at ``now``."""
         self._heard[name] = now
 
     def forget(self, name: str) -> None:
-        """What comes from ``name`` is somebody else's from now on."""
+        """Forget ``name``: its next message comes from a new process."""
         self._heard.pop(name, None)
 
     def quiet(self, names: Iterable[str], now: Instant, after: Duration) -> list[str]:
-        """Those of ``names`` that have not been heard of for more than ``after``."""
+        """Those of ``names`` that have not been heard from for more than ``after``, ns."""
         return [name for name in names if now - self._heard.setdefault(name, now) > after]
 
 
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 REFRESH = from_seconds(0.2)
-READING_TIME = from_seconds(0.05)  # at most, before there is a look at processes, signals and deadlines
-CLOSING_TIME = from_seconds(10.0)  # for those who are not done, since the last that was
-REMOTE_SILENCE = from_seconds(3.0)  # a node says something every second
-TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetries; who is silent is told, and nothing else is done about it
-HEARD_BEFORE = 1.0  # s; what is heard in the turn in which the session begins is of ticks before we noted the beginning
-CLOCKS_DIFFER = 0.01  # of the time; a hundred times what a quartz is off
-FASTEST_TICK = 1e-5  # s; under the simulated clock, in which every tick still crosses borders of processes
-FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest one sends a telemetry in a hundred ticks
+READING_TIME = from_seconds(0.05)  # the longest time between two checks of processes, signals and deadlines
+CLOSING_TIME = from_seconds(10.0)  # for the nodes that are not done, after the last report
+REMOTE_SILENCE = from_seconds(3.0)  # an honest remote node sends a frame every second
+TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetry messages; the display then shows the node as silent
+HEARD_BEFORE = 1.0  # s; telemetry in the turn that begins the session can be of ticks before we noted the beginning
+CLOCKS_DIFFER = 0.01  # relative; a hundred times the error of a quartz
+FASTEST_TICK = 1e-5  # s; under the simulated clock, where every tick still passes between processes
+FRAMES_A_NODE = {REALTIME: 50, SIMULATED: 2000}  # a second; an honest node sends one telemetry message in 100 ticks
 
 
 class Supervisor:
-    """One run of one session."""
+    """One run of one session.
+
+    Attributes:
+        conductor: the state of the session and of each node.
+    """
 
     def __init__(
         self,
@@ -155,10 +157,10 @@ class Supervisor:
             reach: how the processes reach each other.
             ticks: number of ticks; 0 runs until interrupted.
             record: whether to keep every x and f_v in memory, for the outcome.
-            recorder: who writes the run down while it goes on; nobody by default.
-            logs: the folder that the processes' logs go to; by default they go with the run.
+            recorder: writes the recording while the session runs; none by default.
+            logs: the folder for the processes' logs; by default they are removed with the run's directory.
             together: whether a guest that leaves ends the session.
-            show: told about the progress a few times a second; returns an incident of the display, if there is one.
+            show: called with the progress a few times a second; returns an incident of the display, if there is one.
             places: the processor of each node that is pinned to one; by default :func:`placement` chooses them.
         """
         session = prepared.session
@@ -170,20 +172,20 @@ class Supervisor:
         self._show = show
         self._graph = prepared.graph
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
-        self._conductor = Conductor(
+        self.conductor = Conductor(
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
         )
-        self._assumptions = Assumptions(prepared, self._graph, clock, self._conductor.rungs)
+        self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
         self._energy = EnergyIncidents(self._graph, session.period)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
-        self._heard, self._told = Attention(), Attention()
+        self._heard, self._reported = LastHeard(), LastHeard()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
         self._refused: Mapping[str, int] = {}
-        self._untimely = 0  # telemetry of ticks that cannot have run
+        self._untimely = 0  # telemetry messages of ticks that cannot have run yet
         self._telemetry: dict[str, Telemetry] = {}
         self._began: Instant | None = None
         devices = {name: self._graph.ports[name] for name, role in self._graph.nodes.items() if role is Role.DEVICE}
@@ -196,7 +198,7 @@ class Supervisor:
         return placement(self._graph, sorted(os.sched_getaffinity(0)), raised)
 
     def run(self) -> Outcome:
-        """Run the session to its end."""
+        """Run the session to its end; processes, sockets and the run's directory are gone afterwards."""
         with Interrupt() as interrupt:
             with run_directory(self._logs) as directory:
                 self._log = Log(log_path(str(directory), SUPERVISOR), self._session.name, SUPERVISOR, self._clock)
@@ -206,7 +208,7 @@ class Supervisor:
                 finally:
                     self._log.note(LogEvent.END, reason=str(interrupt.signal or "over"))
                     self._log.close()
-            return self._outcome(interrupt.signal)
+            return self.outcome(interrupt.signal)
 
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
         reach = self._reach
@@ -218,8 +220,8 @@ class Supervisor:
             private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
             members = (*self._graph.nodes, *self._session.observers)
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
-            self._conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
-            self._recorder.start(directory)  # first: by the time that the nodes are there it is ready
+            self.conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
+            self._recorder.start(directory)  # first, so that it is ready by the time the nodes are
             run = RunPlan(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
             bundles = cut(self._prepared, run)
@@ -238,38 +240,42 @@ class Supervisor:
                 self._showing.close()
 
     def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
-        """The loop: wait for anything, tell the conductor, do as it says."""
-        conductor, clock, recorder = self._conductor, self._clock, self._recorder
+        """The loop: wait for any event, pass it to the conductor, carry out its instructions, until the session is
+        over.
+        """
+        conductor, clock, recorder = self.conductor, self._clock, self._recorder
         phase, deadline = conductor.phase, Instant(clock.now() + STARTUP_TIME)
         shown, reported = Instant(0), 0
         per_second = HUB_FRAMES_PER_S + FRAMES_A_NODE[self._clock_name] * len(self._graph.nodes)
         allowance = FrameAllowance(per_second, clock.now())
         while conductor.phase is not SessionPhase.OVER:
+            # while the budget is empty or the recorder is full, frames stay in their queues and do not wake the poll
             pause = allowance.pause(clock.now())
             timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
             fds = (*processes.fds, *recorder.fds, interrupt.fd)
             ready = hub.wait(Duration(timeout), fds, frames=pause == 0 and recorder.has_room)
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
-                self._carry_out(conductor.interrupt(), hub, processes)
+                self.carry_out(conductor.interrupt(), hub, processes)
+            # reading is bounded in frames and in time: processes, signals and deadlines are served even in a flood
             until = clock.now() + READING_TIME
             while allowance.pause(clock.now()) == 0 and clock.now() < until and recorder.has_room:
                 before = hub.handled
                 received = hub.recv()
-                allowance.spend(hub.handled - before, clock.now())  # what it dropped counts, too
+                allowance.spend(hub.handled - before, clock.now())  # frames that the hub dropped count, too
                 if received is None:
                     break
-                self._hear(*received, hub, processes)
+                self.receive(*received, hub, processes)
             self._note_incident(recorder.attend(ready))
-            if not recorder.has_room:  # who is not listened to is not silent
+            if not recorder.has_room:  # we do not read now, so no node counts as silent
                 for name in self._reach.remote:
                     self._heard.note(name, clock.now())
             for name in self._silent():
-                self._carry_out(conductor.silent(name, clock.now()), hub, processes)
+                self.carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
                 self._log.note(LogEvent.EXITED, peer=name, code=code)
-                self._carry_out(conductor.exited(name, code, clock.now()), hub, processes)
-            self._carry_out(conductor.look(clock.now()), hub, processes)
+                self.carry_out(conductor.exited(name, code, clock.now()), hub, processes)
+            self.carry_out(conductor.look(clock.now()), hub, processes)
             if conductor.phase is not phase:
                 phase, shown = conductor.phase, Instant(0)
                 self._log.note(LogEvent.PHASE, phase=phase.value)
@@ -277,19 +283,19 @@ class Supervisor:
                 if phase is SessionPhase.RUNNING:
                     self._began = clock.now()
                     for name in self._reach.remote:
-                        self._heard.note(name, self._began)  # who was ready first has waited
+                        self._heard.note(name, self._began)  # a node that was ready early had nothing to send
             elif conductor.phase is SessionPhase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
             elif conductor.phase is SessionPhase.RUNNING and len(conductor.reports) > reported:
                 reported, deadline = len(conductor.reports), Instant(clock.now() + CLOSING_TIME)
             elif clock.now() >= deadline:
-                self._carry_out(conductor.too_late(), hub, processes)
+                self.carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
             if clock.now() - shown >= REFRESH:
                 shown = clock.now()
                 self._log.flush()
                 self._tally(hub, transport)
-                self._tell(self._progress(processes))
+                self._report(self.progress(processes))
         self._tally(hub, transport)
         for fault in conductor.faults:
             self._log.note(LogEvent.FAULT, text=fault)
@@ -299,58 +305,62 @@ class Supervisor:
             self._log.note(LogEvent.INCIDENT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
-        self._tell(self._progress(processes))
+        self._report(self.progress(processes))
 
-    def _tell(self, progress: Progress) -> None:
-        """Show how the session is, here and to whoever looks on, and have it written down."""
+    def _report(self, progress: Progress) -> None:
+        """Report the session's condition to the display, the recorder and the observers."""
         if self._show is not None:
             self._note_incident(self._show(progress))
-        told = condition_frame(progress)
-        if told is not None:  # one that is too long is no loss: the next says all that it said
-            self._recorder.tell(told)
+        frame = condition_frame(progress)
+        if frame is not None:  # a condition that is too long for a frame is no loss: the next one repeats it
+            self._recorder.take(frame)
         if self._showing is not None:
-            self._showing.tell(told)
+            self._showing.show(frame)
 
     def _note_incident(self, incident: str | None) -> None:
         if incident is not None:
-            self._conductor.incidents.tell(incident)
+            self.conductor.incidents.add(incident)
 
     def _silent(self) -> list[str]:
-        """Remote nodes that run and have not been heard for too long."""
-        conductor = self._conductor
+        """Remote nodes that run and have not been heard from for too long."""
+        conductor = self.conductor
         running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
         return self._heard.quiet(running, self._clock.now(), REMOTE_SILENCE)
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
-        counts = {**transport.refused(), **hub.dropped, "out_of_turn": self._conductor.ignored}
+        counts = {**transport.refused(), **hub.dropped, "out_of_turn": self.conductor.ignored}
         counts["telemetry_that_does_not_fit"] = self._collector.refused + self._untimely
         self._refused = {kind: count for kind, count in counts.items() if count > 0}
 
-    def _hear(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+    def receive(self, sender: str, frame: bytes, hub: Hub, processes: Processes) -> None:
+        """Decode one frame of the hub, pass it to the conductor, and carry out what the conductor decides.
+
+        Telemetry of a tick that cannot have run yet is counted and dropped.
+        """
         if sender in self._reach.remote:
             self._heard.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry) and message.tick > self._most_ticks():
             self._untimely += 1
             return
-        self._carry_out(self._conductor.hear(sender, message, self._clock.now()), hub, processes)
-        if isinstance(message, Telemetry) and self._conductor.states.get(sender) is NodeState.RUNNING:
+        self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
+        if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
-            self._told.note(sender, self._clock.now())
+            self._reported.note(sender, self._clock.now())
             for deed in self._assumptions.check(sender, message):
                 match deed:
                     case ShiftCoupling(coupling, rung):
-                        self._carry_out(self._conductor.shift(coupling, rung), hub, processes)
+                        self.carry_out(self.conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
-                        self._carry_out(self._conductor.stop(reason), hub, processes)
-            for sentence in self._energy.hear(sender, message):
-                self._conductor.tell(sentence, self._clock.now())
+                        self.carry_out(self.conductor.stop(reason), hub, processes)
+            for sentence in self._energy.receive(sender, message):
+                self.conductor.note(sentence, self._clock.now())
             message = names.shown(message)
-            self._observer_broadcast.tell(sender, message)
-            told = observation_frame(sender, message)
-            self._recorder.tell(told)
+            self._observer_broadcast.send(sender, message)
+            observation = observation_frame(sender, message)
+            self._recorder.take(observation)
             if self._showing is not None:
-                self._showing.tell(told)
+                self._showing.show(observation)
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
@@ -358,13 +368,14 @@ class Supervisor:
     def _most_ticks(self) -> int:
         now = self._clock.now()
         elapsed = Duration(now - (now if self._began is None else self._began))
-        return most_ticks(elapsed, self._session.period, self._clock_name, self._conductor.ticks)
+        return most_ticks(elapsed, self._session.period, self._clock_name, self.conductor.ticks)
 
-    def _carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
+    def carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
+        """Do what the conductor decided: send messages, release names, start and end processes."""
         for instruction in instructions:
             match instruction:
                 case Send(node, message):
-                    hub.send(node, encode(message))  # one that is gone hears nothing; its exit is seen
+                    hub.send(node, encode(message))  # a frame to a dead node is lost; we see its process end
                 case ReleaseName(name):
                     hub.forget(name)
                 case StartProcess(node):
@@ -380,7 +391,7 @@ class Supervisor:
         return self._directory / f"{name}.bundle"
 
     def _start_process(self, name: str, processes: Processes) -> None:
-        """Start a node, unless it shares its process with others that are still to be started."""
+        """Start a node; nodes that share a process are started together, when the last of them is to be started."""
         together = self._graph.together(name)
         self._to_start.add(name)
         if self._to_start.issuperset(together):
@@ -389,23 +400,24 @@ class Supervisor:
             processes.start(together, role, paths, self._places.get(together[0]))
 
     def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
-        """The next process of a node that was lost; of the last one nothing is kept but its bundle and its log."""
+        """Start the next process of a lost node; only its bundle and its log are kept from the former one."""
         self._telemetry.pop(name, None)
-        self._told.forget(name)
+        self._reported.forget(name)
         self._assumptions.forget(name)
         self._energy.forget(name)
         try:
             self._start_process(name, processes)
             for node in self._graph.together(name):
                 if node in processes.pids:
-                    self._conductor.started(node, processes.pids[node])
+                    self.conductor.started(node, processes.pids[node])
         except OSError as error:
             now = self._clock.now()
-            self._carry_out(self._conductor.not_started(name, str(error.strerror), now), hub, processes)
+            self.carry_out(self.conductor.not_started(name, str(error.strerror), now), hub, processes)
 
-    def _progress(self, processes: Processes) -> Progress:
+    def progress(self, processes: Processes) -> Progress:
+        """The state of the session now, for the table and the observers."""
         elapsed = 0.0 if self._began is None else seconds(Duration(self._clock.now() - self._began))
-        conductor = self._conductor
+        conductor = self.conductor
         running = [name for name, state in conductor.states.items() if state is NodeState.RUNNING]
         return Progress(
             conductor.phase,
@@ -415,13 +427,18 @@ class Supervisor:
             elapsed,
             tuple(self._assumptions.notices.values()),
             self._refused,
-            frozenset(self._told.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
+            frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
             conductor.incidents.sentences,
             tuple(conductor.faults),
         )
 
-    def _outcome(self, ended_by: signal.Signals | None) -> Outcome:
-        conductor, recorder = self._conductor, self._recorder
+    def outcome(self, ended_by: signal.Signals | None) -> Outcome:
+        """The result of the run: exit code, faults, report and recording.
+
+        Args:
+            ended_by: the signal that interrupted the run, if one did.
+        """
+        conductor, recorder = self.conductor, self._recorder
         if recorder.failure is not None:
             conductor.faults.append(recorder.failure)
         code = EXIT_FAILED if conductor.faults else EXIT_OK
@@ -455,10 +472,10 @@ class Supervisor:
 
 
 def most_ticks(elapsed: Duration, period: float, clock: str, ticks: int) -> int:
-    """The most ticks that can have run: a node that claims more is not believed.
+    """The most ticks that can have run; a node that claims more is not believed.
 
     Args:
-        elapsed: since the first tick, by the supervisor's own clock.
+        elapsed: time since the first tick by the supervisor's own clock, ns.
         period: T, s.
         clock: "realtime", where a node's clock may be ahead by :data:`CLOCKS_DIFFER` and by :data:`HEARD_BEFORE`; or
             "simulated", where a tick takes :data:`FASTEST_TICK` at least.
@@ -472,10 +489,10 @@ def most_ticks(elapsed: Duration, period: float, clock: str, ticks: int) -> int:
 
 
 def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:
-    """What the processes of a failed run wrote to their error output and did not say otherwise."""
+    """The error output of a failed run's processes, without the lines that its faults already contain."""
     if not conductor.faults:
         return []
-    told = "\n".join(conductor.faults)
+    faults = "\n".join(conductor.faults)
     logs = {name: processes.log(name).splitlines() for name in conductor.graph.nodes}
-    new = {name: "\n".join(line for line in lines if line not in told) for name, lines in logs.items()}
+    new = {name: "\n".join(line for line in lines if line not in faults) for name, lines in logs.items()}
     return [f"{name} wrote:\n{text}" for name, text in new.items() if text]

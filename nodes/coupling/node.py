@@ -19,18 +19,27 @@ from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.rejoin import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
-from manyhands.protocol.clock import Duration, Instant, RealtimeClock
+from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
 from manyhands.protocol.messages import Absent, Force, Reaction, Report, Role, Rung, Sample, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
 
 class CouplingNode:
-    """A :class:`manyhands.nodes.process.Node` for one block of V, and the :class:`Listener` on its devices' links."""
+    """A :class:`manyhands.nodes.process.Node` for one block of V, and the :class:`Listener` on its devices' links.
 
-    def __init__(self, bundle: CouplingBundle) -> None:
-        """Take the coupling's part of the session; :meth:`establish` makes the block."""
+    Attributes:
+        peer_links: the links to the devices and the environment, once every handshake is done.
+    """
+
+    def __init__(self, bundle: CouplingBundle, clock: Clock | None = None) -> None:
+        """Take the coupling's part of the session; :meth:`establish` makes the block.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._timeouts = RealtimeClock(), timeouts(bundle.common)
+        self._clock: Clock = clock or RealtimeClock()
+        self._timeouts = timeouts(bundle.common)
+        self.peer_links: list[PeerLink] = []
         self._devices: tuple[PeerLink, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
@@ -45,9 +54,9 @@ class CouplingNode:
         limits = self._bundle.limits
         step = [self._common.period * speed for speed in limits.speed]
         bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
-        peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
-        self._devices = tuple(j for j in peer_links if j.peer.role is Role.DEVICE)
-        (environment,) = (j for j in peer_links if j.peer.role is Role.ENVIRONMENT)
+        self.peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
+        self._devices = tuple(j for j in self.peer_links if j.peer.role is Role.DEVICE)
+        (environment,) = (j for j in self.peer_links if j.peer.role is Role.ENVIRONMENT)
         self._block = Block(self._bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:

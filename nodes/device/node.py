@@ -34,18 +34,26 @@ from manyhands.protocol.transport import Link
 
 
 class DeviceNode:
-    """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links."""
+    """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links.
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
-        """``bundle`` is the device's part of the session; ``driver`` is the device itself."""
+    Attributes:
+        peer_links: the links to the couplings, once every handshake is done.
+    """
+
+    def __init__(self, bundle: DeviceBundle, driver: Driver, clock: Clock | None = None) -> None:
+        """``bundle`` is the device's part of the session; ``driver`` is the device itself.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         common = bundle.common
         self._common, self._driver, self._rungs = common, driver, bundle.rungs
         self._core = DeviceCore(bundle.level, bundle.K, common.period)
         self._guard = Guard(bundle.limits, common.period, common.ports)
-        self._realtime, self._timeouts = RealtimeClock(), timeouts(common)
+        self._realtime: Clock = clock or RealtimeClock()
+        self._timeouts = timeouts(common)
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self._peer_links: list[PeerLink] = []
+        self.peer_links: list[PeerLink] = []
         self._account = DeviceTelemetry(common, from_seconds(common.tau), driver.figures)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
@@ -55,7 +63,7 @@ class DeviceNode:
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
         admits = {peer.name: Force for peer in self._common.peers}
-        self._peer_links, _ = establish(self._common, links, admits, self._realtime)
+        self.peer_links, _ = establish(self._common, links, admits, self._realtime)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks; however they end, the device exerts no force afterwards.
@@ -69,11 +77,11 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self._driver.release()
-        self._account.publish_rest(control, self._core, self._guard, self._peer_links)
+        self._account.publish_rest(control, self._core, self._guard, self.peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
-        account, peer_links = self._account, self._peer_links
+        account, peer_links = self._account, self.peer_links
         self._life, give_way = life, way_giver()
         epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
@@ -141,7 +149,7 @@ class DeviceNode:
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
-        return self._account.report(self._core, self._guard, self._peer_links, self._rung)
+        return self._account.report(self._core, self._guard, self.peer_links, self._rung)
 
     def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
         """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
@@ -183,7 +191,7 @@ class DeviceNode:
             The tick that the couplings answer: ``tick``, or a later one with zero force. None where no force came in
             time and the device has let go, and where the node should end.
         """
-        timeouts, peer_links = self._timeouts, self._peer_links
+        timeouts, peer_links = self._timeouts, self.peer_links
         asked = self._realtime.now()
         due = None if timeouts.stale is None else Instant(sampled + (self._period if self._free else timeouts.stale))
 
@@ -221,7 +229,7 @@ class DeviceNode:
     @property
     def _anybody(self) -> bool:
         """Whether there is a peer to wait for."""
-        return any(peer_link.reachable for peer_link in self._peer_links)
+        return any(peer_link.reachable for peer_link in self.peer_links)
 
     def _let_go(self) -> None:
         """Exert no force: the last one is stale, and no force is safer than an old one."""
@@ -234,12 +242,12 @@ class DeviceNode:
         """Follow the supervisor's messages; where ``idle``, wait a moment for one."""
         word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:
-            follow(word, self._peer_links, control)
+            follow(word, self.peer_links, control)
             word = control.listen()
 
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
-        self._account.jump(control, self._core, self._guard, self._peer_links)
+        self._account.jump(control, self._core, self._guard, self.peer_links)
 
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""

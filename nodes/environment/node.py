@@ -27,7 +27,7 @@ from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
-from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
+from manyhands.protocol.clock import Clock, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
@@ -97,18 +97,28 @@ _GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits befor
 
 
 class EnvironmentNode:
-    """A :class:`manyhands.nodes.process.Node` for the shared environment."""
+    """A :class:`manyhands.nodes.process.Node` for the shared environment.
 
-    def __init__(self, bundle: EnvironmentBundle) -> None:
-        """Take the environment's part of the session; :meth:`establish` makes the core, which needs D_V."""
+    Attributes:
+        peer_links: the links to the couplings, once every handshake is done.
+        core: the environment's loop; None until every feedthrough D_V is known.
+        members: the couplings with their membership; None until then.
+    """
+
+    def __init__(self, bundle: EnvironmentBundle, clock: Clock | None = None) -> None:
+        """Take the environment's part of the session; :meth:`establish` makes the core, which needs D_V.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         self._bundle, self._common = bundle, bundle.common
-        self._clock, self._timeouts = RealtimeClock(), timeouts(bundle.common)
+        self._clock: Clock = clock or RealtimeClock()
+        self._timeouts = timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
         self._due = 0  # when the devices sample the present tick
-        self._peer_links: list[PeerLink] = []
+        self.peer_links: list[PeerLink] = []
         self._feedthrough: dict[str, Values] = {}
-        self._core: Core | None = None
-        self._members: Members | None = None
+        self.core: Core | None = None
+        self.members: Members | None = None
         self._account = EnvironmentTelemetry(bundle.common)
         self._frozen_ticks = 0
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
@@ -125,18 +135,18 @@ class EnvironmentNode:
         """
         admits = {peer.name: Tool for peer in self._common.peers}
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
-        self._peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
+        self.peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
-        for peer_link in self._peer_links:
+        for peer_link in self.peer_links:
             if peer_link.link is None:  # absent; its hello brings D_V when it comes
                 continue
             self._require_feedthrough(hellos[peer_link.peer.name])
             ports = np.arange(m)[peer_link.indices]
             own = self._feedthrough[peer_link.peer.name] = np.array(hellos[peer_link.peer.name].feedthrough)
             D_V[np.ix_(ports, ports)] = own
-        blocks = [peer_link.indices for peer_link in self._peer_links]
-        self._core = environment_core(self._bundle, D_V, blocks)
+        blocks = [peer_link.indices for peer_link in self.peer_links]
+        self.core = environment_core(self._bundle, D_V, blocks)
 
     def _require_feedthrough(self, hello: LinkHello) -> None:
         found, expected = feedthrough_digest(hello.feedthrough or ()), self._bundle.feedthrough[hello.name]
@@ -158,12 +168,12 @@ class EnvironmentNode:
         Raises:
             ValueError: :meth:`establish` was not called before.
         """
-        core = self._core
+        core = self.core
         if core is None:
             raise ValueError("the environment was started before its handshakes")
         bundle = self._bundle
         rungs, independent = bundle.feedthrough_rungs, bundle.independent
-        members = self._members = Members(self._peer_links, core, rungs, life, start.tick > 0, independent)
+        members = self.members = Members(self.peer_links, core, rungs, life, start.tick > 0, independent)
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
         clock, account, late = self._clock, self._account, self._late
@@ -371,7 +381,7 @@ class EnvironmentNode:
 
     def report(self) -> Report:
         """Ticks, ledger, how often couplings were frozen, and how long each made the others wait."""
-        members = self._members
+        members = self.members
         lateness = self._lateness(members)
         return Report(
             self._account.ticks,
@@ -380,7 +390,7 @@ class EnvironmentNode:
                 names.FROZEN_TICKS: self._frozen_ticks,
                 names.ABSENCES: 0 if members is None else members.absences,
                 **names.lateness_counts(lateness),
-                **names.dropped_frames(self._peer_links),
+                **names.dropped_frames(self.peer_links),
             },
             {},
         )
@@ -397,13 +407,13 @@ class EnvironmentNode:
         }
 
     def _figures(self) -> dict[str, float]:
-        core = self._core
+        core = self.core
         if core is None:
             return {}
         return {
             **names.ledger_figures(core.ledger),
             **names.enforcement_figures(core.controller),
-            **names.energy_figures(core.energy, [peer_link.peer.name for peer_link in self._peer_links]),
+            **names.energy_figures(core.energy, [peer_link.peer.name for peer_link in self.peer_links]),
         }
 
     def _publish(self, control: ControlLine, core: Core, members: Members) -> None:
@@ -419,7 +429,7 @@ class EnvironmentNode:
             **names.lateness_counts(lateness),
             **names.lateness_times(lateness),
             **self._figures(),
-            **names.stray_frames(self._peer_links),
+            **names.stray_frames(self.peer_links),
         }
         late = {
             member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])

@@ -1,5 +1,5 @@
-"""An observer: it reads the nodes that its session permits, and writes nothing into the session.
+"""An observer: it reads the part of a session that the session lists for it, and writes nothing.
 
-Read ``scene`` first (the session as an observer sees it), then ``tracks`` (the last seconds of each trace), ``alarms``,
-and ``node`` (the process that prints).
+Read ``scene`` first (the state of a session), then ``tracks`` (the last seconds of each trace), ``alarms``, and
+``node`` (the process that prints).
 """

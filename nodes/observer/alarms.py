@@ -1,8 +1,8 @@
-"""The alarms of a running session: what a person should know at once, since when, and what to do about it. Pure.
+"""What a person should know of a running session at once, since when, and what to do about it: pure.
 
-An alarm is raised when its cause is first seen, and cleared when the cause has been away for a while. So a cause that
-comes and goes with every telemetry is one alarm, and not ten a second. Notices, incidents and faults of the session
-have happened, and are not cleared.
+An alarm is raised when its cause is first seen, and cleared when the cause has been absent for a while. So a cause that
+comes and goes with every telemetry message is one alarm and not ten a second. The sentences of the session (notices,
+incidents, faults) report what has happened, so they are never cleared.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.messages import Role
 
 HOLD: Final = from_seconds(2.0)
-"""How long a cause must be away before its alarm is cleared."""
+"""How long a cause must be absent before its alarm is cleared."""
 
 UNHEARD: Final = from_seconds(3.0)
-"""How long a session that is not over may be silent before an alarm is raised."""
+"""After so long without any frame, a session that is not over raises an alarm."""
 
 MOST_ALARMS: Final = 1000
-"""The most alarms kept. Of more, the cleared ones go first, then the oldest. Sentences alone may be 384."""
+"""The most alarms that are kept. Above it the cleared ones go first, then the oldest. Sentences alone may be 384."""
 
 LEDGER_BOUND: Final = 0.0
-"""The bound of every party's ledger, -V(psi_0), J: 0, for all parties start at rest."""
+"""-V(psi_0) of every party, J: its ledger may not fall below this, since all start at rest."""
 
 LEDGER_ROUNDING: Final = 1e-9
-"""The greatest error of a ledger's sum in a long session, J."""
+"""The largest rounding error of a long session's sums, J."""
 
 
 class AlarmLevel(StrEnum):
-    """The gravity of an alarm, in rising order."""
+    """The severity of an alarm; a later value is graver."""
 
-    NOTE = "note"  # the session withstood what happened
-    WARNING = "warning"  # an assumption of the certificate is broken, or a user takes no part
+    NOTE = "note"  # it happened, and the session survived it
+    WARNING = "warning"  # an assumption of the certificate does not hold, or a user is affected
     FAULT = "fault"  # a promise is broken, or a part of the session is gone
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """An alarm that is raised or was cleared.
+    """Something that a person should know.
 
     Attributes:
-        key: names its cause; there is one alarm for a key at a time.
-        level: its gravity.
-        text: a sentence that states the cause.
-        advice: what a person can do about it.
-        since: when its cause was first seen.
-        cleared: when its cause was last seen, for a cleared alarm; None while the alarm stands.
+        key: what it is about; at any time there is one alarm for each key.
+        level: its severity.
+        text: what has happened.
+        advice: what to do.
+        since: when it was first seen.
+        cleared: when its cause was last seen, if it is gone; None while it lasts.
     """
 
     key: str
@@ -64,7 +64,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class AlarmCause:
-    """A present cause of an alarm; ``lasting`` if it cannot be undone, so that its alarm is never cleared."""
+    """A cause that is present now, and raises an alarm; ``lasting`` if it cannot be undone."""
 
     key: str
     level: AlarmLevel
@@ -76,19 +76,19 @@ class AlarmCause:
 _AWAY: Final = "See the log of the node; a session with faults: {restarts: N} brings it back by itself."
 _NODE_ADVICE: Final = {
     Health.AWAY: _AWAY,
-    Health.SILENT: "Its process runs and sends nothing: see whether it hangs or the machine is overloaded.",
+    Health.SILENT: "Its process runs but sends nothing: see whether it hangs or the machine is overloaded.",
     Health.LATE: "The machine is too slow for the period: run manyhands doctor, and close other programs.",
 }
 _NODE_TEXT: Final = {
-    Health.SILENT: "it has sent nothing for a while",
-    Health.LATE: "more of its ticks are late than a machine has now and then",
+    Health.SILENT: "no telemetry has come from it for a while",
+    Health.LATE: "more of its ticks are late than is usual on any machine",
 }
 _NODE_LEVEL: Final = {Health.AWAY: AlarmLevel.FAULT, Health.SILENT: AlarmLevel.FAULT, Health.LATE: AlarmLevel.WARNING}
 
 
 def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
-    """The causes of alarms in this scene at ``now``, in no order of gravity."""
-    yield from _told(scene)
+    """Every cause that is present in this scene, in no order of severity."""
+    yield from _sentences(scene)
     for node in scene.nodes.values():
         yield from _of_node(node)
         yield from _ledger(node)
@@ -101,24 +101,24 @@ def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
             "Their users take no part until their signals come in time again; the others go on, still certified.",
         )
     for name, late in scene.frozen_late.items():
-        advice = "See what its user's machine or network does; design for a longer tau where that is all it can do."
+        advice = "Check its user's machine and network; if they cannot be faster, design for a longer tau."
         yield AlarmCause(f"{name} late", AlarmLevel.WARNING, late.sentence(name), advice, True)
     yield from _unheard(scene, now)
 
 
-def _told(scene: Scene) -> Iterator[AlarmCause]:
-    said = scene.condition
-    if said is None:
+def _sentences(scene: Scene) -> Iterator[AlarmCause]:
+    condition = scene.condition
+    if condition is None:
         return
-    for text in said.faults:
+    for text in condition.faults:
         yield AlarmCause(
-            f"fault: {text}", AlarmLevel.FAULT, text, "It ends the session; see the report and the logs.", True
+            f"fault: {text}", AlarmLevel.FAULT, text, "The run counts as failed: see its report and logs.", True
         )
-    for text in said.notices:
-        advice = "An assumption of the certificate was broken, so its proof does not cover what happened then."
+    for text in condition.notices:
+        advice = "An assumption of the certificate was broken: what it proves does not cover this."
         yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
-    for text in said.incidents:
-        yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session withstood it.", True)
+    for text in condition.incidents:
+        yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session survived it.", True)
 
 
 def _of_node(node: NodeScene) -> Iterator[AlarmCause]:
@@ -136,12 +136,12 @@ def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
             f"{node.name} ledger",
             AlarmLevel.FAULT,
             f"{node.name}: its ledger fell to {margin:.3g} J, below its bound of {LEDGER_BOUND:g} J",
-            "It broke its promise of passivity: let go of it, and see whether it is as passive as declared (osp).",
+            "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
         )
 
 
 def covered_tau(scene: Scene, device: str) -> float:
-    """The delay (s) that the certificate covers for a device now: the least of the rungs of its couplings."""
+    """The delay (s) that the certificate covers for a device now: that of its couplings' rung."""
     certificate = scene.about.certificate
     if certificate is None:
         return 0.0
@@ -178,8 +178,8 @@ def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
         yield AlarmCause(
             "unheard",
             AlarmLevel.FAULT,
-            "the whole session has sent nothing for a while",
-            "The picture is old: see whether the supervisor is stopped or the machine is overloaded.",
+            "nothing has come from the whole session for a while",
+            "The picture is old: see whether its supervisor is stopped or the machine is overloaded.",
         )
 
 
@@ -190,7 +190,7 @@ class Alarms:
     """The alarms of a session.
 
     Attributes:
-        version: changes whenever :meth:`listed` changes.
+        version: changes whenever :meth:`listed` does.
     """
 
     def __init__(self) -> None:
@@ -201,12 +201,12 @@ class Alarms:
         self.version = 0
 
     def look(self, scene: Scene, now: Instant) -> None:
-        """Raise and clear alarms by the causes in ``scene`` at ``now``."""
+        """Raise and clear alarms, as the scene at ``now`` requires."""
         for cause in causes(scene, now):
             self._seen[cause.key] = now
             standing = self._alarms.get(cause.key)
             if standing is None or standing.cleared is not None:
-                self._alarms.pop(cause.key, None)  # raised again, so it is a new alarm, at the end
+                self._alarms.pop(cause.key, None)  # raised again: a new alarm, at the end
                 self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, now))
                 if cause.lasting:
                     self._lasting.add(cause.key)
@@ -218,7 +218,7 @@ class Alarms:
         self._forget()
 
     def listed(self) -> list[Alarm]:
-        """The alarms that stand, the gravest first, then the cleared ones; of equal gravity the latest first."""
+        """The alarms that last, the gravest first, then the cleared ones; within each severity the latest first."""
 
         def order(alarm: Alarm) -> tuple[bool, int, int]:
             return alarm.cleared is not None, -_GRAVITY[alarm.level], -alarm.since

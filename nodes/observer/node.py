@@ -1,6 +1,6 @@
-"""The observer's process: it prints every observation of the broadcast as one line of JSON on standard output.
+"""The observer's process: prints the observations that the supervisor sends, one line of JSON each.
 
-An observer may come and go at any time: the session neither waits for it nor notices that it left.
+An observer may join and leave at any time. The session neither waits for it nor notices that it left.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 
 class ObserverCore:
-    """Turns frames into lines.
+    """Turns frames into lines of JSON.
 
     Attributes:
-        malformed: frames that were no observation.
+        malformed: number of frames that were no observation.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class ObserverCore:
     def line(self, frame: bytes) -> str | None:
         """The line for a frame: node, latest tick, figures, traces (ticks x ports); None if it is no observation.
 
-        A number that is not finite is null.
+        A figure that is infinite or NaN becomes null.
         """
         message = decode(frame, MAX_CONTROL_BYTES)
         if not isinstance(message, Observation):
@@ -55,17 +55,11 @@ class ObserverCore:
         return json.dumps(plain, allow_nan=False)
 
 
-_PATIENCE = from_seconds(0.2)
+_TIMEOUT = from_seconds(0.2)
 
 
 def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
-    """Print this observer's observations until the session or the observer ends; returns the exit code.
-
-    Args:
-        bundle: the observer's part of the session.
-        life: whether the process should still run.
-        ring: the observer's keys; None for a session without keys.
-    """
+    """Print the session's observations until the session or the observer ends; returns the exit code."""
     common, core = bundle.common, ObserverCore()
     transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
     try:
@@ -74,11 +68,11 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
         control.hello({}, os.getpid())
         link = transport.connect_outlet(control.peers_endpoints(life).get(HUB, ""), HUB)
         while not life.stopping:
-            frame = link.recv(_PATIENCE)
+            frame = link.recv(_TIMEOUT)
             if frame is None:
                 life.check()
             elif (line := core.line(frame)) is not None:
-                print(line, flush=True)  # noqa: T201 -- printing is what it does
+                print(line, flush=True)  # noqa: T201 -- the observer's output
         return EXIT_OK
     except Stopped:
         return EXIT_OK
@@ -88,8 +82,8 @@ def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
     except (TransportError, ValueError) as error:
         print(f"error: {common.name}: {error}", file=sys.stderr)  # noqa: T201
         return EXIT_BAD_INPUT
-    except BrokenPipeError:  # the program that read the lines has ended
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 -- the interpreter flushes it once more at its end
+    except BrokenPipeError:  # the reader of the lines has closed its end
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 -- the interpreter flushes standard output at its end
         return EXIT_OK
     finally:
         transport.close()

@@ -1,11 +1,11 @@
-"""A running session as an observer sees it: its description (:class:`About`), and its changing state (:class:`Scene`).
+"""The state of a running session as an observer sees it: pure, apart from reading and writing one file.
 
-The description is one JSON file in the session's directory, which the supervisor writes before it starts the nodes. It
-lists the nodes, the virtual world and the certificate, and does not change. It holds no key and no block of V.
+:class:`About` describes what does not change: nodes, links, virtual world and certificate. The supervisor writes it as
+one JSON file into the run's directory before the nodes start. It holds no key and no block of V.
 
-The state is pure: it takes in the frames of the session's broadcast
-(:mod:`manyhands.protocol.transport.broadcast`). Tables, the page and the printed lines read it; nothing here waits,
-prints or uses a socket.
+:class:`Scene` takes in the frames of the session's broadcast (:mod:`manyhands.protocol.transport.broadcast`) and holds
+what changes: phase, ticks, rates, health. A table, a page or a line shows it; nothing here waits, prints or knows of
+sockets.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Observation, Role
 
 ABOUT: Final = "about.json"
-"""The file's name in the session's directory."""
+"""The file's name in the run's directory."""
 
 MAX_ABOUT_BYTES: Final = 16 * 2**20
 
-_LATEST: Final = 2.5e11  # the end of the year 9891, about the last that calendars can show
+_LATEST: Final = 2.5e11  # seconds since 1970, in the year 9892: calendars can show no later one
 
 
 class AboutError(Exception):
-    """A session's description cannot be read; the message names the file and the reason."""
+    """A session's description cannot be read; the message names the file and what is wrong."""
 
 
 @dataclass(frozen=True)
 class NodeAbout:
-    """A node: its role, its ports in the order of its traces, and the node whose process it shares, or None."""
+    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if any."""
 
     role: Role
     ports: tuple[str, ...]
@@ -49,7 +49,7 @@ class NodeAbout:
 
 @dataclass(frozen=True)
 class LinkAbout:
-    """A link: its two ends, the end nearer to a hand first, and its ports."""
+    """A link: its two ends, the one nearer to the user first, and its ports."""
 
     ends: tuple[str, str]
     ports: tuple[str, ...]
@@ -57,7 +57,7 @@ class LinkAbout:
 
 @dataclass(frozen=True)
 class SpringAbout:
-    """A spring (N/m) and a damper (N*s/m) of the virtual world, between two of its ports, masses and the ground."""
+    """A spring and a damper of the virtual world, between two ports, masses or the ground: N/m and N*s/m."""
 
     ends: tuple[str, str]
     stiffness: float
@@ -66,15 +66,15 @@ class SpringAbout:
 
 @dataclass(frozen=True)
 class CertificateAbout:
-    """The figures of the session's certificate.
+    """The main figures of the session's certificate.
 
     Attributes:
         tau: the longest delay inside the tick that it covers, s.
-        margins: the margin of each condition, N*s/m.
-        gamma: the proved level of the transparency objective, or None.
-        delta_D: by device, the least eigenvalue of its level, N*s/m.
-        ladder: the delays that further rungs cover, s.
-        enforced: the parties whose promise a controller keeps at run time in place of a proof.
+        margins: by condition, N*s/m.
+        gamma: proved level of the transparency objective, or None.
+        delta_D: the least eigenvalue of each device's level, N*s/m.
+        ladder: the delays that the further rungs cover, s.
+        enforced: parties whose level is enforced at run time instead of proved.
     """
 
     tau: float
@@ -96,17 +96,17 @@ class About:
         clock: "realtime" or "simulated".
         transport: "ipc" or "tcp".
         period: T, s.
-        ticks: the number of ticks that it runs; 0 for no end.
-        started: the time of its start, s since 1970.
-        nodes: the nodes by name: devices, then couplings, then the environment.
-        links: the links, in the session's order.
-        masses: the masses of the virtual world by name, kg; empty where it is no network.
-        springs: the springs of the virtual world; empty where it is no network.
-        grips: the devices that a person's browser can hold.
-        reach: by port, the greatest displacement of its device, m.
-        certificate: the certificate; None for an uncertified session.
+        ticks: number of ticks it runs; 0 for no end.
+        started: seconds since 1970.
+        nodes: by name, devices first, then couplings, then the environment.
+        links: in the session's order.
+        masses: of the virtual world, kg by name; empty if it is no network.
+        springs: of the virtual world; empty if it is no network.
+        grips: devices that a person can hold in the browser.
+        reach: the greatest displacement of each port's device, m.
+        certificate: None for an uncertified session.
         environment: the environment's type.
-        observers: by observer, the nodes that it may read.
+        observers: what each observer may read, by name, as in the session file.
     """
 
     session: str
@@ -128,24 +128,24 @@ class About:
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_plain(self) -> dict[str, Any]:
-        """The description in the form that JSON writes."""
+        """As a JSON object."""
         return dataclasses.asdict(self)
 
     def save(self, directory: Path) -> None:
-        """Write the file into the session's directory as a whole, readable by its user alone (mode 0600).
+        """Write it into the run's directory, for its user alone (mode 0600), whole or not at all.
 
         Raises:
-            OSError: the file cannot be written.
+            OSError: it cannot be written.
         """
         with replacing(directory / ABOUT, mode=0o600) as file:
             file.write(json.dumps(self.as_plain(), allow_nan=False).encode())
 
     @classmethod
     def load(cls, directory: Path) -> About:
-        """Read the file in a session's directory.
+        """Read it from a run's directory.
 
         Raises:
-            AboutError: the file cannot be read, or is no description.
+            AboutError: the file cannot be read, or holds no description of this version.
         """
         path = directory / ABOUT
         try:
@@ -169,7 +169,7 @@ _SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
     "started": (int, float),
     "environment": str,
 }
-"""The entries that are neither lists nor maps, with their types."""
+"""The keys that hold neither a list nor a map, with their types."""
 
 
 def _about(data: Any) -> About:
@@ -198,7 +198,7 @@ def _about(data: Any) -> About:
         if not isinstance(data[name], kind) or isinstance(data[name], bool):
             raise TypeError(f"{name}: found {data[name]!r}")
     if not (0.0 < about.period < math.inf and 0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
-        raise ValueError("found a period, an instant, a process id or a number of ticks that is out of range")
+        raise ValueError("found a period, an instant, a process id or a number of ticks out of range")
     for link in about.links:
         for name in link.ends:
             _known(name, nodes)
@@ -243,7 +243,7 @@ def _numbers(values: Any) -> dict[str, float]:
 
 
 def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
-    """``name``, which must be one of ``nodes``, or None."""
+    """Check that a name is a node's; None, no node, passes."""
     if name is not None and name not in nodes:
         raise ValueError(f"found {name!r}; expected a node")
     return name
@@ -255,20 +255,20 @@ def _two(ends: Any) -> tuple[str, str]:
 
 
 RATE_OVER: Final = from_seconds(0.5)
-"""The shortest time over which a rate is taken: telemetry comes ten times a second."""
+"""The shortest time that a rate is taken over: telemetry comes ten times a second."""
 
 LATE_SHARE: Final = 0.01
-"""The share of late ticks between two looks above which a node's health is LATE."""
+"""A greater part of late ticks between two rates makes a node's health LATE."""
 
 
 class Health(StrEnum):
-    """The health of a node, a link or the session, in the order of severity."""
+    """The health of a node or a link, at a glance; a later value is worse."""
 
     OK = "ok"
     WAITING = "waiting"  # it has not begun, or has nothing more to do
-    LATE = "late"  # more of its ticks are late than any machine has now and then
+    LATE = "late"  # more of its ticks are late than is usual on any machine
     FROZEN = "frozen"  # it takes no part, and the others go on
-    SILENT = "silent"  # its process runs, and sends nothing
+    SILENT = "silent"  # it runs, but sends no telemetry
     AWAY = "away"  # its process died, or failed
 
 
@@ -281,23 +281,23 @@ STATE_HEALTH: Final = {
     "failed": Health.AWAY,
     "leaving": Health.AWAY,
 }
-"""The health of a node in each state of the supervisor; every other state means WAITING."""
+"""The health that follows from a node's state; every other state means WAITING."""
 
 
 @dataclass
 class NodeScene:
-    """The present figures of one node.
+    """The state of one node.
 
     Attributes:
-        name: the node's name.
-        role: the node's role.
-        state: its state, in the supervisor's words; empty before the first condition.
-        tick: the tick after the latest of its telemetry.
-        rate: its ticks a second; None before two looks.
-        figures: the figures of its latest telemetry.
-        heard: when that telemetry came; None before any.
-        late: whether more than :data:`LATE_SHARE` of its latest ticks were late.
-        silent: whether the supervisor has received nothing of it for a while, though it runs.
+        name: the node's.
+        role: the node's.
+        state: as the supervisor names it; empty before any condition arrived.
+        tick: the latest tick it reported.
+        rate: its ticks a second; None before two observations.
+        figures: of its latest telemetry.
+        heard: when its latest telemetry came; None if none has.
+        late: whether more of its latest ticks than usual were late.
+        silent: whether the supervisor has received no telemetry for a while, though the node runs.
     """
 
     name: str
@@ -313,7 +313,7 @@ class NodeScene:
 
     @property
     def health(self) -> Health:
-        """The node's health, by its state, silence and late ticks."""
+        """The node's health."""
         health = STATE_HEALTH.get(self.state, Health.WAITING)
         if health is not Health.OK:
             return health
@@ -321,46 +321,47 @@ class NodeScene:
             return Health.SILENT
         return Health.LATE if self.late else Health.OK
 
-    def take(self, told: Observation, now: Instant) -> None:
-        """Take in the node's telemetry, which came at ``now``."""
-        late = told.figures.get(names.LATE, 0.0)
-        # the first telemetry of a process begins a new rate: a new process counts late ticks from 0
-        if self._since is None or told.tick < self.tick or late < self._since[2]:
-            self._since, self.rate, self.late = (now, told.tick, late), None, False
+    def take(self, observation: Observation, now: Instant) -> None:
+        """Take in its latest telemetry, which came at ``now``."""
+        late = observation.figures.get(names.LATE, 0.0)
+        if (
+            self._since is None or observation.tick < self.tick or late < self._since[2]
+        ):  # the first message, or a new process
+            self._since, self.rate, self.late = (now, observation.tick, late), None, False
         since, tick, late_then = self._since
         if now - since >= RATE_OVER:
-            done = told.tick - tick
+            done = observation.tick - tick
             self.rate = done * 1e9 / (now - since)
             self.late = late - late_then > LATE_SHARE * max(done, 1)
-            self._since = now, told.tick, late
-        self.tick, self.figures, self.heard = told.tick, dict(told.figures), now
+            self._since = now, observation.tick, late
+        self.tick, self.figures, self.heard = observation.tick, dict(observation.figures), now
 
     def stand(self, state: str, silent: bool) -> None:
-        """Take in the supervisor's ``state`` of the node; a node that does not run or is silent has no rate."""
+        """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""
         self.state, self.silent = state, silent
         if STATE_HEALTH.get(state) is not Health.OK or silent:
             self._since, self.rate, self.late = None, None, False
 
 
 class Scene:
-    """The present state of a session.
+    """The state of a session.
 
     Attributes:
-        about: the session's description, which does not change.
-        nodes: every node by name, in the session's order.
-        condition: the supervisor's latest condition; None before any.
-        malformed: frames that were no message of this session's broadcast.
+        about: what does not change.
+        nodes: every node, in the session's order.
+        condition: the latest that the supervisor has sent; None before any.
+        malformed: number of frames that belong to no broadcast.
     """
 
     def __init__(self, about: About) -> None:
-        """No frame has come yet."""
+        """Begin with the description alone."""
         self.about = about
         self.nodes = {name: NodeScene(name, node.role) for name, node in about.nodes.items()}
         self.condition: Condition | None = None
         self.malformed = 0
 
     def take(self, frame: bytes, now: Instant) -> Observation | Condition | None:
-        """Take in a frame that came at ``now``; returns its message, or None if it is none of this session."""
+        """Take in a frame that came at ``now``; returns its message, or None if it was none of this session's."""
         message = decode(frame, MAX_CONTROL_BYTES)
         match message:
             case Observation(node) if node in self.nodes:
@@ -377,34 +378,36 @@ class Scene:
 
     @property
     def tick(self) -> int:
-        """The latest tick of any node's telemetry."""
+        """The latest tick that any node reported."""
         return max((node.tick for node in self.nodes.values()), default=0)
 
     @property
     def rate(self) -> float | None:
-        """The environment's ticks a second, which are the session's; None before they are known."""
+        """Ticks a second of the environment, which counts the session's ticks; None before it is known."""
         rates = [node.rate for node in self.nodes.values() if node.role is Role.ENVIRONMENT]
         return rates[0] if rates else None
 
     @property
     def frozen(self) -> int:
-        """The number of couplings that are not active now, by the environment's figures; 0 for a senseless figure."""
-        told = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
-        return round(sum(value for value in told if 0.0 < value < math.inf))
+        """Number of couplings that are frozen now, as the environment reports; a figure that makes no sense counts
+        as none.
+        """
+        counts = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
+        return round(sum(value for value in counts if 0.0 < value < math.inf))
 
     @property
     def frozen_late(self) -> dict[str, names.CouplingLateness]:
-        """The couplings that were frozen for being late, by the environment's figures."""
+        """Couplings that are frozen because the others waited for them again and again, as the environment reports."""
         worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
-        late = [item for told in worlds for item in names.lateness_by_coupling(told, told).items()]
+        late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
 
     @property
     def health(self) -> Health:
-        """The health of the session: that of its worst node, and at least FROZEN where any coupling is frozen."""
+        """The session's health: that of its worst node, and at least FROZEN if any coupling is."""
         worst = max((node.health for node in self.nodes.values()), key=_SEVERITY.__getitem__, default=Health.WAITING)
         return max(worst, Health.FROZEN, key=_SEVERITY.__getitem__) if self.frozen else worst
 
     def link_health(self, link: LinkAbout) -> Health:
-        """The health of a link: the worse of its two ends."""
+        """The health of a link: that of the worse of its two ends."""
         return max((self.nodes[end].health for end in link.ends), key=_SEVERITY.__getitem__)

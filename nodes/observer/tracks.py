@@ -1,11 +1,11 @@
-"""The last seconds of a session's traces as an observer keeps them: decimated, in bounded memory. Pure.
+"""The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
 Every trace of the table of topics is a track. So is each device's velocity: the difference of its displacement from
-tick to tick, taken before the decimation.
+tick to tick, taken before decimation.
 
-A track keeps the least and the greatest value of every bucket. A bucket is a run of ticks of fixed length, counted from
-tick 0, so the buckets of all traces of a session lie side by side. The two values are in the order in which they came.
-A line through them touches every extreme of the trace, however short; a line through every n-th sample would miss some.
+A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session are
+aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
+touches every extreme of the trace, however short; a curve through every n-th sample would not.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ Floats = NDArray[np.float64]
 
 
 def extremes(values: Floats) -> Floats:
-    """The least and the greatest value of each bucket, in the order of time.
+    """Least and greatest value of each bucket, in the order of time.
 
     Args:
         values: buckets x ticks x columns; NaN where there is no value.
 
     Returns:
-        Buckets x 2 x columns: both values of every bucket and column, the earlier first; NaN twice where all are NaN.
+        Buckets x 2 x columns: the two values of every bucket and column, the earlier first; NaN twice where all are
+            NaN.
     """
     absent = np.isnan(values)
     least = np.where(absent, np.inf, values).argmin(axis=1)
@@ -49,18 +50,14 @@ class Decimated:
 
 
 class Decimator:
-    """Makes buckets of a trace that comes in consecutive pieces.
+    """Makes buckets of a trace that arrives in successive pieces.
 
     Attributes:
-        size: ticks of a bucket.
+        size: ticks per bucket.
     """
 
     def __init__(self, size: int, columns: int) -> None:
-        """No piece has come yet.
-
-        Args:
-            size: ticks of a bucket.
-            columns: columns of the trace.
+        """Begin before the first piece.
 
         Raises:
             ValueError: ``size`` is below 1.
@@ -75,11 +72,11 @@ class Decimator:
         """Take in the next piece.
 
         Args:
-            tick: the tick of its first row; rows that have come before are ignored.
-            values: ticks x columns, one row for each tick.
+            tick: of its first row; rows that came before are left out.
+            values: ticks x columns.
 
         Returns:
-            The buckets that are whole now, or were ended by a gap, in the order of time.
+            The buckets that are complete now, or that a gap has ended, in the order of time.
         """
         if self._next is not None and tick < self._next:
             values = values[self._next - tick :]
@@ -91,7 +88,7 @@ class Decimator:
         return done if whole is None else [*done, whole]
 
     def _cut(self) -> list[Decimated]:
-        """The unfinished bucket before a gap, if there is one."""
+        """The bucket that was begun before a gap."""
         rest, self._rest = self._rest, self._rest[:0]
         if not len(rest) or self._next is None:
             return []
@@ -113,13 +110,13 @@ class Decimator:
 
 
 WINDOW: Final = 10.0
-"""The length of a track, s."""
+"""Seconds of a trace that are kept."""
 
 BUCKETS: Final = 1000
-"""The number of buckets of a track, as many as a picture has columns."""
+"""Number of buckets in those seconds: about the width of a picture in pixels."""
 
 VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
-"""The backward difference of a device's displacement over a period; no node sends it."""
+"""A topic that no node reports: the difference of a device's displacement over a period, divided by it."""
 
 
 class Track:
@@ -130,14 +127,14 @@ class Track:
     """
 
     def __init__(self, columns: int, capacity: int = BUCKETS) -> None:
-        """An empty track of ``capacity`` buckets for a trace of ``columns`` columns."""
+        """Begin empty, with room for ``capacity`` buckets."""
         self._ring = np.full((capacity, 2, columns), np.nan)
         self._begin = self.end = 0
 
     def add(self, piece: Decimated) -> None:
-        """Add buckets; a gap between the latest bucket and them is kept as buckets of NaN.
+        """Add buckets. A gap between them and the latest is kept as buckets of NaN.
 
-        If the first of them is the latest bucket already (a gap began and ended inside it), the two are joined.
+        If the first one is the latest already (a gap began and ended inside it), the two are joined.
         """
         capacity, first, values = len(self._ring), piece.first, piece.values
         end = first + len(values)
@@ -156,14 +153,14 @@ class Track:
         self._begin = max(self._begin, end - capacity)
 
     def since(self, bucket: int) -> Decimated:
-        """The buckets from ``bucket`` on, as far as they are kept."""
+        """The buckets from ``bucket`` on, as many of them as are kept."""
         first = min(max(bucket, self._begin), self.end)
         return Decimated(first, self._ring[np.arange(first, self.end) % len(self._ring)])
 
 
 @dataclass(frozen=True)
 class TrackKey:
-    """The node and the topic of a track."""
+    """A track's node and topic."""
 
     node: str
     topic: Topic
@@ -178,23 +175,23 @@ class Tracks:
     """All tracks of a session.
 
     Attributes:
-        size: ticks of a bucket.
-        columns: by track, the names of its columns.
-        unfit: the number of traces that had not the shape that this session describes.
+        size: ticks per bucket.
+        columns: names of each track's columns.
+        unfit: number of traces that did not have this session's shape.
     """
 
     def __init__(self, about: About, window: float = WINDOW, buckets: int = BUCKETS) -> None:
-        """Empty tracks of ``window`` seconds in ``buckets`` buckets, for the session that ``about`` describes."""
+        """Begin without any tick."""
         self.size = max(1, round(window / about.period / buckets))
         self._about, self._buckets = about, buckets
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
         self._decimators = {key: Decimator(self.size, len(columns)) for key, columns in self.columns.items()}
-        self._last: dict[str, tuple[int, Floats]] = {}  # by device, the latest tick and its displacement
+        self._last: dict[str, tuple[int, Floats]] = {}  # each device's latest tick, and its displacement then
         self.unfit = 0
 
     def take(self, observation: Observation) -> None:
-        """Take in a node's telemetry."""
+        """Take in a node's observation."""
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         first = observation.tick - rows
         for key in self.columns:

@@ -1,5 +1,5 @@
-"""The recorder: a process of its own, so that neither a slow nor a full disk reaches the loop.
+"""The recorder, a process of its own, so that a slow or full disk never delays the loop.
 
-Read ``format`` first (the messages of the file), then ``core`` (from observations to bytes, with ``coverage``),
-``mcap`` (the file) and ``node`` (the process).
+Read ``format`` first (what the file contains), then ``core`` (observations to records), ``mcap`` (records to bytes) and
+``node`` (the process). ``coverage`` counts missing ticks, for recordings that are written or read.
 """

@@ -17,12 +17,12 @@ def main() -> int:
     try:
         life = Life(int(sys.argv[2]))
         plan = Plan.load(Path(sys.argv[1]))
-        life.enter_loop()  # from here on a request to end only sets ``stopping``, so that it interrupts no write
-        life.leave_loop()  # the garbage collector may run: there is no tick that it could hold up
+        life.enter_loop()  # from here on a request to end is only noted, so that no piece is cut in two
+        life.leave_loop()  # garbage collection stays on: there is no tick that it could delay
     except Stopped:
         return EXIT_OK
     except PlanError as error:
-        print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor yet
+        print(error, file=sys.stderr)  # noqa: T201 -- the pipe to the supervisor is not in use yet
         return EXIT_BAD_INPUT
     return record(plan, life, RealtimeClock(), to_pipe(sys.stdout.fileno()))
 

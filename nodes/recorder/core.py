@@ -1,13 +1,13 @@
-"""From observations to the bytes of an MCAP file, in the order in which they are to be written. Pure.
+"""Turns observations into the bytes of an MCAP file, in the order in which they are to be written: without any I/O.
 
-Observations go in, and the bytes that the file still lacks come out, in pieces that end at a chunk's border. A chunk
-has a checksum and stands alone, so a file that ends anywhere is readable up to its last whole chunk. All messages of
+Observations go in. What the file still lacks comes out in pieces, each of which ends at the border of a chunk. A chunk
+has a checksum and stands alone, so a file that ends anywhere can be read up to its last whole chunk. All messages of
 one observation are in one chunk.
 
-A message is ``{"tick": 17, "time": 0.017, "x": [0.001]}``. With three users a recorder makes 23 000 messages a second,
-its greatest work, so it makes those of many ticks at once. The beginning of a message is the same for all topics of a
-node and is made once; one call writes the numbers of a whole trace. A number is the shortest text that reads back as
-the same double; a number that is not finite is null.
+With three users 23 000 JSON messages are written a second, which is most of a recorder's work. A message is ``{"tick":
+17, "time": 0.017, "x": [0.001]}``. Its beginning is the same for all topics of a tick and is made once for all nodes;
+one call writes the numbers of a whole trace. A number is the shortest text that is read back as the same double; an
+infinite value or NaN is null.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ _BLOCK: Final = 128  # ticks
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """The common parts of the messages of consecutive ticks.
+    """Consecutive ticks of a session: the parts that their messages have in common.
 
     Attributes:
-        times: the time of each tick, ns since 1970, uint64.
+        times: time of each tick, ns since 1970, uint64.
         sequences: their sequence numbers, uint32.
-        beginnings: for each tick the beginning of its messages, up to the key of the topic's value.
-        lengths: the lengths of the beginnings, bytes.
+        beginnings: the text of each tick's messages before the key of the topic's value.
+        lengths: of the beginnings, bytes.
     """
 
     times: NDArray[np.uint64]
@@ -77,12 +77,14 @@ class Ticks:
 
 
 def _since_start(first: int, count: int, tick_ns: float) -> NDArray[np.float64]:
-    """The times of the ticks since tick 0, ns: whole numbers."""
+    """Time from tick 0 to each of the ticks, ns: whole numbers."""
     return np.rint(np.arange(first, first + count, dtype=np.uint64).astype(np.float64) * tick_ns)
 
 
 def _beginnings(first: int, count: int, tick_ns: float) -> tuple[bytes, ...]:
-    """The beginnings of the messages of these ticks, from cached blocks: all nodes have messages of the same ticks."""
+    """The beginnings of these ticks' messages, from cached blocks: all nodes report the same ticks, one after the
+    other.
+    """
     out: list[bytes] = []
     for block in range(first // _BLOCK, (first + count - 1) // _BLOCK + 1):
         out += _block(block, tick_ns)
@@ -103,11 +105,11 @@ def lengths_of(texts: Sequence[bytes]) -> NDArray[np.uint64]:
 
 
 def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
-    """Each row as JSON text without brackets.
+    """Each row as JSON without its brackets: its numbers, or, with ``one`` column, its number.
 
     Args:
         values: ticks x columns; at least one of each.
-        one: whether a row is a plain number, and no array.
+        one: whether the rows are plain numbers instead of arrays.
     """
     plain = values[:, 0].tolist() if one else values.tolist()
     text = repr(plain).encode()
@@ -118,28 +120,30 @@ def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
 
 
 CHUNK_BYTES: Final = 1024 * 1024
-"""The size at which a chunk is closed, however young it is, bytes."""
+"""A chunk of this size is closed, however young it is."""
 
 
 class RecorderCore:
-    """Turns observations into the bytes of a file.
+    """Turns observations into a file.
 
-    Times in the file are the session's own: tick k was at the start plus kT. The start is counted back from the arrival
-    of the first observation. So times are the time of day as well, as long as the ticks keep pace with it.
+    Times in the file follow the session's own clock: tick k was at the start plus kT. The start is computed back from
+    the arrival of the first observation. So it is the time of day as well, as long as ticks keep pace with the wall
+    clock.
 
     Attributes:
-        over: whether the supervisor has reported the end of the session.
+        over: becomes true when the session has reported that nothing more will come.
         tick: the latest tick of any device that was taken.
-        refused: frames that were no observation, were of an unknown node, or did not fit its columns and ticks.
+        refused: number of frames that were no observation, named no node, or did not fit their node's columns and
+            ticks.
     """
 
     def __init__(self, recorded: Recorded, attachments: Mapping[str, bytes] | None = None, started: int = 0) -> None:
-        """Begin the file.
+        """Begin the file of the session ``recorded``.
 
         Args:
-            recorded: the session that is recorded.
-            attachments: contents by name, with names from :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
-            started: the time at which the recording starts, ns since 1970.
+            recorded: the session.
+            attachments: contents by name, with names of :data:`~manyhands.nodes.recorder.format.MEDIA_TYPES`.
+            started: start of the recording, ns since 1970.
         """
         self._recorded = recorded
         self._tape = Tape(f"manyhands {recorded.version}")
@@ -157,7 +161,7 @@ class RecorderCore:
         self.refused = 0
 
     def take(self, frame: bytes, time: int) -> None:
-        """Take in a frame that arrived at ``time``, ns since 1970; frames that are refused are counted."""
+        """Take in a frame that arrived at ``time``, ns since 1970. A frame that makes no sense is counted."""
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Stop):
             self.over = True
@@ -171,37 +175,40 @@ class RecorderCore:
             self.refused += 1
 
     def _since_start(self, tick: int) -> int:
-        """The time of ``tick`` since tick 0, ns."""
+        """Time from tick 0 to ``tick``, ns."""
         return round(tick * self._recorded.tick_ns)
 
-    def _fits(self, told: Observation) -> bool:
-        topics, rows = self._topics.get(told.node), {trace.shape[0] for trace in told.traces.values()}
-        if topics is None or not told.traces.keys() <= topics.keys():
+    def _fits(self, observation: Observation) -> bool:
+        topics, rows = self._topics.get(observation.node), {trace.shape[0] for trace in observation.traces.values()}
+        if topics is None or not observation.traces.keys() <= topics.keys():
             return False
-        first = told.tick - max(rows, default=0)
+        first = observation.tick - max(rows, default=0)
         return (
             len(rows) <= 1
-            and first >= (self._coverage[told.node].next if rows else 0)
-            and (self._start or 0) + self._since_start(told.tick) <= MAX_TIME_NS
-            and all(self._width(told.node, topics[name]) == trace.shape[1] for name, trace in told.traces.items())
+            and first >= (self._coverage[observation.node].next if rows else 0)
+            and (self._start or 0) + self._since_start(observation.tick) <= MAX_TIME_NS
+            and all(
+                self._width(observation.node, topics[name]) == trace.shape[1]
+                for name, trace in observation.traces.items()
+            )
         )
 
     def _width(self, node: str, topic: Topic) -> int:
         return len(self._recorded.columns(node, topic))
 
-    def _write(self, told: Observation) -> None:
-        start, rows = self._start or 0, max((trace.shape[0] for trace in told.traces.values()), default=0)
+    def _write(self, observation: Observation) -> None:
+        start, rows = self._start or 0, max((trace.shape[0] for trace in observation.traces.values()), default=0)
         if rows:
-            ticks = Ticks.of(told.tick - rows, rows, start, self._recorded.tick_ns)
-            for topic in self._topics[told.node].values():
-                if topic.trace in told.traces:
-                    self._write_trace(told.node, topic, ticks, told.traces[topic.trace])
-            self._coverage[told.node].take(told.tick - rows, told.tick)
-            if told.node in self._recorded.devices:
-                self.tick = max(self.tick, told.tick)
-        if told.figures:
-            channel = self._channel(told.node, TELEMETRY, None)
-            self._add(channel, told.tick, start, encode_figures(told.tick, told.figures))
+            ticks = Ticks.of(observation.tick - rows, rows, start, self._recorded.tick_ns)
+            for topic in self._topics[observation.node].values():
+                if topic.trace in observation.traces:
+                    self._write_trace(observation.node, topic, ticks, observation.traces[topic.trace])
+            self._coverage[observation.node].take(observation.tick - rows, observation.tick)
+            if observation.node in self._recorded.devices:
+                self.tick = max(self.tick, observation.tick)
+        if observation.figures:
+            channel = self._channel(observation.node, TELEMETRY, None)
+            self._add(channel, observation.tick, start, encode_figures(observation.tick, observation.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
         one = topic.columns is Columns.ONE
@@ -212,7 +219,7 @@ class RecorderCore:
         self._tape.messages(self._channel(node, topic.name, topic), ticks.times, ticks.sequences, lengths, columns)
 
     def _channel(self, node: str, name: str, topic: Topic | None) -> int:
-        """The number of the channel of a node's topic; its record is written before its first message."""
+        """The channel of a node's topic; its record is written before its first message."""
         number = self._channels.get((node, name))
         if number is None:
             about = {"node": node, "role": self._recorded.roles.get(node, Role.SUPERVISOR).value}
@@ -231,7 +238,7 @@ class RecorderCore:
         self._tape.message(channel, start + self._since_start(tick), tick % SEQUENCES, data)
 
     def _note(self, condition: Condition, time: int) -> None:
-        """Write the session's condition, if more of it than the time has changed."""
+        """Write the session's condition, unless nothing but the time has changed."""
         before, self._condition = self._condition, condition
         if before is not None and replace(condition, elapsed=before.elapsed) == before:
             return
@@ -244,17 +251,19 @@ class RecorderCore:
 
     @property
     def missing_in_all(self) -> dict[str, int]:
-        """By device, the ticks up to the latest of any device that never came; devices without any are left out."""
+        """Number of ticks that were never reported, up to the latest of any device, by device, for devices that miss
+        some.
+        """
         return missing_by_party(self.coverage, 0, self.tick)
 
     @property
     def coverage(self) -> dict[str, Coverage]:
-        """By device, the ticks that were taken; the other ticks were lost on the way."""
+        """The ticks of each device that were taken; the others were lost on the way."""
         return {device: self._coverage[device] for device in self._recorded.devices}
 
     @property
     def full(self) -> bool:
-        """Whether the chunk has its greatest size and should be closed now."""
+        """Whether the chunk should be closed now, however young it is."""
         return self._tape.waiting >= CHUNK_BYTES
 
     def cut(self) -> bytes:
@@ -263,6 +272,6 @@ class RecorderCore:
         return self._tape.take()
 
     def end(self) -> bytes:
-        """Close the file; returns its last bytes, with the index that viewers expect at the end."""
+        """Close the file; returns its rest, with the index that viewers look for at the end."""
         self._tape.finish()
         return self._tape.take()

@@ -1,4 +1,4 @@
-"""The ticks of a party that there are, and the number of missing ones, for every recording that is written or read."""
+"""The ticks of a party that a recording holds, and how many are missing: one count for writer and readers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_GAPS: Final = 1000
-"""The most gaps of one party that are kept one by one; all missing ticks are counted."""
+"""The most gaps of one party that are kept one by one; the count includes all."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Ticks that are missing: from ``begin`` to the one before ``end``."""
+    """Missing ticks: ``begin <= tick < end``."""
 
     begin: int
     end: int
@@ -23,12 +23,12 @@ class Gap:
 
 @dataclass
 class Coverage:
-    """The ticks of one party as they come, with the gaps between the first and the last.
+    """The ticks of one party, in order of arrival: the first, the last, and the missing ones between.
 
     Attributes:
         first: the first tick; None before any.
         next: the tick after the last.
-        missing: the number of ticks that are missing in between.
+        missing: number of missing ticks between the two.
     """
 
     first: int | None = None
@@ -37,7 +37,7 @@ class Coverage:
     _gaps: list[Gap] = field(default_factory=list)
 
     def take(self, begin: int, end: int) -> None:
-        """Take in the ticks from ``begin`` to the one before ``end``; ticks that are there already are ignored."""
+        """Add the ticks ``begin <= tick < end``; ticks that were added before are ignored."""
         if self.first is None:
             self.first = self.next = begin
         if begin > self.next:
@@ -47,7 +47,7 @@ class Coverage:
         self.next = max(self.next, end)
 
     def take_each(self, ticks: NDArray[np.int64]) -> None:
-        """Take in single ticks, in order; ticks that are there already are ignored."""
+        """Add ticks, an array in increasing order; ticks that were added before are ignored."""
         if not len(ticks):
             return
         breaks = np.flatnonzero(np.diff(ticks) != 1) + 1
@@ -55,27 +55,22 @@ class Coverage:
             self.take(int(ticks[begin]), int(ticks[end - 1]) + 1)
 
     def missing_in(self, begin: int, end: int) -> int:
-        """The number of missing ticks from ``begin`` to the one before ``end``.
+        """Number of missing ticks in ``begin <= tick < end``.
 
-        Args:
-            begin: at most the first tick.
-            end: at least the tick after the last.
+        ``begin`` is at most the first tick, ``end`` at least the one after the last.
         """
         if self.first is None:
             return end - begin
         return (self.first - begin) + self.missing + (end - self.next)
 
     def gaps_in(self, begin: int, end: int) -> tuple[Gap, ...]:
-        """The gaps in the same range, in order; at most :data:`MOST_GAPS`."""
+        """The missing ticks in ``begin <= tick < end`` as gaps, in order: the first :data:`MOST_GAPS`."""
         first = end if self.first is None else self.first
         found = [Gap(begin, first), *self._gaps, Gap(max(first, self.next), end)]
         return tuple(gap for gap in found if gap.begin < gap.end)[:MOST_GAPS]
 
 
 def missing_by_party(coverages: Mapping[str, Coverage], begin: int, end: int) -> dict[str, int]:
-    """By party, the number of missing ticks from ``begin`` to the one before ``end``; parties without any are left out.
-
-    ``begin`` and ``end`` are as in :meth:`Coverage.missing_in`.
-    """
+    """Number of missing ticks in ``begin <= tick < end`` by party, for the parties that miss some."""
     counts = {name: coverage.missing_in(begin, end) for name, coverage in coverages.items()}
     return {name: count for name, count in counts.items() if count > 0}

@@ -1,7 +1,7 @@
-"""The format of a recording: the channels of an MCAP file, the form of their messages, and the session's metadata.
+"""The format of a recording: the channels of its MCAP file, the form of their messages, and the session's metadata.
 
-There is one JSON message for each tick and topic, which every viewer of such files can draw: the tick, its time since
-tick 0, and the topic's row. docs/files.md describes the format; writer and reader both use this module.
+Each tick and topic has one JSON message, which every viewer of MCAP files can draw: the tick, its time since tick 0,
+and the topic's row. Writer and readers both use this module; docs/files.md describes the format for people.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ METADATA: Final = "session"
 SESSION_FILE: Final = "session.yaml"
 CERTIFICATE_FILE: Final = "certificate.json"
 MEDIA_TYPES: Final[Mapping[str, str]] = {SESSION_FILE: "application/yaml", CERTIFICATE_FILE: "application/json"}
-"""The attachments: the session file, and the certificate of a certified session."""
+"""The attachments: the session as it ran, and the certificate it ran under, if it had one."""
 
 SUPERVISOR: Final = "supervisor"
-"""The node under whose name the session's condition is recorded."""
+"""The node name under which the session's condition is recorded."""
 
 MESSAGE_ENCODING: Final = "json"
 SCHEMA_ENCODING: Final = "jsonschema"
@@ -40,24 +40,25 @@ TIME: Final = "time"
 FIGURES: Final = "figures"
 
 SEQUENCES: Final = 2**32
-"""An MCAP sequence number has 32 bits: it is the tick modulo so many."""
+"""An MCAP sequence number has 32 bits: it is the tick modulo this number."""
 
 MAX_TIME_NS: Final = 2**63 - 1
 """The latest time of a message, ns since 1970."""
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
-"""A name in a recording. It becomes a table's heading, and a spreadsheet runs text that begins with ``=+-@``."""
+"""A name in a recording. It becomes a heading in a table, and a spreadsheet computes a cell that begins with
+``=+-@``."""
 
 _LONGEST_TEXT: Final = 200
 
-_NUMBER: Final = {"type": "number", "nullable": True}  # a single type, for viewers refuse a list of types
+_NUMBER: Final = {"type": "number", "nullable": True}  # a single type: viewers refuse a list of types
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
 
 
 def schema_of(topic: Topic) -> tuple[str, str]:
-    """The name and the text of the JSON schema of a topic's messages."""
+    """Name and text of the JSON schema of a topic's messages."""
     one = topic.columns is Columns.ONE
     value = _NUMBER if one else {"type": "array", "items": _NUMBER}
     about = f"{topic.symbol}, {topic.unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
@@ -81,20 +82,20 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
         },
     ),
 }
-"""By channel, the names and texts of the schemas of messages that are not of a topic of the table."""
+"""Names and texts of the schemas of the messages that belong to no topic of the table: figures and condition."""
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
-    """The message of the figures up to ``tick``; a number that is not finite is null."""
+    """The message of figures up to ``tick``; an infinite value or NaN becomes null."""
     finite = {name: json_number(value) for name, value in figures.items()}
     return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
 
 
 def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
-    """The tick and the figures of a message that was read as JSON; null becomes NaN.
+    """Tick and figures of a message that was read as JSON; null becomes NaN.
 
     Raises:
-        ValueError: the message is not one of figures.
+        ValueError: the message holds no figures.
     """
     match plain:
         case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
@@ -130,17 +131,17 @@ def encode_condition(tick: int, condition: Condition) -> bytes:
 
 
 def decode_condition(plain: Any) -> tuple[int, Condition]:
-    """The tick and the condition of a message that was read as JSON.
+    """Tick and condition of a message that was read as JSON.
 
     Raises:
-        ValueError: the message is not one of a condition.
+        ValueError: the message holds no condition.
     """
     match plain:
         case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
             0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
         ):
-            told = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
-            return tick, Condition(phase, _number(elapsed), states, *told)
+            sentences = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
+            return tick, Condition(phase, _number(elapsed), states, *sentences)
         case _:
             raise ValueError("found another object; expected tick and condition")
 
@@ -153,17 +154,17 @@ def _texts(found: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """The session that a recording is of.
+    """The session of a recording.
 
     Attributes:
         session: the session's name.
-        certificate: id of the certificate (or of the uncertified session) that it ran under.
+        certificate: id of the certificate (or of the uncertified session) it ran under.
         period: T, s.
         clock: "realtime" or "simulated".
-        roles: by node, its role.
-        ports: by node, its ports in the order of its traces' columns.
-        masses: the environment's masses, in the order of their trace's columns; empty where none are known.
-        version: the version of manyhands that recorded it.
+        roles: every node's role.
+        ports: the ports of each node, in the order of its traces' columns.
+        masses: the environment's masses, in the order of its traces' columns; empty where they are not known.
+        version: of the program that recorded it.
     """
 
     session: str
@@ -181,22 +182,22 @@ class Recorded:
         return {name: self.ports[name] for name, role in self.roles.items() if role is Role.DEVICE}
 
     def topics(self, node: str) -> tuple[Topic, ...]:
-        """The topics of a node, in the table's order; empty for a node that is not of the session."""
+        """The topics of a node, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
         return () if role is None else topics_of(role, self.masses)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
-        """The names of the columns of a node's topic."""
+        """Names of the columns of a node's topic."""
         return topic.columns_of(self.ports[node], self.masses)
 
     @property
     def tick_ns(self) -> float:
-        """T, ns; a whole number where only the rounding of its decimals keeps it from being one."""
+        """T, ns. It is a whole number if it differs from one only by the rounding of its decimals."""
         exact = self.period * 1e9
         return float(round(exact)) if math.isclose(exact, round(exact), rel_tol=1e-12) else exact
 
     def as_metadata(self) -> dict[str, str]:
-        """The form of the metadata record: texts by name, with structures as JSON."""
+        """As the metadata of a file: texts by name, structure as JSON."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -212,10 +213,10 @@ class Recorded:
 
     @classmethod
     def from_metadata(cls, texts: Mapping[str, str]) -> Recorded:
-        """The session of a file's metadata record.
+        """The session of a file's metadata.
 
         Raises:
-            ValueError: the file has a different format or version, or entries are missing or not usable.
+            ValueError: the metadata is not of this format and version, or makes no sense.
         """
         found = f"{texts.get('format', '')!r:.40} version {texts.get('version', '')!r:.40}"
         if (texts.get("format"), texts.get("version")) != (FORMAT, VERSION):

@@ -1,11 +1,11 @@
-"""The bytes of an MCAP file (:class:`Tape`), and the file on the disk that grows by them (:class:`RecordingFile`).
+"""Writes an MCAP file: records one after the other, messages in compressed chunks, and an index at the end.
 
-An MCAP file is a sequence of records: messages in compressed chunks, and an index at the end. The records are those of
-https://mcap.dev/spec, and the library ``mcap`` writes most of them. Its writer makes an object of each message and
-writes it field by field, which takes longer than all other work of a recorder. So this module lays out the messages of
-one trace together, with their indexes.
+The records are those of https://mcap.dev/spec, most of them as the library ``mcap`` writes them. Its writer makes an
+object of each message and writes it field by field, which takes longer than all other work of a recorder. Here the
+messages of one trace are laid out together, with their indexes.
 
-On the disk a piece is appended as a whole, or the file stays as it was before.
+:class:`Tape` makes the bytes. :class:`RecordingFile` appends each piece to the disk whole, or leaves the file as it
+was.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import open_beside
 
 COMPRESSION: Final = "zstd"
-LEVEL: Final = 1  # higher levels take at least twice the time, and save a tenth of the bytes
+LEVEL: Final = 1  # higher levels take twice the time and more, and save a tenth of the bytes
 
 _CHUNK: Final = struct.Struct("<BQQQQI")  # opcode, length, first and last time, uncompressed size, checksum
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
@@ -60,12 +60,12 @@ _HEAD: Final = np.dtype(
     ]
 )
 _HEAD_BYTES: Final = np.dtype(f"V{_HEAD.itemsize}")
-_FRAME_BYTES: Final = 9  # opcode and length, which the length of a record does not include
+_FRAME_BYTES: Final = 9  # opcode and length, which the length field does not count
 _ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
 
 class _Chunk:
-    """The open chunk: its records, its first and last time, and the index of each channel."""
+    """The open chunk."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -79,14 +79,10 @@ class _Chunk:
 
 
 class Tape:
-    """The bytes of a file, in the order in which they are to be written; :meth:`take` returns those that are ready.
-
-    Attributes:
-        waiting: bytes in the chunk that is open, uncompressed.
-    """
+    """The bytes of a file, in the order in which they are to be written; :meth:`take` returns those that are ready."""
 
     def __init__(self, library: str) -> None:
-        """Begin a file; its header names ``library`` as the writer."""
+        """Begin a file; ``library`` is the program that its header names."""
         self._ready: list[bytes] = []
         self._at = self._crc = 0
         self._chunk = _Chunk()
@@ -108,31 +104,31 @@ class Tape:
 
     @property
     def waiting(self) -> int:
-        """Bytes in the chunk that is open, uncompressed."""
+        """Bytes in the open chunk, uncompressed."""
         return self._chunk.size
 
     def metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Write a metadata record with texts by name, outside the chunks."""
+        """Write texts by name, outside the chunks."""
         record = _record(Metadata(name, dict(texts)))
         self._metadata.append(_record(MetadataIndex(self._at, len(record), name)))
         self._write(record)
 
     def attach(self, name: str, media_type: str, data: bytes, time: int) -> None:
-        """Write an attachment: the content of a file that was made at ``time``, ns since 1970."""
+        """Write the content of another file, made at ``time``, ns since 1970."""
         record = _record(Attachment(time, time, name, media_type, data))
         index = AttachmentIndex(self._at, len(record), time, time, len(data), name, media_type)
         self._attachments.append(_record(index))
         self._write(record)
 
     def schema(self, name: str, encoding: str, text: str) -> int:
-        """Add the schema of some channels' messages; returns its number."""
+        """Declare a schema for the messages of some channels; returns its number."""
         number = len(self._schemas) + 1
         self._schemas.append(_record(Schema(number, text.encode(), encoding, name)))
         self._chunk.add(self._schemas[-1])
         return number
 
     def channel(self, topic: str, encoding: str, schema: int, about: dict[str, str]) -> int:
-        """Add a channel for the messages of ``topic``; returns its number."""
+        """Declare a channel for messages of ``topic``; returns its number."""
         number = len(self._channels) + 1
         self._channels.append(_record(Channel(number, topic, encoding, about, schema)))
         self._chunk.add(self._channels[-1])
@@ -150,11 +146,11 @@ class Tape:
         """Add messages to the chunk.
 
         Args:
-            channel: the number of their channel.
-            times: the time of each message, ns since 1970; at least one.
-            sequences: the sequence number of each message.
-            lengths: the length of each message's data, bytes.
-            columns: the first parts of all messages' data, then their second parts, and so on.
+            channel: their channel.
+            times: time of each message, ns since 1970; at least one.
+            sequences: their sequence numbers.
+            lengths: length of each message's data, bytes.
+            columns: the data in parts: the first part of every message, then every second part, and so on.
         """
         count, chunk = len(times), self._chunk
         heads = np.empty(count, dtype=_HEAD)
@@ -181,7 +177,7 @@ class Tape:
         self.messages(channel, one * np.uint64(time), numbers, one * np.uint64(len(data)), [[data]])
 
     def close_chunk(self) -> None:
-        """Compress the open chunk and write it with its indexes; do nothing if it has no message."""
+        """Compress the open chunk and write it with its indexes; nothing happens if it holds no message."""
         chunk = self._chunk
         if not chunk.indexes:
             return
@@ -213,13 +209,13 @@ class Tape:
         self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
 
     def take(self) -> bytes:
-        """The bytes that are ready and were not taken yet; they end at a record's border."""
+        """The bytes that are ready and were not taken yet; they end at the border of a record."""
         out = b"".join(self._ready)
         self._ready.clear()
         return out
 
     def finish(self) -> None:
-        """Close the last chunk and the file: add the checksum, and the summary that viewers expect at the end."""
+        """Close the last chunk and the file: its checksum, and the summary that viewers look for at the end."""
         self.close_chunk()
         self._write(_record(DataEnd(self._crc)))
         started, offsets = self._at, []
@@ -266,16 +262,16 @@ def _record(record: McapRecord) -> bytes:
 
 
 class RecordingFile:
-    """A file that replaces an older one as soon as its beginning is written, and grows from then on.
+    """A file that replaces an older one once its beginning is written, and grows from then on.
 
-    Every piece is on the disk (fdatasync) when :meth:`append` returns: a power failure takes only what came after.
+    Every piece is on the disk (fdatasync) when :meth:`append` returns. A power failure loses only what came after.
     """
 
     def __init__(self, path: Path, beginning: bytes) -> None:
-        """Write ``beginning`` to a new file, which then replaces any file at ``path``.
+        """Begin the file.
 
         Raises:
-            OSError: the file cannot be written; an older file at ``path`` is still there then.
+            OSError: it cannot be written; an older file of that name is still there.
         """
         partial, self._file = open_beside(path)
         self._fd = self._file.fileno()
@@ -289,7 +285,7 @@ class RecordingFile:
             raise
 
     def append(self, piece: bytes) -> None:
-        """Add a piece as a whole, or leave the file as it was.
+        """Add a piece, whole or not at all.
 
         Raises:
             OSError: there is no room, or the disk fails.
@@ -300,11 +296,11 @@ class RecordingFile:
                 rest = rest[os.write(self._fd, rest) :]
             os.fdatasync(self._fd)
         except OSError:
-            os.ftruncate(self._fd, self._length)  # this works on a full disk as well
+            os.ftruncate(self._fd, self._length)  # works on a full disk as well
             os.lseek(self._fd, self._length, os.SEEK_SET)
             raise
         self._length += len(piece)
 
     def close(self) -> None:
-        """Close the file; its bytes are on the disk already."""
+        """Close the file; nothing is buffered."""
         self._file.close()

@@ -1,19 +1,19 @@
-"""The recorder's process: it writes the supervisor's observations to the disk, twice a second.
+"""The recorder's process: it writes the frames that its supervisor sends to the disk, twice a second.
 
-Writing and syncing take as long as the disk takes, milliseconds or seconds. So a process of its own does it, in which
-no tick runs. The supervisor keeps the frames that the recorder has not taken in yet, within bounds. The recorder ends
-when the session is over, when it cannot write any more, or when the supervisor is gone. The file then has all frames
-that were taken in; if the recorder was killed, less than a second of them is lost.
+Writing and syncing take milliseconds or seconds, as long as the disk takes, so no process of the loop does it. The
+supervisor keeps frames that the recorder has not taken yet, within bounds, and learns how many were taken. The recorder
+ends when the session is over, when it cannot write any more, or when the supervisor is gone. The file then has all that
+was taken before. If the recorder is killed, less than a second is lost.
 
-A :class:`Plan` states what a recorder records and where to. A recorder reports its :data:`Status` to its supervisor on
-a pipe, one line of JSON for each:
+:class:`Plan` is what a recorder starts from: the file, the session, and the folder of its socket. Its statuses go to
+the supervisor on a pipe of their own, one line of JSON each:
 
-    {"ready": ENDPOINT}               the file is begun; the supervisor sends observations to this endpoint
-    {"taken": N}                      so many frames in all have been taken in: there is room for others
+    {"ready": ENDPOINT}               the file is begun; observations are expected at this endpoint
+    {"taken": N}                      N frames in all have been taken, so there is room for others
     {"stopped": TEXT, "tick": K}      nothing more can be written; the file is readable up to tick K
-    {"closed": {...}, "tick": K}      the file is whole; ticks missing by device
+    {"closed": {...}, "tick": K}      the file is complete; missing ticks by device
 
-A recorder and its supervisor have one version and run on one machine, so this is not part of the protocol.
+A recorder and its supervisor are of one version on one machine: these lines are no part of the protocol.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 
 class PlanError(Exception):
-    """A plan cannot be read; the message names the file and the reason."""
+    """A plan cannot be read; the message names the file and what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class Plan:
     """A recorder's plan.
 
     Attributes:
-        file: the absolute path of the recording.
+        file: the recording, absolute.
         directory: the run's own directory, mode 0700, where the recorder binds its socket.
-        recorded: the session that is recorded.
-        attachments: the contents of text files that go into the recording, by name.
-        started: the time at which the recording starts, ns since 1970.
+        recorded: the session to record.
+        attachments: text files that go into the recording, contents by name.
+        started: start of the recording, ns since 1970.
     """
 
     file: Path
@@ -62,10 +62,10 @@ class Plan:
     started: int = 0
 
     def save(self, path: Path) -> None:
-        """Write the plan to a new file that only its owner can read (mode 0600).
+        """Write the plan, readable for its owner alone (mode 0600).
 
         Raises:
-            OSError: the file exists or cannot be written.
+            OSError: the file cannot be written.
         """
         plain = {
             "file": str(self.file),
@@ -82,7 +82,7 @@ class Plan:
         """Read a plan.
 
         Raises:
-            PlanError: the file cannot be read, or is no plan.
+            PlanError: the file cannot be read, or holds no plan.
         """
         try:
             data = json.loads(path.read_text())
@@ -100,26 +100,26 @@ class Plan:
 
 
 MAX_LINE_BYTES: Final = 1024 * 1024
-"""The greatest length of a line, which may name every device."""
+"""The longest line: it may name every device."""
 
 
 @dataclass(frozen=True)
 class Ready:
-    """The file is begun; the recorder expects observations at ``endpoint``."""
+    """The file is begun; observations are expected at ``endpoint``."""
 
     endpoint: str
 
 
 @dataclass(frozen=True)
 class Taken:
-    """The number of frames that have been taken in since the beginning."""
+    """Number of frames that have been taken since the beginning."""
 
     frames: int
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """Nothing more can be written, for the reason ``text``; the file is readable up to ``tick``."""
+    """Nothing more can be written because of ``text``; the file is readable up to ``tick``."""
 
     text: str
     tick: int
@@ -127,7 +127,9 @@ class Stopped:
 
 @dataclass(frozen=True)
 class Closed:
-    """The file is whole up to ``tick``; ``missing`` has the number of ticks that never came, by device."""
+    """The file is complete up to ``tick``; ``missing`` counts the ticks that a device never reported, where there
+    are any.
+    """
 
     missing: Mapping[str, int]
     tick: int
@@ -152,10 +154,10 @@ def encode(status: Status) -> bytes:
 
 
 class Lines:
-    """Joins the pieces that a pipe delivers into lines.
+    """Joins the pieces that a pipe delivers into lines, and reads the statuses.
 
     Attributes:
-        nonsense: lines that were no status.
+        nonsense: number of lines that were no status.
     """
 
     def __init__(self) -> None:
@@ -163,7 +165,7 @@ class Lines:
         self.nonsense = 0
 
     def feed(self, piece: bytes) -> Iterator[Status]:
-        """The statuses whose lines are complete with ``piece``."""
+        """The statuses that are complete with ``piece``."""
         *whole, self._rest = (self._rest + piece).split(b"\n")
         if len(self._rest) > MAX_LINE_BYTES:
             self._rest = b""
@@ -194,85 +196,76 @@ def _decode(line: bytes) -> Status | None:
 
 
 FLUSH_EVERY: Final = from_seconds(0.5)
-"""The time between two writes; a killed recorder then loses less than a second, frames on their way included."""
+"""Twice a second, so that a killed recorder loses less than a second, frames on the way to it included."""
 
 TAKEN_EVERY: Final = 32
-"""Frames after which the recorder reports them as taken, even while more are waiting."""
+"""After so many frames they are reported as taken, even if more are waiting."""
 
-NICENESS: Final = 10  # on a busy machine the loop's processes come first: a late recorder costs nothing
-_PATIENCE: Final = from_seconds(0.1)
+NICENESS: Final = 10  # on a busy machine the loop's processes come first; a late recorder costs nothing
+_TIMEOUT: Final = from_seconds(0.1)
 
-Say = Callable[[Status], None]
+SendStatus = Callable[[Status], None]
 
 
-def to_pipe(fd: int) -> Say:
-    """A function that reports to the supervisor over its pipe; without a reader it does nothing."""
+def to_pipe(fd: int) -> SendStatus:
+    """A function that sends a status to the supervisor's pipe. A broken pipe is ignored here: ``Life`` sees the
+    supervisor end.
+    """
 
-    def say(status: Status) -> None:
+    def send(status: Status) -> None:
         try:
             os.write(fd, encode(status))
         except BrokenPipeError:
             return
 
-    return say
+    return send
 
 
-def record(plan: Plan, life: Life, clock: Clock, say: Say) -> int:
-    """Record until the session is over, or nothing more can be written; returns the exit code.
-
-    Args:
-        plan: the session, and the file to write.
-        life: whether the process should still run.
-        clock: paces the writes; a realtime one.
-        say: reports to the supervisor.
-    """
+def record(plan: Plan, life: Life, clock: Clock, send: SendStatus) -> int:
+    """Record until the session is over or nothing more can be written; returns the exit code."""
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:
         file = RecordingFile(plan.file, core.cut())
     except OSError as error:
-        return _stopped(say, _reason(error), 0)
+        return _stopped(send, _reason(error), 0)
     transport = ZmqTransport.ipc(plan.directory)
     try:
         link, endpoint = transport.bind("recorder", HUB)
-        say(Ready(endpoint))
-        return _Recording(core, file, link, clock, say).run(life)
+        send(Ready(endpoint))
+        return _Recording(core, file, link, clock, send).run(life)
     except TransportError as error:
-        return _stopped(say, str(error), 0)
+        return _stopped(send, str(error), 0)
     finally:
         transport.close()
         file.close()
 
 
 class _Recording:
-    """The loop of a recorder whose file has begun."""
+    """A file being written."""
 
-    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, say: Say) -> None:
-        self._core, self._file, self._link, self._clock, self._say = core, file, link, clock, say
-        self._taken = self._told = 0
-        self._tick = 0  # the tick up to which the file is on the disk
+    def __init__(self, core: RecorderCore, file: RecordingFile, link: Link, clock: Clock, send: SendStatus) -> None:
+        self._core, self._file, self._link, self._clock, self._send = core, file, link, clock, send
+        self._taken = self._reported = 0
+        self._tick = 0  # the file is on the disk up to this tick
 
     def run(self, life: Life) -> int:
-        """Take in frames, write and report, until the end; returns the exit code.
-
-        The loop reads all frames that wait before it reports or looks at ``life``: the supervisor holds them back until
-        they are reported as taken, and a request to end must not lose frames that came before it.
-        """
+        """Take frames, write them, report them as taken, until the end; returns the exit code."""
         core, clock = self._core, self._clock
         due = Instant(clock.now() + FLUSH_EVERY)
         try:
             while not core.over:
                 frame = self._link.recv(Duration(0))
-                if frame is None:
-                    self._tell()
-                    if life.stopping:  # only here, where every frame that came before has been taken in
+                if frame is None:  # report before waiting: the supervisor may hold frames back until it has room
+                    self._report_taken()
+                    if life.stopping:  # and every frame that came before has been taken
                         break
-                    frame = self._link.recv(Duration(min(_PATIENCE, max(due - clock.now(), 1))))
+                    frame = self._link.recv(Duration(min(_TIMEOUT, max(due - clock.now(), 1))))
                 if frame is not None:
                     core.take(frame, time.time_ns())
                     self._taken += 1
-                    if self._taken - self._told >= TAKEN_EVERY:
-                        self._tell()
+                    if self._taken - self._reported >= TAKEN_EVERY:
+                        self._report_taken()
                 life.look(clock.now())
                 if core.full or clock.now() >= due:
                     self._write(core.cut())
@@ -280,14 +273,14 @@ class _Recording:
             self._write(core.cut())
             self._write(core.end())
         except OSError as error:
-            return _stopped(self._say, _reason(error), self._tick)
-        self._say(Closed(core.missing_in_all, core.tick))
+            return _stopped(self._send, _reason(error), self._tick)
+        self._send(Closed(core.missing_in_all, core.tick))
         return EXIT_OK
 
-    def _tell(self) -> None:
-        if self._taken > self._told:
-            self._told = self._taken
-            self._say(Taken(self._taken))
+    def _report_taken(self) -> None:
+        if self._taken > self._reported:
+            self._reported = self._taken
+            self._send(Taken(self._taken))
 
     def _write(self, piece: bytes) -> None:
         if piece:
@@ -299,8 +292,8 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _stopped(say: Say, why: str, tick: int) -> int:
+def _stopped(send: SendStatus, why: str, tick: int) -> int:
     text = presentable(why)
-    say(Stopped(text, tick))
+    send(Stopped(text, tick))
     print(f"recording stopped at tick {tick}: {text}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
     return EXIT_FAILED

@@ -1,1 +1,1 @@
-"""A standing attack on certificates: what `prove` accepts is held against an oracle that shares no code with it."""
+"""A standing attack on certificates: an oracle that shares no code with `prove` checks what `prove` accepts."""

@@ -1,6 +1,6 @@
 """Forged certificates by class: numbers of one kind are changed, and the id is made that of the result.
 
-What a forger does may leave the claim true, which then counts like any other; a proof has to tell the two apart by the
+A forgery may leave the claim true, which then counts like any other; a proof has to distinguish the two by the
 mathematics alone.
 """
 

@@ -10,7 +10,7 @@ s(k), with x_c the coupling's end and x_e the tool:
     x_e - x_e- = s (x_c - x_c-),     x_c = x + C_V xi + D_V f_c,     f_c = s f_e,     f_e = -(C_E eta + D_E x_e).
 
 A sequence of delays, of ratios and of couplings that repeats is a linear map over its period, and its spectral radius
-(Floquet) says whether the loop is shaken.
+(Floquet) decides whether the loop is shaken.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What contradicts a certificate: suspects in floats, and those of them that remain in long numbers."""
+"""Contradictions to a certificate: suspects in floats, and those that long numbers confirm."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def judge(data: Data, rng: np.random.Generator, draws: int = 3, steps: int = 0) 
 
 
 def alone(data: Data) -> float:
-    """Growth with nobody at the devices, light or heavy, in long numbers: what statics that are not passive do."""
+    """Growth without hands at the devices, light or heavy, in long numbers: the effect of nonpassive statics."""
     return max(_alone(data, ticks) for ticks in (1.0, 1e3))
 
 

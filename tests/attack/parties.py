@@ -53,7 +53,7 @@ class Reader:
         return self.arithmetic.number(self.data["period"])
 
     def matrix(self, rows: Sequence[Sequence[float]], shape: tuple[int, int] | None = None) -> Array:
-        """A matrix of the file; ``shape`` says what JSON loses where there are no entries."""
+        """A matrix of the file; ``shape`` restores what JSON loses in an empty one."""
         rows = [list(row) for row in rows]
         if shape is None:
             shape = (len(rows), len(rows[0]))

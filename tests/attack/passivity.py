@@ -1,7 +1,7 @@
-"""What a certificate claims of each party, tested directly: statics by rationals, levels, and Hermitian parts.
+"""Direct tests of a certificate's claims about each party: statics by rationals, levels, and Hermitian parts.
 
-Every test answers with the names of what it contradicts. Frequencies are searched in floats, and what is found there is
-a suspect: :func:`confirmed` builds the Hermitian part again at that frequency, in balls.
+Every test returns the names of the claims that it contradicts. Frequencies are searched in floats, and a hit is a
+suspect: :func:`confirmed` builds the Hermitian part again at that frequency, in balls.
 """
 
 from __future__ import annotations
@@ -240,7 +240,7 @@ Part = Callable[[Reader, Any], Array]
 
 
 def parts(data: Data, ratios: tuple[float, ...]) -> dict[str, Part]:
-    """The matrices over frequency that a certificate says are never negative, by the name of the promise."""
+    """The matrices over frequency that a certificate claims never to be negative, by the name of the promise."""
     declared = data["environment"]["type"] == "declared"
     out: dict[str, Part] = {}
     for name in data["structure"]:

@@ -1,4 +1,4 @@
-"""Random sessions, designed: what the attack begins with. Scales run from 1e-6 to 1e15 within one matrix.
+"""Random sessions, designed: the starting points of the attack. Scales run from 1e-6 to 1e15 within one matrix.
 
 Each kind draws a loop and a coupling, and lets `design` certify them; most are refused, as they should be.
 """

@@ -1,4 +1,4 @@
-"""The seeded part of the attack, and the certificates that were false once: none of them is proved again."""
+"""The seeded part of the attack, and the once false certificates: none of them is proved again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The oracle itself: it shares no code with what it judges, its two ways agree, and it sees what is false."""
+"""The oracle itself: it shares no code with the proof, its two ways agree, and it finds false claims."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Named problems and random ones: Example 1 with the paper's couplings, networks, couplings, closed loops.
+"""Named and random problems: Example 1 with the paper's couplings, networks, couplings and closed loops.
 
-What the tests compare with is built here from the equations, on other ways than the code under test.
+Reference values are built here from the equations, by other methods than the code under test.
 """
 
 from __future__ import annotations

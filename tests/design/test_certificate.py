@@ -1,4 +1,4 @@
-"""The certificate file: exact, tamper-evident, and refused with the file's name when it is not one."""
+"""The certificate file: exact, tamper-evident; a file that is not a certificate is refused by name."""
 
 import copy
 import hashlib
@@ -123,7 +123,7 @@ def test_version_2_has_its_own_rule_and_stays_what_it_is(data: dict[str, Any], p
 
 
 def test_what_was_asked_is_recorded_and_no_claim(certificate, data: dict[str, Any], path: Path) -> None:
-    """A change of it is found by the id; with a new id everything holds, for the proof says nothing of it."""
+    """A change of it is found by the id; with a new id everything holds, because the proof does not cover it."""
     aimed = aim()
     weights = {name: {"num": list(W.num), "den": list(W.den)} for name, W in (("W1", aimed.W1), ("W2", aimed.W2))}
     assert data["asked"] == {"coupling": "given", "objective": "loop-shaping", "weights": weights}
@@ -311,7 +311,7 @@ SPOILT = [None, True, "x", "0.5", -1, 0, 1e300, -1e308, 5e-324, 1e17, 10**400, [
 @given(st.data())
 @settings(max_examples=cases(50, 250))
 def test_nothing_but_a_certificate_error_leaves_a_spoilt_file(data, path: Path, draw: st.DataObject) -> None:
-    """Also with the right id, of somebody who means it."""
+    """Also with the right id, as a forger would compute it."""
     at = draw.draw(st.sampled_from([*leaves(data), *sections(data)]))
     spoilt = put(data, at, draw.draw(st.sampled_from(SPOILT)))
     if draw.draw(st.booleans()):

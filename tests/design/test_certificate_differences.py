@@ -1,4 +1,4 @@
-"""What a proof alone does not say: that a certificate is about this session, and not about another."""
+"""A proof does not show which session a certificate belongs to; the comparison with the session does."""
 
 import dataclasses
 
@@ -122,7 +122,7 @@ def test_every_key_that_was_asked_counts(problems, linear: Certificate, asked, w
     assert same == []
 
 
-def test_what_a_message_shows_of_a_foreign_file_is_short_and_plain(problems, proved: Certificate) -> None:
+def test_messages_quote_foreign_files_shortly_and_plainly(problems, proved: Certificate) -> None:
     asked = {"coupling": "\x1b[2J", "objective": "x" * 1000, "order": [0] * 10_000}
     foreign = dataclasses.replace(proved, asked=asked)
     text = "\n".join([asked_text(asked), *differences(foreign, problems.example_1(), SpringDamperGiven(problems.C26))])
@@ -134,7 +134,7 @@ def test_what_a_message_shows_of_a_foreign_file_is_short_and_plain(problems, pro
 def test_version_2_is_compared_as_far_as_it_records(
     problems, proved: Certificate, shaped: Certificate, linear: Certificate
 ) -> None:
-    """How its coupling was found is not known, and so not at issue; that is what is said of it."""
+    """Version 2 does not record how its coupling was found: the comparison skips this and reports so."""
     loop = problems.example_1()
     old = of_version_2(proved)
     assert differences(old, loop, SpringDamperGiven(problems.C26)) == []
@@ -169,7 +169,7 @@ def test_another_loop_is_named(problems, proved: Certificate) -> None:
 
 
 def test_every_number_of_an_environment_counts(problems, proved: Certificate) -> None:
-    """Environments of the same kind, equal but for one thing."""
+    """Environments of the same kind that differ in one number."""
     loop, network = problems.example_1(), problems.network
     E = network.environment(1e-3)
     nudged = StateSpace(E.A, E.B, E.C, np.nextafter(E.D, np.inf))
@@ -209,7 +209,7 @@ def test_another_coupling_is_named(problems, proved: Certificate, linear: Certif
         (linear, SpringDamperWanted(), "spring-damper", "is not of the spring-damper class that the session wants"),
     ):
         assert differences(of_version_2(certificate), loop, wanted) == [f"the coupling {words}"]
-        # what was asked is no claim: the coupling itself is compared, whatever the file says of its origin
+        # what was asked is no claim: the coupling itself is compared, whatever origin the file states
         assert differences(asking(certificate, wanted), loop, wanted) == [f"the coupling {words}"]
         found = differences(certificate, loop, wanted)
         assert (found[0], found[-1]) == (NOT_ASKED + word, f"the coupling {words}")
@@ -233,6 +233,6 @@ def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate
         assert last == OTHER_AIM
 
 
-def test_all_that_differs_is_told(problems, proved: Certificate) -> None:
+def test_every_difference_is_reported(problems, proved: Certificate) -> None:
     found = differences(of_version_2(proved), problems.example_1(T=2e-3, osp=1.4), LinearWanted((1, 1, 1)))
     assert len(found) == 3

@@ -118,7 +118,7 @@ def test_every_kind_round_trips_and_is_proved_from_its_file(problems, path: Path
         np.testing.assert_array_equal(one.D, other.D)
 
 
-def test_certificates_that_differ_in_the_order_of_blocks_or_devices_have_other_ids(problems, path: Path) -> None:
+def test_another_order_of_blocks_or_devices_gives_another_certificate_id(problems, path: Path) -> None:
     loop, wanted = problems.example_1(), SpringDamperGiven(problems.uniform(800.0, 0.3))
     names, blocks = loop.partition.names, loop.partition.blocks
     turned = (
@@ -136,7 +136,7 @@ def test_certificates_that_differ_in_the_order_of_blocks_or_devices_have_other_i
         assert [d.name for d in read.loop.devices] == [d.name for d in certificate.loop.devices]
 
 
-def test_phi_with_the_structure_is_written_by_block_and_without_it_whole(problems, path: Path) -> None:
+def test_structured_phi_is_written_by_block_and_other_phi_whole(problems, path: Path) -> None:
     certificate = design(problems.example_1(), SpringDamperGiven(problems.C26)).certificate
     data = content(certificate)
     assert set(data["levels"]["Phi_E"]) == {"cx", "cy", "cz"}

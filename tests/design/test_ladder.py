@@ -132,7 +132,7 @@ def test_a_linear_coupling_is_softened_by_springs_and_dampers(problems) -> None:
     assert [rung.asked for rung in ladder.rungs] == [
         asked,
         asked,
-    ]  # the session's wish; method says how it was softened
+    ]  # the session's wish; method records how it was softened
 
 
 def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:
@@ -148,7 +148,7 @@ def test_what_is_asked_of_transparency_is_asked_of_the_rungs(problems) -> None:
     assert second.gamma < 40.0  # of feasible couplings, 49 and more
 
 
-def test_delays_without_a_coupling_are_told() -> None:
+def test_delays_without_a_coupling_are_reported() -> None:
     loop = late(PAIRED)
     first = design(loop, SpringDamperWanted()).certificate
     found = design_ladder(first, SpringDamperWanted(), QUARTERS)
@@ -164,7 +164,7 @@ def test_delays_without_a_coupling_are_told() -> None:
         design(replace(loop, tau=0.5 * T), SpringDamperWanted())
 
 
-def test_another_level_of_the_environment_is_looked_for_where_rung_0_needs_too_much() -> None:
+def test_if_rung_0_needs_too_much_another_environment_level_is_searched() -> None:
     """Rung 0's Phi_E may be as great as its own levels allow; then a rung has its own, and that serves rung 0 too."""
     loop = late(Partition(("a", "b", "c"), ((0,), (1,), (2,))))
     given_one = SpringDamperGiven(SpringDamper(np.diag([2600.0, 2600.0, 900.0]), np.diag([0.05, 0.05, 0.05])))
@@ -293,7 +293,7 @@ def test_rungs_of_another_loop_or_in_another_order_are_refused(lacking) -> None:
         prove_ladder((first, second), 0)
 
 
-def test_a_level_that_joins_blocks_is_for_changing_together_unless_it_is_passive(lacking) -> None:
+def test_a_nonpassive_level_that_joins_blocks_changes_their_rungs_together(lacking) -> None:
     m = 3
     for sign, independent in ((1.0, False), (-1.0, True)):
         first, second = forged(lacking)
@@ -333,7 +333,7 @@ def test_rungs_that_divide_a_device_differently_are_not_mixed() -> None:
     proof = prove_ladder([{**data, "id": "0"} for data in rungs], 0)
     assert proof.together.holds
     assert not proof.independent.holds
-    assert "another Delta_D" in proof.independent.argument
+    assert "a different Delta_D" in proof.independent.argument
     assert np.linalg.eigvalsh(osp - np.diag([0.147, 0.05])).min() > 0.0  # each rung keeps what the device promises
     assert (
         np.linalg.eigvalsh(osp - np.diag([0.147, 0.147])).min() < 0.0

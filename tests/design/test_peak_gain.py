@@ -106,7 +106,7 @@ def test_an_input_that_is_always_zero_adds_nothing() -> None:
 
 
 @given(stiffness=st.floats(10.0, 5000.0), damping=st.floats(1e-3, 5.0))
-def test_a_spring_damper_moves_its_tool_as_far_as_its_spring_does(stiffness: float, damping: float) -> None:
+def test_a_spring_damper_moves_its_tool_as_far_as_its_spring(stiffness: float, damping: float) -> None:
     """V = (K + B (1 - z^-1)/T)^-1: of |f| <= F, the part with memory is what V's static gain leaves beside D_V."""
     T = 1e-3
     block = SpringDamper(np.array([[stiffness]]), np.array([[damping]])).realisation(T)

@@ -1,4 +1,4 @@
-"""The loop's data: Delta_D in the coupling's structure, the scaling, and what is no loop."""
+"""The loop's data: Delta_D in the coupling's structure, the scaling, and data that are refused."""
 
 import numpy as np
 import pytest

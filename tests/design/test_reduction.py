@@ -1,4 +1,4 @@
-"""A certificate less its frozen blocks proves like any other, and (10) holds at any ratios of the blocks."""
+"""A certificate without its frozen blocks proves like any other, and (10) holds at any ratios of the blocks."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_every_kind_is_named(designed: dict[str, Certificate]) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_those_who_remain_are_certified_whoever_is_frozen(designed: dict[str, Certificate], kind: str) -> None:
+def test_remaining_users_are_certified_with_any_others_frozen(designed: dict[str, Certificate], kind: str) -> None:
     whole = designed[kind]
     names = whole.loop.partition.names
     for count in range(1, len(names)):
@@ -151,7 +151,7 @@ def test_it_is_a_principal_part_of_the_whole(designed: dict[str, Certificate], k
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_a_device_keeps_no_more_than_it_promises_without_its_frozen_axes(designed: dict[str, Certificate]) -> None:
+def test_without_frozen_axes_a_device_keeps_at_most_its_promised_level(designed: dict[str, Certificate]) -> None:
     """With no force at the frozen axes it is OSP with a Schur complement of its level, not with a part of it."""
     whole = designed["one device of three axes"]
     level = whole.loop.devices[0].level
@@ -172,7 +172,7 @@ def test_a_declared_environment_keeps_its_part(designed: dict[str, Certificate])
     assert held.levels.P_E == "enforced"
 
 
-def test_a_reduction_says_what_it_is_of_and_can_be_reduced_again(designed: dict[str, Certificate]) -> None:
+def test_a_reduction_names_its_origin_and_can_be_reduced_again(designed: dict[str, Certificate]) -> None:
     whole = designed["late"]
     once = reduced(reduced(whole, ["cx"]), ["cz"])
     at_once = reduced(whole, ["cx", "cz"])

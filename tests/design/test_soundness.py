@@ -1,7 +1,7 @@
-"""Theorem 3 itself: whatever prove() accepts is stable, with every passive hand, by the eigenvalues of the closed loop.
+"""Theorem 3 itself: every loop that prove() accepts is stable with every passive hand, by its eigenvalues.
 
-Claims are made by design() and forged: physical data of a proved certificate are changed until they may well be
-unstable, and some of what is claimed with them. What the loop does is computed here from E, V and the devices alone.
+The claims come from design() and from forgeries: the physical data of a proved certificate are changed until the loop
+may be unstable, together with some of the claims. The loop itself is computed here from E, V and the devices alone.
 """
 
 import copy
@@ -32,7 +32,7 @@ CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", cases(60, 300)))
 HANDS = 4  # hands and forgeries are cheap, designs are not
 FORGERIES = 5
 # Positions at rest have an eigenvalue 1, and 1 twice where masses drift: rounding splits that by its root, 1.5e-8 of
-# what is added in the loop. Data that pass the proof by a hair, and are unstable by less than this, are not told apart.
+# what is added in the loop. Data that pass the proof by a hair, and are unstable by less than this, look stable.
 STABLE = 1.0 + 1e-6
 
 Data = dict[str, Any]
@@ -242,7 +242,7 @@ def greatest_radius(problems, rng: np.random.Generator, data: Data, hands: list[
     for i in range(HANDS):
         # from a mass that stops within a tick to one that hardly does
         masses = damping * loop.period * 10.0 ** rng.uniform(-0.5, 3.0, m)
-        held = i % 2  # nobody holds every other one
+        held = i % 2  # every other one has no hand
         H = parallel_blocks([RationalMatrix(((hand,),)).realisation() for hand in hands])
         if not held:
             H = StateSpace.static(np.zeros((m, m)))
@@ -251,7 +251,7 @@ def greatest_radius(problems, rng: np.random.Generator, data: Data, hands: list[
         whole = device.continuous()
         tau = loop.tau * float(rng.choice([0.0, 0.5, 1.0, 1.0]))
         G = late_device(whole.A, whole.B[:, :m], whole.C[:m], loop.period, tau)
-        if not held:  # a hand's deflection that nobody holds is no state
+        if not held:  # without a hand its deflection is no state
             keep = [k for k in range(G.order) if not 2 * m <= k < 3 * m]
             G = StateSpace(G.A[np.ix_(keep, keep)], G.B[keep], G.C[:, keep], G.D)
         E = member(rng, loop.environment).environment(loop.period)

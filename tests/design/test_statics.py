@@ -140,7 +140,7 @@ def test_what_is_semidefinite_is_certified(certified) -> None:
     assert sum(least_pivot(E1, 0) == 0 for _, E1, _ in certified) > CASES // 4
 
 
-def test_what_is_off_by_a_hair_is_refused_by_design_and_by_proof(certified) -> None:
+def test_design_and_proof_refuse_statics_that_are_off_by_a_hair(certified) -> None:
     """The design refuses the session; the proof refuses its forged certificate: the one of the true neighbour."""
     for seed, true, data in certified:
         choose = random.Random(f"spoilt {seed}")
@@ -168,7 +168,7 @@ def environment_data(session: HapticLoop, like: dict[str, object]) -> object:
 # --- the couplings' side
 
 
-def test_a_static_block_beside_a_soft_one_is_not_symmetric_by_being_small() -> None:
+def test_a_small_static_block_beside_a_soft_one_must_be_symmetric() -> None:
     """A skew part of 2e-3 m/N is the whole of its own entry, whatever the compliance beside it is."""
     walls = StateSpaceEnvironment(("a", "b", "c"), StateSpace.static(5000.0 * np.eye(3)))
     V = StateSpace.static([[2e-3, 2e-3, 0.0], [-2e-3, 2e-3, 0.0], [0.0, 0.0, 2.1e9]])
@@ -220,7 +220,7 @@ def test_numbers_are_the_decimals_that_are_written() -> None:
         design(loop(StateSpaceEnvironment(("a", "b"), StateSpace.static(less)), 1e-3), SpringDamperWanted(Wish()))
 
 
-def test_a_system_that_states_its_static_gain_has_no_entries_without_states() -> None:
+def test_a_stated_static_gain_leaves_no_entries_without_states() -> None:
     """They would be dropped in silence, and the file would not be the certificate any more."""
     data = {"A": [], "B": [[1.0]], "C": [[1.0]], "static": [[100.0]]}
     with pytest.raises(ValueError, match="expected B and C without entries where A has none"):

@@ -1,4 +1,4 @@
-"""From a wish to a certificate, and errors that say what to relax."""
+"""From a wish to a certificate; errors name what to relax."""
 
 import dataclasses
 
@@ -75,7 +75,7 @@ def test_the_papers_algorithm_converges_as_it_did_for_the_paper(problems, name: 
     assert designed.watched == "||W Z - I||"
     # the feasible set is large: 660 and 705 N/m, the paper's, are other points of it
     assert np.all(np.abs(np.diag(certificate.spring_damper.stiffness) - 700.0) < 100.0)
-    assert told  # one who waits is told
+    assert told  # progress is reported
 
 
 @pytest.mark.parametrize("wish", [Wish(), Wish("stiffest"), Wish(algorithm="complementarity")])
@@ -84,8 +84,8 @@ def test_the_same_wish_gives_the_same_certificate(problems, wish: Wish) -> None:
     assert first.id == second.id
 
 
-def test_the_cap_on_iterations_is_an_error_or_said(problems) -> None:
-    """What two iterations found may be certified all the same; then the certificate says how it was found."""
+def test_the_cap_on_iterations_is_an_error_or_recorded(problems) -> None:
+    """The result of two iterations may still be certified; then the certificate records how it was found."""
     designed = design(problems.example_1(), SpringDamperWanted(Wish(iterations=2, algorithm="complementarity")))
     assert len(designed.history) == 3
     assert designed.history[-1] > 1e-4
@@ -105,7 +105,7 @@ def test_a_cap_before_anything_is_found(problems, monkeypatch: pytest.MonkeyPatc
 
 
 def test_ctrl_c_keeps_the_best_so_far(problems) -> None:
-    """Wherever it comes, from what the search tells onwards: the best iterate, certified, or the interrupt itself."""
+    """At any time after the first report of the search: the best iterate, certified, or the interrupt itself."""
     wanted = SpringDamperWanted(Wish(algorithm="complementarity"))
     for at in (1, 4, 8):
         told: list[str] = []

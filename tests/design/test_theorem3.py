@@ -51,14 +51,14 @@ def test_the_papers_couplings(problems, name: str, reference: float, least: floa
     Delta_V = loop.partition.embed(levels.Delta_V)
     np.testing.assert_allclose(Delta_V, loop.partition.embed(loop.partition.restrict(limit)), rtol=1e-7, atol=1e-12)
     assert np.linalg.eigvalsh(limit - Delta_V)[0] > 0.0
-    assert loop.partition.admits(levels.Phi_E)  # each block can be told its own part
+    assert loop.partition.admits(levels.Phi_E)  # each block can receive its own part
     assert np.shape(levels.P_E) == (2, 2)  # one mass: a deflection and a velocity, no integrators
     assert all(P is None for P in levels.P_V)
     assert problems.dissipation(loop, levels.Phi_E) > 0.0
 
 
 @pytest.mark.parametrize(("name", "reference", "least", "greatest"), PAPER[:2])
-def test_the_joint_program_says_the_same_of_the_papers_couplings(
+def test_the_joint_program_agrees_on_the_papers_couplings(
     problems, name: str, reference: float, least: float, greatest: float
 ) -> None:
     """(28) is beyond the cap of the program's levels."""
@@ -85,7 +85,7 @@ def test_the_joint_program_and_the_exact_way_agree_on_random_loops(problems, dat
     bound = np.linalg.eigvalsh(np.block([[loop.Delta_D + H, H], [H, Delta_V + H]]))[0]
     least = float(np.linalg.eigvalsh(loop.Delta_D)[0])
     assert found.best == pytest.approx(bound, rel=1e-9, abs=1e-9 * least)
-    # ... and the program says that it is not less. Where t is small against the levels, it says too much
+    # ... and the program reports that it is not less. Where t is small against the levels, it reports too much
     try:
         joint = joint_levels(loop, problems.blocks(loop, coupling), split, device).t
     except SolverFailure:
@@ -147,7 +147,7 @@ def test_the_damping_limit_is_named(problems) -> None:
 
 
 def test_a_coupling_at_its_limit_is_refused_before_the_proof_is(problems) -> None:
-    """J = B = 1/2 in exact numbers; in those of the machine nobody knows on which side it is."""
+    """J = B = 1/2 in exact numbers; in machine numbers its side of the limit is unknown."""
     loop = problems.example_1(osp=8.0)
     with pytest.raises(Infeasible, match=r"1.6e\+04 N/m, is not below .* 1.6e\+04 N/m"):
         certified(loop, problems.uniform(1.5e4, 0.5))
@@ -195,9 +195,7 @@ def test_other_coordinates_of_a_block_do_not_matter(problems) -> None:
     assert same == pytest.approx(problems.margin(loop, certified(loop, problems.C27)), rel=1e-3)
 
 
-def test_blocks_of_several_ports_beyond_the_joint_program_get_a_level_of_their_own(
-    problems, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_blocks_beyond_the_joint_program_get_their_own_level(problems, monkeypatch: pytest.MonkeyPatch) -> None:
     """The greatest multiple of Delta_D is an OSP level like another: certified, with no more margin than the best."""
     loop = problems.example_1(problems.centralised)
     blocks = problems.blocks(loop, problems.C27)
@@ -226,7 +224,7 @@ def test_a_second_order_block_is_certified(problems, units) -> None:
     assert problems.margin(loop, certify_given(loop, blocks)) > 0.9
 
 
-def test_a_second_order_block_that_is_not_passive_is_refused_with_its_frequency(problems) -> None:
+def test_a_nonpassive_second_order_block_is_refused_with_its_frequency(problems) -> None:
     loop = problems.example_1()
     with pytest.raises(Infeasible, match=r"V_hat is not passive at .* rad/s"):
         certify_given(loop, (resonant(2000.0, 40000.0, 300.0, 0.005, loop.period, np.eye(2)),) * 3)
@@ -262,7 +260,7 @@ def test_a_damper_that_is_hardly_there(problems, linear: bool) -> None:
 
 
 @pytest.mark.parametrize("linear", [False, True], ids=["springs", "linear"])
-def test_a_level_that_10_does_not_ask_for_is_positive_all_the_same(problems, linear: bool) -> None:
+def test_a_level_that_condition_10_does_not_need_is_positive(problems, linear: bool) -> None:
     """The weak device alone decides the best t; nothing in (10) keeps the other block's level above zero."""
     loop, coupling = two_ports(problems, ((0,), (1,)), [0.05, 5.0], 100.0), problems.uniform(20.0, 1e-3, 2)
     levels = certify_given(loop, problems.blocks(loop, coupling) if linear else coupling.restrict(loop.partition))

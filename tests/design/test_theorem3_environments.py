@@ -100,7 +100,7 @@ def test_without_delay_there_is_one_gain(problems) -> None:
 # --- environments that are late, uncertain, large
 
 
-def test_a_network_that_is_late_takes_what_theory_says(problems) -> None:
+def test_a_late_network_takes_what_theory_predicts(problems) -> None:
     """E one sample late needs Phi_E = 1.999 I at least: more than 1.37 has, less than 2.2 has."""
     late = DelayedNetwork(problems.network, 1)
     for osp, holds in ((1.37, False), (1.99, False), (2.01, True)):

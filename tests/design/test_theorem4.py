@@ -155,7 +155,7 @@ def test_an_environment_that_no_coupling_helps(problems) -> None:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
-def test_what_a_delay_leaves_of_the_device_is_what_the_environment_may_use(problems, share: float) -> None:
+def test_the_environment_may_use_what_the_delay_leaves_of_the_device(problems, share: float) -> None:
     """Phi_E < share Delta_D: a spring that is a tick late may have 2 share Delta_D / T."""
     limit = 2.0 * share * 1.37 / problems.T
     design_spring_damper(spring_late(problems, 0.9 * limit), share=share)

@@ -1,4 +1,4 @@
-"""Cone complementarity: it finds inverses where there are some, says where it stopped, and hands on what it has."""
+"""Cone complementarity finds inverses if there are any, and reports how far it got if it stops short."""
 
 import re
 
@@ -25,7 +25,7 @@ def output_feedback(A: Matrix, B: Matrix, C: Matrix, radius: float = 1.0) -> Rel
 
 
 def stabilisable(seed: int) -> tuple[Matrix, Matrix, Matrix]:
-    """An unstable system of order 3 that some F makes stable, known only to the one who built it."""
+    """An unstable system of order 3 that some F makes stable; only this function knows F."""
     rng = np.random.default_rng(seed)
     closed, B, C = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
     closed *= 0.7 / np.max(np.abs(np.linalg.eigvals(closed)))
@@ -61,7 +61,7 @@ def hopeless() -> Relaxed[Matrix]:
     return output_feedback(A, B, C)
 
 
-def test_a_program_without_solution_is_not_converged_and_says_how_far_it_got() -> None:
+def test_a_program_without_solution_does_not_converge_and_reports_its_residual() -> None:
     with pytest.raises(
         StoppedShort, match=r"output feedback: stopped after 12 iterations at .*, wanted < 1e-04"
     ) as error:

@@ -199,9 +199,7 @@ def random_storage(seed: int, n: int) -> Matrix:
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 3), st.floats(0.1, 3.0))
-def test_the_inequality_of_a_block_is_lemma_1_of_its_transformed_coupling(
-    seed: int, n: int, m: int, kappa: float
-) -> None:
+def test_a_blocks_inequality_is_lemma_1_of_its_transformed_coupling(seed: int, n: int, m: int, kappa: float) -> None:
     """Schur's complement of (15) at W Z = I is -M(P), for every V, P and Delta.
 
     Rounding: entries are below 1e3 times the condition of P and Delta, 1e5 at most.
@@ -218,7 +216,7 @@ def test_the_inequality_of_a_block_is_lemma_1_of_its_transformed_coupling(
 @settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 3))
 def test_room_is_not_asked_of_a_constant_force(seed: int, n: int, m: int) -> None:
-    """``room`` takes something off for every state, force and output but for what no coupling can dissipate."""
+    """``room`` takes something off for every state, force and output except what no coupling can dissipate."""
     V, P, Delta = random_block(seed, n, m), random_storage(seed, n + m), random_storage(seed + 1, m)
     N = block_matrix(V, P, Delta, 0.5) - block_matrix(V, P, Delta, 0.5, room=1.0)
     u, p = np.eye(m), np.random.default_rng(seed).normal(size=(n + m, m))
@@ -228,7 +226,7 @@ def test_room_is_not_asked_of_a_constant_force(seed: int, n: int, m: int) -> Non
     np.testing.assert_allclose(values, [0.0] * (n + 2 * m) + [1.0] * (n + 2 * m), atol=1e-12)
 
 
-def test_what_is_left_of_a_skew_static_compliance_is_taken_off_and_told(problems) -> None:
+def test_a_skew_remainder_of_static_compliance_is_removed_and_reported(problems) -> None:
     loop = problems.loop(Network(("p", "q"), (), ()), Partition(("c",), ((0, 1),)), [1.0, 1.0], problems.T)
     V = random_block(3, 2, 2)
     found = recover_linear(loop, [given_block(V, loop.period)])

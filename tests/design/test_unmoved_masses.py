@@ -149,7 +149,7 @@ def holds_over_frequency(loop: HapticLoop, network: Network, delay: int, Phi: Ma
 
 
 @dataclass(frozen=True)
-class Session:
+class LoopCase:
     """A loop, what it is made of, and what is asked for."""
 
     loop: HapticLoop
@@ -212,7 +212,7 @@ def random_request(rng: np.random.Generator, loop: HapticLoop, linear: bool) -> 
     return LinearWanted(tuple(int(rng.integers(0, 3)) for _ in loop.partition.blocks), wish)
 
 
-def sessions(linear: bool) -> Iterator[Session]:
+def sessions(linear: bool) -> Iterator[LoopCase]:
     """Random sessions without end, every one with masses that no port moves; late ones as soft as hands can hold."""
     seed = 0
     while True:
@@ -230,7 +230,7 @@ def sessions(linear: bool) -> Iterator[Session]:
             network = Network(network.ports, masses, links)
         environment = DelayedNetwork(network, delay) if delay else network
         loop = replace(loop, environment=environment)
-        yield Session(loop, network, delay, random_request(rng, loop, linear))
+        yield LoopCase(loop, network, delay, random_request(rng, loop, linear))
 
 
 @pytest.mark.parametrize("linear", [False, True], ids=["spring-damper", "linear"])
@@ -286,7 +286,7 @@ def test_an_unmoved_mass_changes_nothing(wanted: CouplingRequest, links: tuple[N
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e-9, 0.0), (0.0, 1e-9), (5.0, 0.0)])
-def test_a_mass_that_a_port_moves_a_little_is_not_left_out(stiffness: float, damping: float) -> None:
+def test_a_mass_that_a_port_barely_moves_is_kept(stiffness: float, damping: float) -> None:
     """A certificate without the mass, whose link to the port is then given the least stiffness or damping."""
     nothing = NetworkLink(("u", "p"), 0.0, 0.0)
     certificate = design(one_port((SPRING, nothing), (("u", 1.0),), 1), SpringDamperWanted()).certificate
@@ -307,7 +307,7 @@ def test_a_chain_of_unmoved_masses_moves_once_it_is_linked() -> None:
         assert np.array(certificate.levels.P_E).shape == (order, order)
 
 
-def test_an_environment_that_needs_nearly_all_of_the_level_gets_a_linear_coupling() -> None:
+def test_an_environment_needing_nearly_the_whole_level_gets_a_linear_coupling() -> None:
     """k T (d - 1/2) = 0.995 Delta_D: (10) asks for Delta_V > 199 Delta_D."""
     loop = one_port((NetworkLink(("p", GROUND), 0.995 / 0.5e-3, 0.0),), (), 1)
     certificate = design(loop, LinearWanted((1,))).certificate

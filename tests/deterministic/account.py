@@ -1,4 +1,4 @@
-"""Who waits for whom in a session that does not go on, in words."""
+"""An account in words of which node waits for which, for a session that does not go on."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 from manyhands.nodes.environment.membership import Membership
 
-from .process import Process
+from .process import SimulatedProcess
 from .world import SimulatedSession
 
 LATELY: Final = 40  # notes
@@ -36,7 +36,7 @@ def account(world: SimulatedSession, everything: bool = False) -> str:
     )
 
 
-def _where(process: Process, world: SimulatedSession) -> str:
+def _where(process: SimulatedProcess, world: SimulatedSession) -> str:
     turn = process.turn
     stack = [] if turn is None else turn.stack()
     where = " < ".join(f"{function}@{tick}" for function, tick in stack) or "not in its loop"

@@ -33,18 +33,18 @@ SESSIONS: Final[dict[str, tuple[Path, Sequence[str]]]] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """A run and what was found.
+class CampaignOutcome:
+    """A run and its findings.
 
     Attributes:
         faults: how many there were.
         ticks: the environment's at the end.
         restarts: processes that came back.
         steps: turns of all threads.
-        virtual: how long it took in virtual time, s.
+        virtual: its length in virtual time, s.
         slowest: the longest from a fault to calm, s of virtual time.
         violations: what did not hold.
-        account: of a run that did not hold: who waits for whom, and what happened before.
+        account: for a run with violations, which node waits for which, and the events before.
     """
 
     faults: int
@@ -64,10 +64,10 @@ def prepared(name: str) -> Prepared:
     return prepare(load_session(path, [*overrides, chaos_kinds.ENDURING]))
 
 
-def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, ticks: int = 0) -> Outcome:
-    """Run one session with so many faults; with ``frames`` the account tells of every frame.
+def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, ticks: int = 0) -> CampaignOutcome:
+    """Run one session with so many faults; with ``frames`` the account lists every frame.
 
-    With ``ticks`` the session ends by itself, and all that happens is that processes stand still for a while.
+    With ``ticks`` the session ends by itself, and the only faults are processes that stand still for a while.
     """
     world = SimulatedSession(prepared(name), clock, seed, frames, ticks)
     chaos = Faults(world, faults)
@@ -92,7 +92,7 @@ def run(name: str, clock: str, faults: int, seed: int, frames: bool = False, tic
         violations.append(f"no last word of {', '.join(silent)}")
     if violations and not told:
         told = account(world, frames)
-    return Outcome(
+    return CampaignOutcome(
         chaos.done.total(),
         ticks,
         world.restarts,

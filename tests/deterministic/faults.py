@@ -1,7 +1,7 @@
-"""What happens to a session of :mod:`tests.deterministic.world`: faults by its seed, and when it is given up.
+"""The faults of a session of :mod:`tests.deterministic.world`, drawn by its seed, and when it is given up.
 
-Mostly a fault waits for a stretch of calm. Some come while the one before is not over: after a time of any order of
-magnitude, or just when somebody on the way back says something to the supervisor.
+Most faults wait for a stretch of calm. Some come while the one before is not over: after a time of any order of
+magnitude, or just when a rejoining node sends something to the supervisor.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from chaos_kinds import Kind, draw
 from manyhands.launch.run.states import SessionPhase
 from manyhands.protocol.clock import from_seconds
 
-from .process import Process
+from .process import SimulatedProcess
 from .world import SimulatedSession
 
 OVERLAP: Final = 0.35
@@ -37,7 +37,7 @@ class Faults:
 
     Attributes:
         world: the session.
-        count: how many faults; with a session that has an end, as many as come before that, and nobody is killed.
+        count: how many faults; in a session with an end, as many as come before it, and no process is killed.
         done: the kinds so far.
         stalled: why the run was given up; empty for none.
         slowest: the longest from a fault to calm, ns.
@@ -61,7 +61,7 @@ class Faults:
         self._next_heard: int | None = None
 
     def watch(self) -> bool:
-        """Look at the world; whether it is over, or given up."""
+        """Check the world; returns whether it is over or given up."""
         world = self.world
         if world.conductor.phase is SessionPhase.OVER:
             return not world.processes
@@ -154,8 +154,8 @@ class Faults:
                 for node in victims:
                     world.kill(node)
 
-    def _slow(self, process: Process, times: int) -> None:
-        """Stop it, let it run a little, and so on."""
+    def _slow(self, process: SimulatedProcess, times: int) -> None:
+        """Stop the process and let it run a little, repeatedly."""
         world = self.world
         if times == 0 or world.processes.get(process.name) is not process:
             return

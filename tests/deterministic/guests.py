@@ -163,7 +163,7 @@ class Guest:
     random: Random
 
     def lead(self, node: DeviceNode, bundle: DeviceBundle, scheduler: Scheduler) -> None:
-        """Have a device's node do as the guest wishes: its driver, and no guard that would stop it."""
+        """Give a device's node the guest's driver, and a guard without limits."""
         if self.strategy.motion is Motion.HAND:
             return
         most = (1e300,) * len(bundle.common.ports)
@@ -181,7 +181,7 @@ class Guest:
         return PushingDriver(self.strategy, bundle.limits, T, time)
 
     def delay(self, tick: int, period: Duration) -> Duration:
-        """By how much the sample of ``tick`` leaves late, ns."""
+        """The delay with which the sample of ``tick`` leaves, ns."""
         plan = self.strategy
         match plan.timing:
             case Timing.IN_TIME:
@@ -199,7 +199,7 @@ class Guest:
         return Duration(round(late * period))
 
     def claim(self, tick: int, stamp: Instant, period: Duration) -> Instant:
-        """What the stamp of the sample of ``tick`` says, ns."""
+        """The stamp of the sample of ``tick``, ns."""
         match self.strategy.stamps:
             case Stamps.TRUE:
                 return stamp
@@ -246,7 +246,7 @@ class PushingDriver:
                 return max(-reach, min(reach, self._x[axis] + way * speed * passed))
 
     def apply(self, f: Sequence[float]) -> None:
-        """It is felt, and not obeyed."""
+        """Ignore the force."""
         self._f = list(f)
 
     def release(self) -> None:
@@ -257,11 +257,11 @@ class PushingDriver:
         """Nothing is put off."""
 
     def intended_work(self) -> float:
-        """None that it would admit."""
+        """Report none."""
         return 0.0
 
     def figures(self) -> Mapping[str, float]:
-        """Nothing to tell."""
+        """Report no figures."""
         return {}
 
     def close(self) -> None:
@@ -277,7 +277,7 @@ class GuestLink:
         self.recv = link.recv
 
     def send(self, frame: bytes) -> bool:
-        """Send it, late and with another stamp where it is a sample."""
+        """Send a frame; a sample leaves late and with the strategy's stamp."""
         message = decode(frame, MAX_CONTROL_BYTES)
         if not isinstance(message, Sample):
             return self._link.send(frame)
@@ -291,7 +291,7 @@ class GuestLink:
         return True
 
     def _send_late(self, frame: bytes) -> None:
-        """What has not left when the link is closed, or its process is gone, never does."""
+        """Send a delayed sample, unless the link is closed or its process is gone by then."""
         with suppress(TransportError):
             self._link.send(frame)
 

@@ -49,7 +49,7 @@ GIVEN_UP: Final = 60_000_000_000
 
 
 @dataclass(frozen=True)
-class Case:
+class HostileCase:
     """A session with its guest.
 
     Attributes:
@@ -78,8 +78,8 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """A run and what was found.
+class HostileOutcome:
+    """A run and its findings.
 
     Attributes:
         ticks: the environment's at the end.
@@ -87,7 +87,7 @@ class Outcome:
         received: J that the others have received at most, net.
         seconds: that it took in virtual time.
         wrong: what did not hold.
-        account: of a run in which something did not.
+        account: of a run with violations.
     """
 
     ticks: int
@@ -98,14 +98,14 @@ class Outcome:
     account: str
 
 
-def case(seed: int, honest: bool = False) -> Case:
+def case(seed: int, honest: bool = False) -> HostileCase:
     """The case of a seed."""
     random = Random(f"case {seed}")
     users = random.randint(1, 3)
     layout = random.choice([one for one in LAYOUTS if one != "joined" or users > 1])
     clock = "simulated" if random.random() < 0.25 else "realtime"
     moving = random.random() < 0.3
-    return Case(seed, clock, users, layout, moving, fair(random) if honest else strategy(random), honest)
+    return HostileCase(seed, clock, users, layout, moving, fair(random) if honest else strategy(random), honest)
 
 
 @cache
@@ -151,7 +151,7 @@ def prepared(users: int, layout: str, moving: bool, strong: bool = False) -> Pre
         return prepare(load_session(path))
 
 
-def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
+def run(one: HostileCase, ticks: int = TICKS, frames: bool = False) -> HostileOutcome:
     """Run one session, for so many ticks of its environment."""
     design, plan = prepared(one.users, one.layout, one.moving, one.honest), one.strategy
     tolerated = plan.timing is not Timing.IN_TIME and plan.late <= TOLERATED
@@ -202,7 +202,7 @@ def run(one: Case, ticks: int = TICKS, frames: bool = False) -> Outcome:
         told = account(world, frames)
     wrong += [(Wrong.PROMISE, text) for text in world.violations]
     seconds = (world.scheduler.now - began) / 1e9
-    return Outcome(
+    return HostileOutcome(
         reached, innocence.late.total(), innocence.most_received, seconds, tuple(wrong), told if wrong else ""
     )
 
@@ -214,7 +214,7 @@ def refused(world: SimulatedSession) -> bool:
 
 
 def slow_start(world: SimulatedSession, random: Random) -> None:
-    """Somebody is slow at first, as who still reads its program from a disk is."""
+    """A party is slow at first, like a process that still reads its program from a disk."""
     process = world.processes[random.choice(list(world.processes))]
     turn = process.turn
     assert turn is not None

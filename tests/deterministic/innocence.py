@@ -1,4 +1,4 @@
-"""What must hold for the others in a session with a hostile guest, watched tick by tick and judged at the end."""
+"""Invariants for the others in a session with a hostile guest, watched in each tick and judged at the end."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ AGAIN: Final = 6
 
 
 TELEMETRY: Final = 100
-"""Ticks after which the environment has told of what it did."""
+"""Ticks after which the environment's telemetry has its actions."""
 
 
 class Wrong(StrEnum):
-    """What may not happen to the others."""
+    """Effects on the others that must not occur."""
 
     LATE = "late beyond what is covered"
     FROZEN = "frozen"
@@ -58,7 +58,7 @@ class Wrong(StrEnum):
 
 
 class Innocence:
-    """What is seen of one session; a :class:`~tests.deterministic.process.Witness`.
+    """The observations of one session; a :class:`~tests.deterministic.process.Witness`.
 
     Attributes:
         late: by honest device, ticks whose force acted later than the certificate covers.
@@ -75,7 +75,7 @@ class Innocence:
             rest: whether the honest hands rest: then all energy that others receive is the guest's.
             tolerated: whether the guest is late by what the ladder was made for: others may be softened for it, and
                 what is covered is its last rung's delay.
-            told: whether it may be told of the others what they measure: the guest is within the allowance at times.
+            told: whether the others' measurements may be reported: the guest is within the allowance at times.
         """
         self._graph = topology(prepared.session)
         assert prepared.certificate is not None
@@ -104,7 +104,7 @@ class Innocence:
         self._T, self._began = prepared.session.period, -1
         self._least = 0.0  # of what the guest has given less P t
         self._too_much = ""
-        self._acted = -1  # the first tick with somebody frozen
+        self._acted = -1  # the first tick with a frozen member
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """Count an honest device's late ticks."""
@@ -117,10 +117,10 @@ class Innocence:
                 self.last_late = max(self.last_late, telemetry.tick - len(taus) + row)
 
     def settle(self, tick: int, f: Sequence[float], tools: Sequence[float], node: EnvironmentNode) -> None:
-        """Count what the others' ports take."""
+        """Add up the energy that the others' ports take."""
         before, self._before = self._before, list(tools)
         if before is not None:
-            members = node._members
+            members = node.members
             if self._acted < 0 and members is not None and not members.all_active:
                 self._acted = tick
             self.received += sum(f[i] * (tools[i] - before[i]) for i in self._ports)
@@ -133,7 +133,7 @@ class Innocence:
         if self._began < 0:
             self._began = tick
         allowed = self._power * self._T * (tick + 1 - self._began)
-        given = 0.0 if node._core is None else sum(node._core.energy.given[i] for i in self._guests)
+        given = 0.0 if node.core is None else sum(node.core.energy.given[i] for i in self._guests)
         self._least = min(self._least, given - allowed)
         if given - allowed - self._least > self._energy + SLACK:
             self._too_much = (
@@ -145,7 +145,7 @@ class Innocence:
             )
 
     def verdict(self, world: SimulatedSession, returns: int) -> list[tuple[Wrong, str]]:
-        """What did not hold, once the session is over; ``returns``: how often the guest came back."""
+        """The violations, once the session is over; ``returns`` counts the guest's returns."""
         found: list[tuple[Wrong, str]] = []
         members = world.members
         acted = False
@@ -165,7 +165,7 @@ class Innocence:
             if name in self.honest and absences:
                 found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
             acted = acted or (name not in self.honest and absences > 0)
-        core = None if world.environment is None else world.environment._core
+        core = None if world.environment is None else world.environment.core
         for i, coupling in enumerate(self._couplings) if core is not None else ():
             scaled = core.energy.scaled[i]
             if scaled and coupling in self.honest:
@@ -184,7 +184,7 @@ class Innocence:
         for sentence in told:
             if (
                 self.guest is not None and not self._told and self._blames(sentence)
-            ):  # otherwise it may be said what is the case
+            ):  # otherwise the sentence may state the fact
                 found.append((Wrong.NAMED, sentence))
         if (
             acted
@@ -196,11 +196,11 @@ class Innocence:
         return found
 
     def _told_by(self, world: SimulatedSession) -> bool:
-        """Whether it was so long ago that the environment has told of it."""
+        """Whether it was so long ago that the environment has reported it."""
         return self._acted >= 0 and world.tick - self._acted > TELEMETRY
 
     def _blames(self, sentence: str) -> bool:
-        """Whether somebody honest is the subject of what is told, and the guest is not even mentioned."""
+        """Whether a sentence has an honest party as its subject and does not mention the guest."""
         if self.guest is not None and self.guest in sentence:
             return False
         subject = re.match(r"(?:at [\d.-]+ s: )?(\w+)", sentence)
@@ -209,7 +209,7 @@ class Innocence:
 
 @contextmanager
 def watched_gates(scheduler: Scheduler, simulated: bool, wrong: list[tuple[Wrong, str]]) -> Iterator[None]:
-    """Meanwhile every gate is held to the path that its peer may go in the time that has truly passed."""
+    """A context in which every gate is checked against its peer's possible path in the time that truly passed."""
 
     class WatchedGate(Gate):
         """A gate, and what it should admit at most over any stretch of its signals."""

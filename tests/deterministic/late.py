@@ -1,4 +1,4 @@
-"""Sessions of which some users sample late: drivers that take their time, and what telemetry tells of everybody."""
+"""Sessions in which some users sample late: slow drivers, and the telemetry of everybody."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Delay = Callable[[int], float]
 
 
 class Late:
-    """A driver whose samples take their time."""
+    """A driver with slow samples."""
 
     def __init__(self, driver: Driver, clock: VirtualClock, delay: Delay) -> None:
         self._driver, self._delay = driver, delay
@@ -41,8 +41,8 @@ class Late:
         return self._driver.sample(tick)
 
 
-class Session(SimulatedSession):
-    """A session in real time of so many ticks, and all that its nodes told.
+class LateSession(SimulatedSession):
+    """A session in real time of so many ticks, and the telemetry of all its nodes.
 
     Attributes:
         told: the telemetry of each node.
@@ -85,7 +85,7 @@ class Session(SimulatedSession):
         return out
 
     def lateness(self, coupling: str) -> names.CouplingLateness | None:
-        """What the environment says in the end that a coupling made the others wait."""
+        """The environment's final figure of the time that the others waited for a coupling."""
         report = self.conductor.reports["environment"]
         return names.lateness_of(coupling, report.counts, report.figures)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
@@ -15,9 +15,9 @@ from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemet
 from manyhands.nodes.lifetime import Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, Value
 from manyhands.nodes.peer_link import PeerLink
-from manyhands.nodes.process import Member, Node, _ended
+from manyhands.nodes.process import Member, run_members
 from manyhands.nodes.supervisor_line import ControlLine
-from manyhands.protocol.clock import Instant, SimulatedClock
+from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Telemetry
 from manyhands.protocol.transport import Link
 
@@ -29,7 +29,7 @@ Note = Callable[[str], None]
 
 
 class VirtualLife:
-    """A :class:`manyhands.nodes.lifetime.Life` that no signal reaches but the world's."""
+    """A :class:`manyhands.nodes.lifetime.Life` that only the world's signals reach."""
 
     def __init__(self) -> None:
         self.stopping = self.orphaned = False
@@ -79,7 +79,7 @@ class NotedLog(Log):
 
 
 class SimulatedLine(ControlLine):
-    """A line to the supervisor that says a process id of its own."""
+    """A line to the supervisor that reports a process id of its own."""
 
     pid = 0
     silent = False
@@ -112,7 +112,7 @@ class LimitedDriver:
 
 
 class Witness(Protocol):
-    """Who looks at all that happens in a session."""
+    """An observer of all events in a session."""
 
     def hear(self, sender: str, telemetry: Telemetry) -> None:
         """The supervisor has heard telemetry of a node that runs."""
@@ -136,7 +136,7 @@ class WitnessedAccount(EnvironmentTelemetry):
         self._witness.settle(tick, core._f, core.tools, self._node)  # type: ignore[union-attr]
 
 
-class Process:
+class SimulatedProcess:
     """One process.
 
     Attributes:
@@ -165,16 +165,16 @@ class Process:
             bundle: the node's.
             pid: no other process of the session has had it.
             wires: what it is linked by.
-            note: is told of what happens.
-            violate: is told of what does not hold.
+            note: called with each event.
+            violate: called with each violation.
             moved: makes another driver of a device's own, by its name.
-            guest: who leads it; None for an honest one.
+            guest: the guest that leads it; None for an honest process.
             witness: looks at every tick of the environment.
         """
         self._witness = witness
         self.name, self.pid, self._moved, self._guest = bundle.common.name, pid, moved, guest
         self.life, self.code = VirtualLife(), 0
-        self.node: Node | None = None
+        self.node: DeviceNode | CouplingNode | EnvironmentNode | None = None
         self._bundle, self._note, self._violate = bundle, note, violate
         self._scheduler: Scheduler = wires.scheduler
         self._wires = wires
@@ -192,7 +192,7 @@ class Process:
         line.silent = self._guest is not None and not self._guest.strategy.telemetry
         # nothing is asked of this machine's kernel
         member = Member(replace(common, clock=SIMULATED), node, self._transport, line)
-        self.code = _ended([member], self.life, remote=False)  # type: ignore[arg-type]
+        self.code = run_members([member], self.life, remote=False)  # type: ignore[arg-type]
         self._transport.close()
 
     def terminate(self) -> None:
@@ -208,39 +208,29 @@ class Process:
     @property
     def peer_links(self) -> Sequence[PeerLink]:
         """Its links, once it has shaken hands."""
-        node = self.node
-        if isinstance(node, CouplingNode):
-            block = node._block
-            return (*node._devices, *([] if block is None else [block.environment]))
-        return getattr(node, "_peer_links", ())
+        return [] if self.node is None else self.node.peer_links
 
     def _led(self, link: WireLink) -> Link:
-        """A link to a peer, in the hands of who leads the process."""
+        """A link to a peer, under the guest's control if a guest leads the process."""
         if self._guest is None:
             return link
         return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)
 
-    def _made(self, clock: VirtualClock) -> Node:
-        """The node, which is told the virtual time wherever it would ask for the real one."""
-        node: Any
+    def _made(self, clock: VirtualClock) -> DeviceNode | CouplingNode | EnvironmentNode:
+        """The node, which reads the virtual time in place of the real one."""
+        node: DeviceNode | CouplingNode | EnvironmentNode
         match self._bundle:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
                 own = self._moved(self.name, driver_of(bundle), clock)
                 driver = LimitedDriver(own, self.name, limits, self._violate)
-                node = DeviceNode(bundle, driver)
+                node = DeviceNode(bundle, driver, clock)
                 if self._guest is not None:
                     self._guest.lead(node, bundle, self._scheduler)
-                node._realtime = clock
-                if not isinstance(node._clock, SimulatedClock):
-                    node._clock = clock
             case CouplingBundle() as bundle:
-                node = CouplingNode(bundle)
-                node._clock = clock
+                node = CouplingNode(bundle, clock)
             case EnvironmentBundle() as bundle:
-                node = EnvironmentNode(bundle)
-                node._clock = clock
+                node = EnvironmentNode(bundle, clock)
                 if self._witness is not None:
                     node._account = WitnessedAccount(bundle.common, self._witness, node)
-        made: Node = node
-        return made
+        return node

@@ -1,8 +1,8 @@
-"""Threads of which only one runs at any moment, in an order and in a virtual time that a seed decides.
+"""Threads of which exactly one runs at any moment; a seed decides their order and the virtual time.
 
-A node's loop is ordinary code that blocks where it receives and sleeps; so each has a thread. Wherever it would block
-it comes to :meth:`Scheduler.wait` instead and hands the baton to whoever is next. Time is a number: it advances to the
-earliest instant at which somebody can go on, and what a node computes costs it a little, drawn by the seed.
+A node's loop is ordinary code that blocks where it receives and sleeps, so each node has a thread. Instead of blocking,
+the thread calls :meth:`Scheduler.wait`, which lets the next thread run. Time is a number: it advances to the earliest
+instant at which a thread can go on. A node's computations cost a little of it, drawn by the seed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from manyhands.protocol.clock import Instant
 
 NEVER: Final = Instant(2**62)
 COST: Final = 8_000  # ns, at most, between two points at which a node may be made to wait
-TOGETHER: Final = 5_000  # ns; who can go on within this time goes in any order
+TOGETHER: Final = 5_000  # ns; threads that can go on within this time go in any order
 AT_ONCE: Final = 12  # points passed at most before another gets a turn
 PASSES: Final = 0.8  # the chance to go on at a point where there is nothing to wait for
 WATCHED: Final = 16  # steps between two looks at the world
@@ -34,7 +34,7 @@ class Killed(BaseException):
 
 
 class Source(Protocol):
-    """What is waited for: frames on their way."""
+    """The object of a wait: frames on their way."""
 
     def first(self) -> Instant:
         """When the next can be had; NEVER if there is none."""
@@ -87,7 +87,7 @@ class Turn:
 
 
 class Scheduler:
-    """Whose turn it is, and what time.
+    """Decides the next thread and the time.
 
     Attributes:
         random: decides what is left open; the world's only one.
@@ -116,13 +116,13 @@ class Scheduler:
         heapq.heappush(self._timers, (instant, next(self._order), deed))
 
     def after(self, duration: int, deed: Callable[[], None]) -> None:
-        """The same, from now on."""
+        """Have ``deed`` done after a time from now."""
         self.at(self.now + duration, deed)
 
     def begin(
         self, name: str, run: Callable[[], None], delay: int, ended: Callable[[BaseException | None], None]
     ) -> Turn:
-        """Start a thread; ``ended`` is told in it how it ended, None for in the ordinary way."""
+        """Start a thread; at its end it calls ``ended`` with the error, or with None."""
         turn = Turn(name, Instant(self.now + delay))
 
         def body() -> None:
@@ -131,7 +131,7 @@ class Scheduler:
             if error is None:
                 try:
                     run()
-                except BaseException as caught:  # noqa: BLE001 -- told, whatever it is
+                except BaseException as caught:  # noqa: BLE001 -- reported, whatever it is
                     error = caught
             turn.ended = True
             self._turns.remove(turn)
@@ -145,7 +145,7 @@ class Scheduler:
         return turn
 
     def run(self) -> None:
-        """Let everybody go on until the watch says stop or nothing is left; then end all threads."""
+        """Run the threads until the watch returns True or nothing is left; then end all threads."""
         self._hand_over(None)
         self._main.acquire()
         self._draining = True
@@ -157,7 +157,7 @@ class Scheduler:
             raise self.failure
 
     def join(self) -> list[str]:
-        """After :meth:`run`: whose thread is left, by name."""
+        """The names of the threads that are left after :meth:`run`."""
         return [turn.name for turn in self._turns]
 
     def wait(self, source: Source | None, deadline: Instant) -> None:
@@ -184,7 +184,7 @@ class Scheduler:
             turn.word = word
 
     def _hand_over(self, turn: Turn | None) -> None:
-        """Let the next one go on, and return when it is the turn of ``turn`` again."""
+        """Let the next thread run, and return at the next turn of ``turn``."""
         following = None
         if not self._draining:
             try:
@@ -200,7 +200,7 @@ class Scheduler:
             self._current = turn
 
     def _next(self) -> Turn | None:
-        """Whose turn it is, at what is then the present; None to stop."""
+        """The next thread; advances the time to its instant; None to stop."""
         while True:
             self.steps += 1
             if self.steps % WATCHED == 0 and self.watch():

@@ -1,6 +1,6 @@
 """Sessions withstand faults, by a fixed set of seeds.
 
-Others, by the thousand: ``python -m tests.deterministic.campaign``.
+Other seeds, by the thousand: ``python -m tests.deterministic.campaign``.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ def test_a_session_withstands_faults(session: str, clock: str, seed: int) -> Non
 @pytest.mark.parametrize(
     ("session", "clock", "seed"),
     [
-        ("example-1", "simulated", 100012),  # active in a tick before the one it was told to go on at
+        ("example-1", "simulated", 100012),  # active in a tick before the one that it was sent on to
         ("example-1", "simulated", 200020),  # a device one tick behind a coupling that is new
         ("crossed", "simulated", 100004),  # sent on by one of its blocks, awaited by the other in the ticks between
         ("crossed", "realtime", 100005),  # a pause counted in ticks that do not come
-        ("crossed", "simulated", 400016),  # an environment that is back waits for who has no sample to go by
+        ("crossed", "simulated", 400016),  # a returned environment waits for a member without a sample
         ("alone", "realtime", 200031),  # a first signal after long, too far from the last
     ],
 )
@@ -41,7 +41,7 @@ def test_what_once_stood_still_goes_on(session: str, clock: str, seed: int) -> N
     ("session", "seed"),
     [
         *((session, seed) for session in SESSIONS for seed in range(2)),
-        ("crossed", 700014),  # left to be told at the end, which the other block could not bring about without it
+        ("crossed", 700014),  # awaits a message at the end, which the other block could not bring about without it
         ("crossed", 700094),
     ],
 )

@@ -1,6 +1,6 @@
-"""Hostile guests within their bounds cost the others nothing but a stated transient, by a fixed set of seeds.
+"""Hostile guests within their bounds cost the others at most a stated transient, by a fixed set of seeds.
 
-Others, by the thousand: ``python -m tests.deterministic.hostile``.
+Other seeds, by the thousand: ``python -m tests.deterministic.hostile``.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from .guests import Motion, Stamps, Strategy, Timing
-from .hostile import Case, case, run
+from .hostile import HostileCase, case, run
 from .innocence import Wrong
 
 PATIENT = 300  # ticks: enough to be frozen, expected again and frozen again
@@ -29,19 +29,19 @@ def test_honest_sessions_do_not_notice(seed: int) -> None:
 
 @pytest.mark.parametrize("clock", ["simulated", "realtime"])
 def test_lying_stamps_gain_nothing(clock: str) -> None:
-    """Six periods claimed in every tick by who moves six times as fast as its limit."""
+    """A guest that moves six times as fast as its limit claims six periods in every tick."""
     lies = Strategy(stamps=Stamps.LONG, periods=6, motion=Motion.BANG, frequency=2.0)
-    outcome = run(Case(1, clock, 1, "plain", False, lies), PATIENT)
+    outcome = run(HostileCase(1, clock, 1, "plain", False, lies), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
 
 
 @pytest.mark.parametrize("late", [0.2, 0.7, 2.2])
-def test_who_is_late_within_patience_costs_the_others_no_more_than_a_transient(late: float) -> None:
-    outcome = run(Case(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
+def test_guests_late_within_the_timeout_cost_others_only_a_transient(late: float) -> None:
+    outcome = run(HostileCase(2, "realtime", 2, "plain", False, Strategy(timing=Timing.LATE, late=late)), PATIENT)
     assert not outcome.wrong, "\n".join([*(f"{kind}: {text}" for kind, text in outcome.wrong), outcome.account])
 
 
-def test_who_begins_far_from_its_tool_puts_no_more_into_the_others_than_its_budget() -> None:
+def test_a_start_far_from_its_tool_stays_within_the_energy_budget() -> None:
     """The first sample has no step: at once it was 4.8 J, and 1.7 J of that reached the others in a quarter second."""
     outcome = run(case(100616), 60)
     assert not [text for kind, text in outcome.wrong if kind is Wrong.ENERGY]
@@ -49,13 +49,13 @@ def test_who_begins_far_from_its_tool_puts_no_more_into_the_others_than_its_budg
 
 
 def test_of_two_late_couplings_of_a_guest_neither_hides_the_other() -> None:
-    """Who was read at once behind a late one was read first in the next tick: nobody was known to have waited."""
+    """A link read right behind a late one was read first in the next tick: no wait was charged to it."""
     outcome = run(case(100525), 400)
     assert Wrong.SOFTENED not in {kind for kind, _ in outcome.wrong}, outcome.wrong
 
 
 @pytest.mark.parametrize(("seed", "ticks"), [(4100141, 150), (4100291, 320)])
-def test_ticks_of_a_return_and_ticks_that_nobody_can_tell_apart_are_not_the_others(seed: int, ticks: int) -> None:
+def test_ticks_of_a_return_and_ambiguous_ticks_are_not_the_others(seed: int, ticks: int) -> None:
     """Of a late guest: each of its returns delayed the others; a sixth of its late ticks was taken for theirs."""
     assert run(case(seed), ticks).wrong == ()
 

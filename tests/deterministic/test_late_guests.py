@@ -1,6 +1,6 @@
-"""Users whose samples come late, within what the environment waits for, and what becomes of the others.
+"""Users whose samples come late, within the environment's timeouts, and the effect on the others.
 
-Whole sessions in virtual time, in the product's real-time clock, with its conductor and its judgement of delays.
+Whole sessions in virtual time under the realtime clock, with the product's conductor and its judgement of delays.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 
-from .late import Delay, Session
+from .late import Delay, LateSession
 
 TELEMETRY = 100  # ticks
 SETTLED = 2 * TELEMETRY
@@ -31,22 +31,22 @@ def prepared() -> Prepared:
     return prepare(load_session(FOLDER.parent / "launch" / "sessions" / "example1-delayed.yaml", RESTLESS))
 
 
-def uncovered(session: Session, device: str, begin: int) -> float:
+def uncovered(session: LateSession, device: str, begin: int) -> float:
     """Share of the ticks from ``begin`` on whose force came later than the certificate covers."""
     taus = session.taus(device)[begin:]
     return float(np.mean(taus[~np.isnan(taus)] > prepared().ladder.taus[0] * 1e6))  # type: ignore[union-attr]
 
 
-def named(session: Session) -> set[str]:
-    """Couplings that people are told about for having made others wait."""
+def named(session: LateSession) -> set[str]:
+    """The couplings that an incident names for the waits of others."""
     return {key.removesuffix(" late") for key in session.assumptions.notices if key.endswith(" late")}
 
 
-def softened(session: Session) -> set[str]:
+def softened(session: LateSession) -> set[str]:
     return {shift.coupling for shift in session.shifts if shift.rung > 0}
 
 
-def sound(session: Session) -> Session:
+def sound(session: LateSession) -> LateSession:
     assert session.violations == []
     assert session.conductor.faults == []
     return session
@@ -62,8 +62,8 @@ def sound(session: Session) -> Session:
     ],
     ids=["always", "a little", "every other tick", "two in turns"],
 )
-def test_who_is_late_within_patience_is_frozen_and_the_others_stay_certified(delays: dict[str, Delay]) -> None:
-    session = sound(Session(prepared(), 600, delays))
+def test_guests_late_within_the_timeout_are_frozen_and_others_stay_certified(delays: dict[str, Delay]) -> None:
+    session = sound(LateSession(prepared(), 600, delays))
     guests = {f"c{device[1:]}" for device in delays}
     for device in {"dx", "dy", "dz"} - delays.keys():
         assert uncovered(session, device, SETTLED) <= (len(guests) + 1) * SHARE
@@ -79,7 +79,7 @@ def test_who_is_late_within_patience_is_frozen_and_the_others_stay_certified(del
 
 @pytest.mark.parametrize("delay", [lambda _: 0.0, lambda tick: 0.8 * (tick % 2)], ids=["always", "and late in turns"])
 def test_who_samples_before_a_tick_is_due_makes_nobody_late(delay: Delay) -> None:
-    session = sound(Session(prepared(), 300, {"dz": delay}, early={"dz"}))
+    session = sound(LateSession(prepared(), 300, {"dz": delay}, early={"dz"}))
     assert session.lateness("cx") is None
     assert session.lateness("cy") is None
     assert softened(session) <= {"cz"}
@@ -87,7 +87,7 @@ def test_who_samples_before_a_tick_is_due_makes_nobody_late(delay: Delay) -> Non
 
 
 def test_what_it_cost_is_what_the_others_waited() -> None:
-    session = sound(Session(prepared(), 300, {"dz": lambda _: 2.2}))
+    session = sound(LateSession(prepared(), 300, {"dz": lambda _: 2.2}))
     lateness = session.lateness("cz")
     assert lateness is not None
     waited = np.nansum(session.taus("dx") - np.nanmedian(session.taus("dx")[SETTLED:]))
@@ -104,22 +104,22 @@ def test_what_it_cost_is_what_the_others_waited() -> None:
     ],
     ids=["a burst", "a slow start", "all alike", "all in turns"],
 )
-def test_who_is_late_for_a_while_or_as_the_others_are_is_not_frozen(delays: dict[str, Delay]) -> None:
-    session = sound(Session(prepared(), 700, delays))
+def test_devices_late_briefly_or_like_all_others_are_not_frozen(delays: dict[str, Delay]) -> None:
+    session = sound(LateSession(prepared(), 700, delays))
     assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
     assert named(session) == set()
     if len(delays) == 1:
         assert softened(session) == set()
 
 
-def rungs(session: Session, coupling: str) -> Iterable[int]:
-    """Those that it was asked to run, in order."""
+def rungs(session: LateSession, coupling: str) -> Iterable[int]:
+    """The rungs that the coupling was asked to run, in order."""
     return (shift.rung for shift in session.shifts if shift.coupling == coupling)
 
 
 def test_a_coupling_climbs_again_when_the_cause_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(breaches, "CALM", 0.3)
-    session = sound(Session(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
+    session = sound(LateSession(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
     for device in ("dx", "dy", "dz"):  # 0.3 ms and what is its own: more than rung 0 covers, less than rung 1
         assert list(rungs(session, f"c{device[1:]}")) == [1, 0]
         assert session.conductor.reports[device].counts[names.RUNG] == 0

@@ -106,15 +106,15 @@ class WireLink:
 
 
 class Wires:
-    """All endpoints of a session, and who has joined its hub.
+    """All endpoints of a session, and the nodes at its hub.
 
     Attributes:
-        endpoints: by what a node is told to connect to.
-        seen: told of every frame between nodes as it is sent: the process, the peer, the frame.
+        endpoints: the wires, by the endpoint that a node receives.
+        seen: called with every frame between nodes as it is sent: the process, the peer, the frame.
     """
 
     def __init__(self, scheduler: Scheduler, hear: Callable[[str, bytes], None]) -> None:
-        """``hear`` is told of each frame to the hub when it arrives, and by whom."""
+        """``hear`` receives each frame to the hub when it arrives, with its sender."""
         self.scheduler, self._hear = scheduler, hear
         self.endpoints: dict[str, Wire] = {}
         self.seen: Callable[[str, str, bytes], None] = lambda _sender, _peer, _frame: None
@@ -197,7 +197,7 @@ class ProcessTransport:
         raise NotImplementedError
 
     def bind_hub(self, name: str, members: Collection[str], address: str = "") -> tuple[Hub, str]:
-        """The supervisor has none here: it is told of what arrives."""
+        """The supervisor has no hub here: it receives each frame by a call."""
         raise NotImplementedError
 
     def settle(self) -> None:

@@ -41,7 +41,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
 
 from .guests import Guest
-from .process import Process, Witness
+from .process import SimulatedProcess, Witness
 from .scheduler import Killed, Scheduler, VirtualClock
 from .wires import Wires
 
@@ -58,9 +58,9 @@ class SimulatedSession:
 
     Attributes:
         scheduler: its time.
-        conductor: the product's.
+        conductor: the product's conductor.
         assumptions: the product's judgement of what devices measure.
-        processes: those that live, by node.
+        processes: the living processes, by node.
         violations: what did not hold, in words.
         notes: what happened lately, in words.
         heard: how many messages that move a node's state the conductor has heard.
@@ -88,7 +88,7 @@ class SimulatedSession:
             frames: whether every frame between nodes is noted, too.
             ticks: of the session; 0 for one that goes on until it is ended.
             moved: makes another driver of each device's own, by its name.
-            guest: who leads one of the devices, from another machine; None for a session of honest users.
+            guest: leads one of the devices, from a remote machine; None for a session of honest users.
             witness: looks at every tick and every telemetry; None for nobody.
         """
         self.scheduler = Scheduler(seed)
@@ -103,7 +103,7 @@ class SimulatedSession:
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
         self.shifts: list[ShiftCoupling] = []
         self._moved = moved
-        self.processes: dict[str, Process] = {}
+        self.processes: dict[str, SimulatedProcess] = {}
         self.violations: list[str] = []
         self.notes: deque[str] = deque(maxlen=20 * KEPT if frames else KEPT)
         self.heard = self.restarts = 0
@@ -156,7 +156,7 @@ class SimulatedSession:
     @property
     def members(self) -> Members | None:
         """The environment's, once it is in its loop."""
-        return None if self.environment is None else self.environment._members
+        return None if self.environment is None else self.environment.members
 
     @property
     def tick(self) -> int:
@@ -165,7 +165,7 @@ class SimulatedSession:
 
     @property
     def whole(self) -> bool:
-        """Whether everybody takes part."""
+        """Whether all nodes take part."""
         members, states = self.members, self.conductor.states
         if self.conductor.phase is not SessionPhase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
             return False
@@ -181,7 +181,7 @@ class SimulatedSession:
     def _start(self, name: str) -> None:
         pid = next(self._pids)
         guest = self._guest if self._guest is not None and name == self._guest.name else None
-        process = Process(
+        process = SimulatedProcess(
             self._bundles[name], pid, self._wires, self.note, self.violate, self._moved, guest, self._witness
         )
         self.processes[name] = process
@@ -193,8 +193,8 @@ class SimulatedSession:
         delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
         process.turn = self.scheduler.begin(name, process.run, delay, lambda error: self._ended(process, error))
 
-    def _ended(self, process: Process, error: BaseException | None) -> None:
-        """In the process's own thread: its last deed."""
+    def _ended(self, process: SimulatedProcess, error: BaseException | None) -> None:
+        """Report the end of a process; runs in its own thread."""
         code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
         if error is not None and not isinstance(error, Killed | Stopped):
             told = "".join(traceback.format_exception(error))
@@ -205,7 +205,7 @@ class SimulatedSession:
         self.scheduler.after(delay, lambda: self._see_end(process.name, code))
 
     def _see_end(self, name: str, code: int) -> None:
-        if name in self.conductor.remote:  # nobody sees it end
+        if name in self.conductor.remote:  # its end is not seen
             if self.conductor.phase is SessionPhase.RUNNING:
                 self._obey(self.conductor.silent(name, self.scheduler.now))
             if self.conductor.phase is SessionPhase.RUNNING:
@@ -246,7 +246,7 @@ class SimulatedSession:
         elif not isinstance(message, Probe):
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
-        self._obey(self.conductor.hear(sender, message, self.scheduler.now))
+        self._obey(self.conductor.receive(sender, message, self.scheduler.now))
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             if self._witness is not None:
                 self._witness.hear(sender, message)
@@ -257,8 +257,8 @@ class SimulatedSession:
                     self._obey(self.conductor.shift(deed.coupling, deed.rung))
                 else:
                     self._obey(self.conductor.stop(deed.reason))
-            for sentence in self._energy.hear(sender, message):
-                self.conductor.tell(sentence, self.scheduler.now)
+            for sentence in self._energy.receive(sender, message):
+                self.conductor.note(sentence, self.scheduler.now)
 
     def _obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:

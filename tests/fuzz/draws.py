@@ -46,11 +46,11 @@ class Draws:
 
 
 class Misdictated(Exception):
-    """A decision that was told is none that could be made."""
+    """A given decision is not one of those possible."""
 
 
 class Dictation(Draws):
-    """Decisions as they are told, one after the other, and the ``bytes`` that lead to them."""
+    """Given decisions, one after the other, and the ``bytes`` that lead to them."""
 
     def __init__(self, *told: object) -> None:
         super().__init__(b"")

@@ -1,4 +1,4 @@
-"""Frames as somebody would forge them who knows the protocol: whole messages, changed ones, and plain bytes.
+"""Forged frames by an attacker with knowledge of the protocol: whole messages, changed ones, and plain bytes.
 
 What there is to forge is read from the codec's own table and the messages' annotations, so a new message is forged
 as soon as it is in the protocol.
@@ -83,7 +83,7 @@ class Forger:
         return _pack(items)
 
     def _plain(self, depth: int = 0) -> object:
-        """Whatever MessagePack can say."""
+        """Any value that MessagePack can hold."""
         match self.draws.choice(PLAIN if depth < DEEPEST else PLAIN[:6]):
             case "bool":
                 return bool(self.draws.integer(0, 1))

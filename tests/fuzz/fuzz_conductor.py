@@ -1,6 +1,6 @@
 """Any messages from nodes and strangers to the conductor, in any order, between the ends of processes, deadlines and
-Ctrl-C: it never raises, everything it says can be sent, and a session only moves forward. Nodes come back no more often
-than their budgets allow, and nobody who runs is moved by what another one says.
+Ctrl-C: it never raises, every message of it can be sent, and a session only moves forward. Nodes come back at most as
+often as their budgets allow, and a message of one node moves no other running node.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def play(draws: Draws) -> None:
 
 
 def node_hello(sender: str) -> NodeHello:
-    """What ``sender`` says when all is well."""
+    """The correct hello of ``sender``."""
     binds = {link.connector: f"ipc:///s/{sender}-{link.connector}" for link in GRAPH.links if link.binder == sender}
     role = ROLES.get(sender, Role.DEVICE)
     return NodeHello(PROTOCOL_VERSION, CERTIFICATE, SESSION.name, sender, role, 1, binds)
@@ -156,7 +156,7 @@ class Watch:
     """A conductor, and beside it what may be known of a session from its messages alone."""
 
     def __init__(self, remote: frozenset[str], restarts: int) -> None:
-        budget = RestartBudget(restarts, Duration(2**63))  # nobody runs so long
+        budget = RestartBudget(restarts, Duration(2**63))  # no session runs so long
         self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote, OBSERVERS, budget)
         self.restarts = restarts
         self.begun = False
@@ -170,11 +170,11 @@ class Watch:
         self._terminated = False
 
     def hear(self, sender: str, received: Received, now: int = 0) -> None:
-        """The conductor is told of a message."""
+        """Give the conductor a message."""
         before = self._snapshot()
         if isinstance(received, Ready) and sender in self.welcomed:
             self.ready.add(sender)
-        out = self.conductor.hear(sender, received, now)
+        out = self.conductor.receive(sender, received, now)
         for one in out:
             if isinstance(one, Send) and isinstance(one.message, Welcome):
                 assert one.node == sender, f"{sender} spoke and {one.node} was welcomed"
@@ -201,19 +201,19 @@ class Watch:
         self.hear(node, Ready())
 
     def not_started(self, node: str) -> None:
-        """The conductor is told that there is no process for a node that it has started and that has said nothing."""
+        """Report to the conductor that a silent node that it has started has no process."""
         if node in self._processes and self.begun and self.conductor.states[node] is NodeState.STARTING:
             self._processes.remove(node)
             self.look(self.conductor.not_started(node, "no more processes", 0))
 
     def exited(self, node: str, code: int) -> None:
-        """The conductor is told of a process's end; a process ends once, and is one of this machine."""
+        """Report a process's end to the conductor; a process ends once, and is one of this machine."""
         if node in self._processes:
             self._processes.remove(node)
             self.look(self.conductor.exited(node, code, 0))
 
     def silent(self, node: str) -> None:
-        """The conductor is told that nothing was heard of a node for long; only one of elsewhere is missed so."""
+        """Report a long silence of a node to the conductor; only remote nodes are missed this way."""
         if node in self.conductor.remote:
             self.look(self.conductor.silent(node, 0))
 
@@ -295,7 +295,7 @@ class Watch:
                 self.absent[node].discard(message.peer)
 
     def _others_stay(self, sender: str, before: dict[str, NodeState], ending: bool) -> None:
-        """One node's message moves no other that runs or has run; who never came is not awaited once all end."""
+        """One node's message moves no other that runs or has run; a node that never came is not awaited at the end."""
         moved = {node for node, state in self.conductor.states.items() if node != sender and state is not before[node]}
         if self.begun and self.restarts:
             settled = {NodeState.RUNNING, NodeState.REPORTED, NodeState.FAULTED, NodeState.ENDED}
@@ -306,7 +306,7 @@ class Watch:
         assert all(self.conductor.states[node] is NodeState.ENDED for node in moved)
 
     def _told_observer(self, observer: str, received: Received, out: list[Instruction]) -> None:
-        """An observer that belongs is told where it is served, one that does not is refused; both are let go then."""
+        """A listed observer receives its endpoint, any other is refused; the name is free again after both."""
         if not isinstance(received, NodeHello | ForeignHello):
             assert out == [], f"{observer} brought about {out} with {received!r}"
             return
@@ -336,7 +336,7 @@ def _belongs(sender: str, received: Received) -> bool:
 
 @functools.cache
 def _in_place(sender: str) -> dict[str, Message]:
-    """What a node says, and what it should not."""
+    """Messages of a node in their place, and out of it."""
     hello = node_hello(sender)
     return {
         "hello": hello,

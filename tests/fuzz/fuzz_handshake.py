@@ -1,7 +1,7 @@
 """Any frames to one side of a link's handshake, at every point of it: it never raises, never strays from its states,
 and is never established with anyone but the node that it expects.
 
-What is right is said here a second time, apart from the code under test: :func:`belongs` and :func:`_expected`.
+The rules are written here a second time, apart from the code under test: :func:`belongs` and :func:`_expected`.
 """
 
 from __future__ import annotations
@@ -56,19 +56,19 @@ ENVIRONMENT: Final = LinkHello(*_SESSION, "environment", Role.ENVIRONMENT, _TWO)
 
 @dataclass(frozen=True)
 class Side:
-    """One side of a link: what it says of itself, the hello it hopes for, and whether it speaks first."""
+    """One side of a link: its own hello, the hello it expects, and whether it sends first."""
 
     own: LinkHello
     hopes: LinkHello
     opens: bool
 
     def handshake(self) -> LinkHandshake:
-        """The side, before anything was said."""
+        """The side before the first message."""
         return LinkHandshake(self.own, Expected(self.hopes.name, self.hopes.role, self.hopes.ports), self.opens)
 
     @cached_property
     def in_place(self) -> dict[str, Message]:
-        """What might be said in such a conversation, by either side or by somebody else."""
+        """A possible message in such a conversation, by either side or by a stranger."""
         hopes = self.hopes
         return {
             "hoped for": hopes,
@@ -179,7 +179,7 @@ def _check_side(handshake: LinkHandshake, side: Side) -> None:
 
 
 class _Told:
-    """A link at whose other end frames are forged, and the clock by which they come: both pass as they are told."""
+    """A link with forged frames at its other end, and their clock: the harness decides about both."""
 
     def __init__(self, draws: Draws, next_frame: Callable[[], bytes]) -> None:
         self._draws, self._next_frame = draws, next_frame
@@ -191,16 +191,16 @@ class _Told:
         return Instant(self._now)
 
     def sleep_until(self, t: Instant) -> None:
-        """Not for this clock: nobody is to wait for time to pass."""
+        """Not available: nothing may wait for time to pass."""
         raise AssertionError(f"slept until {t}")
 
     def send(self, frame: bytes) -> bool:
-        """Whether the frame found room: as told."""
+        """Whether the frame found room, as the harness decides."""
         self.said.append(frame)
         return self._draws.integer(0, 15) != 15
 
     def recv(self, timeout: Duration | None) -> bytes | None:
-        """A frame after as many ns as told, or none in the time allowed."""
+        """A frame after a decided time, ns, or none in the time allowed."""
         assert timeout is not None, "waited without a limit"
         assert 0 < timeout <= PATIENCE
         waited = self._draws.integer(0, 255)

@@ -1,4 +1,4 @@
-"""Runs all harnesses under atheris for a given time and says what came of it.
+"""Runs all harnesses under atheris for a given time and reports the results.
 
     python tests/fuzz/run.py SECONDS [--only HARNESS ...] [--jobs N] [--merge] [--work FOLDER]
 

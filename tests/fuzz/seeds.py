@@ -80,7 +80,7 @@ def _handshake() -> Iterator[tuple[str, bytes]]:
             },
         }.items():  # fmt: skip
             yield f"{side}-{name}".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "pure", *said)
-        # each frame after 5 ns; 0: what is said in return finds room
+        # each frame after 5 ns; 0: the answers find room
         over = (0, 5, *hello, 0) if fuzz_handshake.SIDES[side].opens else (5, *hello, 0, 5, *welcome)
         yield f"{side}-link".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link", *over)
         yield f"{side}-silence".replace(" ", "-"), _bytes(fuzz_handshake.play, side, "over a link")
@@ -179,7 +179,7 @@ def _each(event: str, nodes: tuple[str, ...], *rest: object) -> list[object]:
 
 
 def _bytes(play: Callable[[Dictation], None], *told: object) -> bytes:
-    """The data that makes a harness decide as told, whatever it then finds."""
+    """The data that leads a harness to given decisions, whatever it then finds."""
     dictation = Dictation(*told)
     # what the harness finds fault with is for the replay to say, not for the writing of seeds
     with contextlib.suppress(AssertionError, ValueError):

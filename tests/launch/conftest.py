@@ -1,4 +1,4 @@
-"""Random sessions for whatever follows from a session's structure."""
+"""Random sessions for everything that follows from a session's structure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The budget of a session: which figures are shown, to people and to programs, and the picture."""
+"""The budget of a session: its figures for people and for programs, and the picture."""
 
 from __future__ import annotations
 

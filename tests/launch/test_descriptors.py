@@ -1,4 +1,4 @@
-"""A limit of open files that is too low is found before anything is made, where ZeroMQ would abort in the middle."""
+"""Too low a limit of open files is found before anything is made; ZeroMQ would abort in the middle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pictures of a design: what is drawn is what the systems do, and files are whole or not there."""
+"""The pictures of a design show the systems' behaviour, and their files are whole or absent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are written: whole, through no link, one run at a time, and all by the same two functions."""
+"""Written files are whole, go through no link, serve one run at a time, and use the same two functions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ RUN = Recording("s", "id", 0.001, ("a",), np.zeros((3, 1)), np.zeros((3, 1)))
     ],
 )
 def test_no_name_that_others_can_guess_leads_a_file_elsewhere(partial: str, write: object, tmp_path: Path) -> None:
-    """In a shared folder somebody has laid a link of the name under which 0.5.0 wrote, to a file of ours."""
+    """In a shared folder another user has put a link to our file, under the name that 0.5.0 wrote."""
     ours = tmp_path / "ours"
     ours.write_bytes(b"precious")
     folder = tmp_path / "shared"
@@ -133,7 +133,7 @@ HOLD = "import sys; from pathlib import Path; from manyhands.launch.files import
 HOLD += "with claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 
 
-def test_a_second_launch_with_one_recording_is_refused_at_once_and_says_whose_it_is(tmp_path: Path) -> None:
+def test_a_second_launch_with_one_recording_is_refused_naming_the_owner(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -167,7 +167,7 @@ def test_a_claim_is_of_one_file_and_goes_with_the_run(tmp_path: Path) -> None:
         pass
 
 
-def test_a_lock_is_not_taken_through_a_link_or_from_a_pipe(tmp_path: Path) -> None:
+def test_no_lock_is_taken_through_a_link_or_pipe(tmp_path: Path) -> None:
     ours, lock = tmp_path / "ours", tmp_path / ".run.npz.lock"
     ours.write_bytes(b"precious")
     lock.symlink_to(ours)

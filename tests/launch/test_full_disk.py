@@ -1,4 +1,4 @@
-"""A disk without room, by the limit of a file's size: the error names the file, and nothing half-written is left."""
+"""A full disk, by the limit of a file's size: the error names the file, and no partial file is left."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Files that come from elsewhere: pipes and devices, claims of size, bombs, secrets, and the names that stand in them.
+"""Files from elsewhere: pipes and devices, claims of size, bombs, secrets, and the names in them.
 
-Nothing here is timed: what would wait for ever, or fill the memory, shows by doing so.
+Nothing here is timed: a wait without end, or a full memory, shows itself.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def test_what_is_no_regular_file_is_refused_without_waiting_for_it(reader: str, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_is_bounded_before_it_is_read_and_while_it_is(tmp_path: Path) -> None:
+def test_a_files_size_is_bounded_before_and_while_reading(tmp_path: Path) -> None:
     path = tmp_path / "f"
     path.write_bytes(b"12345")
     assert read_regular(path, 5) == b"12345"
@@ -101,7 +101,7 @@ def test_a_file_is_bounded_before_it_is_read_and_while_it_is(tmp_path: Path) -> 
         with pytest.raises(OSError, match="Is longer than 4 bytes"):
             refused()
     with pytest.raises(OSError, match="Is longer than 10 bytes"):
-        read_regular(Path("/proc/self/status"), 10)  # regular, says that it has no bytes, and has some
+        read_regular(Path("/proc/self/status"), 10)  # regular, with a stated size of 0 bytes, and has some
 
 
 # --- what a refused file holds stays where it is
@@ -147,7 +147,7 @@ def npz_with(header: dict[str, Any], path: Path, content: bytes = b"") -> None:
         ({"shape": (1, 1), "descr": "|O"}, "which holds Python's objects"),
     ],
 )
-def test_an_array_is_held_against_its_file_before_room_is_made_for_it(
+def test_an_arrays_size_is_checked_against_its_file_before_allocation(
     header: dict[str, Any], found: str, tmp_path: Path
 ) -> None:
     npz_with(header, tmp_path / "r.npz", bytes(8))
@@ -203,7 +203,7 @@ def test_kilobytes_that_unpack_to_gigabytes_are_not_unpacked(bomb: bytes, what: 
     assert read_info(path).cut is not None
 
 
-def test_a_message_longer_than_any_row_of_its_topic_is_not_parsed(tmp_path: Path) -> None:
+def test_a_message_longer_than_its_topics_rows_is_not_parsed(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
     rows = b'{"tick": 7, "time": 0.007, "x": [' + b"0," * 100_000 + b"0]}"
     path.write_bytes(beginning() + chunk(message(rows)))
@@ -308,13 +308,13 @@ def test_a_hostile_recording_writes_nothing_elsewhere_and_commands_no_terminal(
         assert "evil" in result.output
 
 
-def test_what_a_terminal_obeys_is_not_said() -> None:
+def test_terminal_controls_are_not_printed() -> None:
     shown = io.StringIO()
     say(Console(file=shown, color_system=None, width=200), "a\x1b[2Jb\x07c\x9b31md\ne")
     assert shown.getvalue() == "a\ufffd[2Jb\ufffdc\ufffd31md\ne\n"
 
 
-def test_a_key_is_not_read_through_a_link_or_from_a_pipe(tmp_path: Path) -> None:
+def test_no_key_is_read_through_a_link_or_pipe(tmp_path: Path) -> None:
     """A link in the folder of private keys, or in the place of that folder, is refused
     (tests/launch/plan/test_keys.py)."""
     pair = new_pair()

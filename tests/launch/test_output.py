@@ -1,4 +1,4 @@
-"""Output that cannot be written any more: a display is dropped, a session goes on, a command that only prints ends."""
+"""Output without a reader: the display is dropped, a session goes on, a command that only prints ends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PREAMBLE = "import sys, os\nfrom manyhands.launch import output\noutput.install(
 
 @contextmanager
 def broken(how: str) -> Iterator[IO[bytes]]:
-    """A stream that takes nothing: the disk behind it is full, or whoever read it has left."""
+    """A stream that takes nothing: the disk behind it is full, or its reader has left."""
     if how == "full":
         with open("/dev/full", "wb") as stream:
             yield stream
@@ -48,7 +48,7 @@ def python(
 
 
 def test_a_session_goes_on_without_its_display_and_reports_it(tmp_path: Path) -> None:
-    """Here nobody reads it any more; a full disk behind it is in tests/system/test_surroundings.py."""
+    """Here its reader has left; tests/system/test_surroundings.py has a full disk behind it."""
     launch = ("-m", "manyhands", "launch", str(ALONE), "--clock", "simulated", "--duration", "0.3")
     with broken("closed") as err:
         code, _, _ = python(*launch, "--report", str(tmp_path / "run.json"), err=err)
@@ -67,7 +67,7 @@ def test_whatever_is_written_to_a_broken_standard_error_is_dropped(how: str) -> 
     assert out.startswith("standard error: ")
 
 
-def test_a_command_with_other_work_goes_on_when_its_reader_has_had_enough() -> None:
+def test_a_command_with_other_work_outlives_its_reader() -> None:
     with broken("closed") as out:
         found = python(
             "-c", PREAMBLE + "print('x', flush=True)\nprint('went on', file=sys.stderr)\nsys.exit(3)", out=out
@@ -75,7 +75,7 @@ def test_a_command_with_other_work_goes_on_when_its_reader_has_had_enough() -> N
     assert found == (3, "", "went on\n")
 
 
-def test_a_command_that_only_prints_ends_quietly_when_its_reader_has_had_enough() -> None:
+def test_a_command_that_only_prints_ends_quietly_with_its_reader() -> None:
     script = PREAMBLE + "with output.pipe_may_close():\n    while True: print('x' * 99)"
     with broken("closed") as out:
         assert python("-c", script, out=out) == (0, "", "")
@@ -87,7 +87,7 @@ def test_results_that_find_no_room_are_an_error_that_names_where() -> None:
         assert (code, err) == (1, "error: standard output: No space left on device\n")
 
 
-def test_a_file_never_gets_the_number_of_a_stream_that_the_process_was_started_without() -> None:
+def test_a_file_never_gets_the_number_of_a_missing_stream() -> None:
     command = f'exec {sys.executable} -P -c "$0" 0<&- 2>&-'
     script = PREAMBLE + "file = open(os.devnull); print(file.fileno() > 2); print('x', file=sys.stderr)"
     done = subprocess.run(
@@ -101,7 +101,7 @@ def test_characters_that_an_encoding_lacks_are_escaped() -> None:
     assert python("-c", PREAMBLE + "print('\\u03c4 ü')", env=env) == (0, "\\u03c4 ü\n", "")
 
 
-def test_a_terminal_that_takes_nothing_is_seen_before_it_is_waited_for() -> None:
+def test_a_stalled_terminal_is_noticed_before_it_is_waited_for() -> None:
     read, write = os.pipe()
     script = PREAMBLE + "free = output.has_room(sys.stderr)\nprint(free, flush=True)"
     with os.fdopen(read, "rb"), os.fdopen(write, "wb") as err:

@@ -31,7 +31,7 @@ T = 1e-3
 
 
 class Liar:
-    """A driver that says any motion, whatever force it is told to exert."""
+    """A driver that reports any motion, whatever force it exerts."""
 
     axes = 1
 
@@ -93,7 +93,7 @@ def test_the_others_receive_no_more_of_a_guest_than_its_budget(
     # what the others' mechanisms have really received, by their own samples and forces
     work = np.sum(recording.f_v[:-1, 1:] * np.diff(recording.x[:, 1:], axis=0))
     assert work <= 1.0 + 0.5 * 2.5
-    assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # nobody else is charged,
+    assert energy.given[1:] == pytest.approx([0.0, 0.0], abs=1e-9)  # no other is charged,
     assert np.min(np.array(ratios)[:, 1:]) == 1.0  # nor scaled
     assert isinstance(simulation.environment, EnforcedCore if enforce == "true" else EnvironmentCore)
     assert energy.stops[0] >= 1
@@ -110,7 +110,7 @@ def test_a_strong_honest_hand_is_not_scaled(designed: Prepared) -> None:
     assert simulation.environment.energy.given[0] > 0.1
 
 
-def test_the_default_is_what_the_device_can_do_and_at_most_a_hand() -> None:
+def test_the_default_is_the_devices_ability_and_at_most_a_hands() -> None:
     limits = [
         "devices.dx.limits={force: 8, speed: 2, displacement: 0.2}",
         "devices.dy.limits={power: 3, energy: 4}",
@@ -129,31 +129,31 @@ class TestSentences:
     def incidents(self) -> EnergyIncidents:
         return EnergyIncidents(topology(load_session(EXAMPLE)), T)
 
-    def test_who_let_go_is_told_with_who_moved_it(self) -> None:
+    def test_a_device_that_let_go_is_reported_with_its_mover(self) -> None:
         incidents = self.incidents()
-        assert incidents.hear("dy", self.told(100, let_go=1.0)) == []  # the environment has not told of that tick
-        assert incidents.hear("environment", self.told(99, moved_cx__cy=1.0)) == []
-        (sentence,) = incidents.hear(
+        assert incidents.receive("dy", self.told(100, let_go=1.0)) == []  # the environment has not reported that tick
+        assert incidents.receive("environment", self.told(99, moved_cx__cy=1.0)) == []
+        (sentence,) = incidents.receive(
             "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
         )
         assert sentence.startswith("dy was beyond its limits")
         assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
-    def test_who_moved_itself_is_told_so(self) -> None:
+    def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
-        incidents.hear("dy", self.told(100, let_go=1.0))
-        (sentence,) = incidents.hear("environment", self.told(100, moved_cy__cx=3.0))
+        incidents.receive("dy", self.told(100, let_go=1.0))
+        (sentence,) = incidents.receive("environment", self.told(100, moved_cy__cx=3.0))
         assert sentence.endswith("nobody else has moved it")
 
-    def test_a_party_beyond_its_budget_is_told_and_not_ten_times_a_second(self) -> None:
+    def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()
-        (sentence,) = incidents.hear("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
+        (sentence,) = incidents.receive("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
         assert sentence.startswith("cx (dx) was beyond its energy budget")
         assert sentence.endswith("it has put 1.25 J into the others so far")
-        assert incidents.hear("environment", self.told(200, stops_cx=2.0)) == []
+        assert incidents.receive("environment", self.told(200, stops_cx=2.0)) == []
         later = 100 + round(QUIET / T)
-        assert len(incidents.hear("environment", self.told(later, stops_cx=3.0))) == 1
-        assert incidents.hear("environment", self.told(2 * later, stops_cx=3.0)) == []
+        assert len(incidents.receive("environment", self.told(later, stops_cx=3.0))) == 1
+        assert incidents.receive("environment", self.told(2 * later, stops_cx=3.0)) == []
 
 
 class TestLine:

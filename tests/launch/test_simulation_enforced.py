@@ -120,7 +120,7 @@ def test_a_level_by_port_or_as_a_matrix(file: Path, level: str, matrix: list[lis
         ("environment.delay=1", r"unknown key 'delay'"),
     ],
 )
-def test_what_is_wrong_is_told_at_its_place(file: Path, override: str, error: str) -> None:
+def test_errors_are_reported_at_their_place(file: Path, override: str, error: str) -> None:
     with pytest.raises(SessionError, match=error):
         load_session(file, [override])
 
@@ -182,7 +182,7 @@ def test_without_enforcement_there_is_no_certificate(file: Path, tmp_path: Path)
         read_certificate(certificate, session)
 
 
-def test_a_level_beyond_the_devices_is_enforced_all_the_same_but_certifies_nothing(file: Path) -> None:
+def test_a_level_beyond_the_devices_is_enforced_but_certifies_nothing(file: Path) -> None:
     session = load_session(file, ["environment.level=1.4"])
     with pytest.raises(NotCertified, match="declared level"):
         prepare(session)
@@ -260,7 +260,7 @@ def test_design_and_verify_tell_what_is_enforced(file: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("importable")
-def test_a_run_says_whose_code_it_is(file: Path) -> None:
+def test_a_run_names_the_model_whose_code_it_runs(file: Path) -> None:
     runner = CliRunner()
     done = runner.invoke(app, ["simulate", str(file), "--duration", "0.05"])
     assert done.exit_code == 0

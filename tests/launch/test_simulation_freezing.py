@@ -34,7 +34,7 @@ TICKS = 240
 
 
 def random_plain(rng: np.random.Generator) -> dict[str, Any]:
-    """Three users with one or two axes each, who meet at two masses and directly."""
+    """Three users with one or two axes each, coupled through two masses and directly."""
     dofs = rng.integers(1, 3, 3)
     devices = {
         f"d{i}": {"dof": int(n), "osp": float(rng.uniform(1.0, 3.0)), "driver": "simulated", "mass": 0.2}
@@ -181,7 +181,7 @@ def test_the_others_keep_their_promises_and_feel_no_step(base: Prepared, request
             steps = np.abs(np.diff(recording.f_v[:, others], axis=0))
             assert np.all(steps <= (gain @ fastest)[others] + size)
             moved += float(np.max(steps)) > 1e-3
-        # who comes back is coupled again, and its force rose with the ramp
+        # the returned user is coupled again, and its force rose with the ramp
         assert returned.environment.clutches.ratio(list(returned.couplings).index(name)) >= SLOWEST - 1e-12
     assert moved > CASES  # something happened at the others in most of the runs
 
@@ -235,7 +235,7 @@ def test_one_that_was_never_there() -> None:
     assert np.any(run.x[:, 2] != 0.0)  # its hand moves on
 
 
-def test_a_returning_coupling_starts_at_rest_with_a_ledger_of_its_own() -> None:
+def test_a_returning_coupling_starts_at_rest_with_a_new_ledger() -> None:
     simulation = Simulation(example())
     before = simulation.couplings["cx"], simulation.ledgers["cx"]
     kept = simulation.couplings["cy"]

@@ -1,4 +1,4 @@
-"""What a node's loop runs against in a test: a life that goes on, and a line to nobody."""
+"""Surroundings of a node's loop in a test: a life that goes on, and a line without a supervisor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Running:
 
 
 class Kept:
-    """A line to the supervisor that keeps what it is told."""
+    """A line to the supervisor that keeps every telemetry."""
 
     def __init__(self) -> None:
         self.telemetry: list[Telemetry] = []
@@ -35,7 +35,7 @@ class Kept:
         self.log = Log(None, "s", "n", RealtimeClock())
 
     def listen(self, _timeouts: object = None) -> None:
-        """Nothing is said."""
+        """There is no message."""
 
     def publish(self, telemetry: Telemetry) -> None:
         traces = {name: trace.copy() for name, trace in telemetry.traces.items()}

@@ -1,4 +1,4 @@
-"""A product is the same number, whichever way it is found."""
+"""Every way to compute a product gives the same number."""
 
 import math
 
@@ -41,7 +41,7 @@ def test_a_dot_product_is_a_sum_of_products(pairs: list[tuple[float, float]]) ->
 
 
 @pytest.mark.parametrize("unknowns", [1, 2, FEW, FEW + 1, 12])
-def test_equations_are_solved_and_those_without_one_solution_are_told(unknowns: int) -> None:
+def test_equations_are_solved_and_singular_ones_are_reported(unknowns: int) -> None:
     rng = np.random.default_rng(unknowns)
     A, b = np.eye(unknowns) + 0.2 * rng.normal(size=(unknowns, unknowns)), rng.normal(size=unknowns)
     found = solve(A.tolist(), b.tolist(), 1e-9)

@@ -1,4 +1,4 @@
-"""Bundles: they round-trip exactly, for their owner's eyes only, and are refused clearly when they are not bundles."""
+"""Bundles round-trip exactly, are readable by their owner alone, and other files are refused clearly."""
 
 from __future__ import annotations
 

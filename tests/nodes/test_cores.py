@@ -103,7 +103,7 @@ def test_device_ledger_is_that_of_the_transformed_device() -> None:
 
 
 def test_a_broken_promise_shows_in_the_ledger() -> None:
-    """A 'device' that moves against every force generates energy, and its ledger says so."""
+    """A 'device' that moves against every force generates energy, and its ledger shows it."""
     core = DeviceCore(np.array([[1.0]]), np.array([[T / 2.0]]), T)
     for k in range(10):
         core.sample(np.array([-1e-3 * k]))

@@ -1,4 +1,4 @@
-"""A process's log: every line whole, nothing raised, bounded whatever is noted and whatever the disk does."""
+"""A process's log: every line is whole, nothing is raised, and its length is bounded on any disk."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def files_no_longer_than(length: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_line_says_when_where_what_and_how_grave(tmp_path: Path) -> None:
+def test_a_line_has_time_place_event_and_severity(tmp_path: Path) -> None:
     one = log(tmp_path / "dx.jsonl")
     one.note(LogEvent.FROZEN, peer="cx", tick=7, ratio=math.nan, why=None, forced=True)
     assert (tmp_path / "dx.jsonl").read_text() == ""  # a tick writes nothing
@@ -109,7 +109,7 @@ def test_the_queue_is_bounded_and_what_it_cannot_take_is_counted(tmp_path: Path)
 
 
 @given(st.lists(st.tuples(st.sampled_from(LogEvent), st.integers(0, 400)), max_size=60), st.integers(500, 3000))
-def test_no_log_gets_longer_than_it_may_and_its_end_is_told(
+def test_a_log_stays_within_its_length_and_marks_its_end(
     tmp_path: Path, noted: list[tuple[LogEvent, int]], most: int
 ) -> None:
     path = tmp_path / "long.jsonl"
@@ -131,7 +131,7 @@ def test_no_log_gets_longer_than_it_may_and_its_end_is_told(
     assert without_last_words <= most
 
 
-def test_a_node_started_anew_goes_on_in_the_same_file_and_within_its_length(tmp_path: Path) -> None:
+def test_a_restarted_node_continues_its_log_within_the_length(tmp_path: Path) -> None:
     path = tmp_path / "dx.jsonl"
     for _ in range(2):
         one = log(path, most_bytes=400)
@@ -160,7 +160,7 @@ def test_a_full_disk_is_counted_and_leaves_no_half_line(tmp_path: Path, room: in
                                                 "dropped": 2}  # fmt: skip
 
 
-def test_a_log_that_cannot_be_opened_or_is_not_wanted_disturbs_nobody(tmp_path: Path) -> None:
+def test_an_unopenable_or_unwanted_log_disturbs_nobody(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     for path, trouble in ((tmp_path / "absent" / "dx.jsonl", "No such file"), (tmp_path / "link", "Too many levels")):
         one = log(path)

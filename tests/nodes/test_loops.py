@@ -1,4 +1,4 @@
-"""The nodes' loops over the in-memory transport, in threads, without processes: same numbers as the simulation."""
+"""The nodes' loops in threads over the in-memory transport give the same numbers as the simulation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def nodes_of(prepared: Prepared) -> dict[str, Node]:
 
 @pytest.fixture
 def run_loops(new_life: Callable[[], Any], new_line: Callable[[], Any]) -> Loops:
-    """Runs all nodes of a session from handshake to last tick; gives them, and what each told its supervisor."""
+    """Runs all nodes of a session from handshake to last tick; returns them and each one's messages."""
 
     def run(prepared: Prepared) -> tuple[dict[str, Node], dict[str, Any]]:
         graph = topology(prepared.session)
@@ -113,7 +113,7 @@ def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...
 
 
 @pytest.mark.parametrize("overrides", [(), SATURATING], ids=["within limits", "saturating"])
-def test_a_couplings_traces_are_what_it_says_and_hands_on(overrides: tuple[str, ...], run_loops: Loops) -> None:
+def test_a_couplings_traces_are_its_signals_and_passed_forces(overrides: tuple[str, ...], run_loops: Loops) -> None:
     """f_v is its device's, and p = x + C_V xi, with xi following the force that is applied."""
     prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides))
     _, lines = run_loops(prepared)

@@ -1,4 +1,4 @@
-"""One node alone, with a test at the other end of its links that does not keep to the rules."""
+"""One node alone, with a test at the other end of its links that breaks the rules."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def one(*values: float) -> Values:
 
 
 class Recorded:
-    """A driver that samples what it is told to, and keeps what is exerted."""
+    """A driver with given samples that keeps the exerted forces."""
 
     axes = 1
 
@@ -183,7 +183,7 @@ def test_a_force_beyond_the_limit_is_clipped_last_before_the_actuator(
         (float("nan"), "found a displacement of nan m at dx", 0.0),
     ],
 )
-def test_a_device_beyond_its_limits_lets_go_and_says_nothing_of_where_it_is(
+def test_a_device_beyond_its_limits_lets_go_and_hides_its_position(
     sample: float,
     sentence: str,
     told: float,
@@ -192,7 +192,7 @@ def test_a_device_beyond_its_limits_lets_go_and_says_nothing_of_where_it_is(
     new_life: Any,
     new_line: Any,
 ) -> None:
-    """Its coupling is told as much as its limits allow, and then that the tool rests; the ticks go on."""
+    """Its coupling receives a position within the limits, and then a tool at rest; the ticks go on."""
     node, bundle, driver = device_of(bundles, [0.0, sample, 0.0])
     coupling, life, line = meet(node, bundle)["cx"], new_life(), new_line()
     send(coupling, *(Force(k, 0, one(1.0)) for k in range(3)))
@@ -260,7 +260,7 @@ def test_a_coupling_admits_no_sample_that_its_device_could_not_have(
     assert node.report().counts["dropped_out_of_range"] == 3
 
 
-def test_a_coupling_clips_a_force_before_it_is_handed_on_and_absorbed(
+def test_a_coupling_clips_a_force_before_passing_and_absorbing_it(
     bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
 ) -> None:
     bundle = bundles["cx"]
@@ -279,7 +279,7 @@ def test_a_coupling_clips_a_force_before_it_is_handed_on_and_absorbed(
     assert node.report().counts["saturated"] == 2
 
 
-def test_a_coupling_tells_its_figures_and_what_it_is_seen_by(
+def test_a_coupling_sends_its_figures_and_traces(
     bundles: dict[str, Bundle], meet: Meet, new_life: Any, new_line: Any
 ) -> None:
     bundle = bundles["cx"]
@@ -331,7 +331,7 @@ def test_the_environment_admits_no_tool_beyond_what_honest_limits_allow(
     assert node.report().counts["dropped_out_of_range"] == 3
 
 
-def test_a_coupling_that_says_another_feedthrough_is_refused(
+def test_a_coupling_with_another_feedthrough_is_refused(
     prepared: Prepared, bundles: dict[str, Bundle], meet: Meet
 ) -> None:
     node, bundle = environment_of(bundles)

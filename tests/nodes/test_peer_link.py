@@ -1,4 +1,4 @@
-"""Waiting for a signal while a peer sends other things: how many are read, and what is looked after meanwhile."""
+"""A wait for a signal while the peer sends other frames: how many are read, and what else is attended to."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ JUNK = b"\xc1 rubbish"
 _T = TypeVar("_T")
 
 
-class Time:
+class LinkClock:
     """A clock that a link moves on."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Time:
 class Arriving:
     """A link on which a frame arrives now and then: so many ns after the one before was read."""
 
-    def __init__(self, time: Time, frames: Iterator[tuple[int, bytes]]) -> None:
+    def __init__(self, time: LinkClock, frames: Iterator[tuple[int, bytes]]) -> None:
         self._time, self._frames = time, frames
         self._next = self._following()
         self.reads = 0
@@ -83,7 +83,7 @@ class Arriving:
 
 
 class Ears:
-    """A listener that notes what it is told."""
+    """A listener that notes every notice."""
 
     def __init__(self, turns: bool = False) -> None:
         self._turns = turns
@@ -105,9 +105,9 @@ class Ears:
 
 def waiting(
     frames: Iterator[tuple[int, bytes]], turns: bool = False
-) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, Time]:
+) -> tuple[Callable[[], Received], Arriving, Ears, np.ndarray, LinkClock]:
     """A peer link whose peer sends ``frames``: how to wait on it, its link, its listener, the values, the time."""
-    time = Time()
+    time = LinkClock()
     link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
     peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
@@ -156,7 +156,7 @@ def test_the_timeout_counts_from_the_beginning() -> None:
     """One stray after 4 of 5 ms, and then nothing: silence a timeout after the stray at the latest."""
     wait, _, _, _, time = waiting(iter([(4 * MS, JUNK)]))
     assert wait() is Received.NOTHING
-    assert time.ns <= Time().ns + 9 * MS
+    assert time.ns <= LinkClock().ns + 9 * MS
 
 
 def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
@@ -166,7 +166,7 @@ def test_a_stream_that_never_ends_is_read_for_a_bounded_time() -> None:
     assert ears.failure == "" or "malformed 513" in ears.failure
 
 
-def test_a_proper_signal_of_another_tick_is_told_to_the_listener() -> None:
+def test_a_proper_signal_of_another_tick_reaches_the_listener() -> None:
     frames = [encode(Sample(TICK - 1, 0, np.array([0.5]))), encode(Sample(TICK + 4, 0, np.array([0.0]))), HONEST]
     wait, _, ears, values, _ = waiting(iter([(0, frame) for frame in frames]))
     assert wait() is Received.SIGNAL
@@ -192,7 +192,7 @@ def test_what_only_looks_like_a_word_is_a_stray(junk: bytes) -> None:
 
 
 class FrameLink:
-    """A link whose other end is a test's: what is coming, and what was said."""
+    """A link whose other end a test holds: frames to come, and frames sent."""
 
     def __init__(self, *coming: bytes, room: int = 10**6) -> None:
         self.coming, self.room = deque(coming), room
@@ -219,7 +219,7 @@ HIS = LinkHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, ("dx",))
 
 
 def joined(link: FrameLink | None, binds: bool = True) -> PeerLink:
-    return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), Time())  # type: ignore[arg-type]
+    return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), LinkClock())  # type: ignore[arg-type]
 
 
 def heard_by(peer_link: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
@@ -244,7 +244,7 @@ class Test_a_peer_that_comes_back:
         assert heard_by(peer_link, ears, values, 9) is Received.SIGNAL
         assert (values[0], peer_link.tick) == (0.25, 9)
 
-    def test_is_told_nothing_before_hands_are_shaken(self) -> None:
+    def test_receives_nothing_before_its_handshake(self) -> None:
         peer_link = joined(FrameLink())
         peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink()
@@ -256,7 +256,7 @@ class Test_a_peer_that_comes_back:
         assert fresh.said == []
 
     def test_is_not_answered_for_the_one_before(self) -> None:
-        """What was said last on the old link is not repeated on the new one."""
+        """The last signal on the old link is not repeated on the new one."""
         peer_link = joined(FrameLink())
         peer_link.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink(encode(HIS), encode(Welcome()))
@@ -296,7 +296,7 @@ class Test_a_peer_that_comes_back:
         assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
         assert not peer_link.reachable
 
-    def test_closes_the_place_that_waited_for_it_if_it_is_lost_once_more(self) -> None:
+    def test_closes_the_waiting_link_if_the_peer_is_lost_again(self) -> None:
         peer_link, first, second = joined(FrameLink()), FrameLink(), FrameLink()
         peer_link.greet(first, handshake_of(peer_link))  # type: ignore[arg-type]
         peer_link.greet(second, handshake_of(peer_link))  # type: ignore[arg-type]
@@ -317,10 +317,10 @@ def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
     peer_link.say(Absent("dx"))
 
 
-def test_the_last_signal_is_said_again_as_it_was() -> None:
+def test_the_last_signal_is_sent_again_unchanged() -> None:
     link = FrameLink()
     peer_link = joined(link)
-    peer_link.send_again()  # nothing was said yet
+    peer_link.send_again()  # no signal was sent yet
     peer_link.send(Sample, TICK, 7, np.array([0.5]))
     peer_link.say(Rung(1))
     peer_link.send_zero(Force, TICK + 3)
@@ -328,7 +328,7 @@ def test_the_last_signal_is_said_again_as_it_was() -> None:
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2
 
 
-def test_a_zero_force_bears_the_tick_that_is_over_and_no_stamp() -> None:
+def test_a_zero_force_carries_the_finished_tick_and_no_stamp() -> None:
     link = FrameLink()
     peer_link = joined(link)
     peer_link.send_zero(Force, -1)  # before the first tick nothing is over
@@ -344,7 +344,7 @@ def test_whether_a_signal_of_another_tick_is_a_zero_force(values: list[float], z
 
 
 def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
-    """It floods nobody by it, tick by tick; junk of one tick adds up over several waits, until the tick is there."""
+    """Tick by tick this is no flood; junk of one tick adds up over several waits, until the tick is there."""
     peer_link, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
     heard_by(peer_link, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure  # in one wait it does
@@ -378,9 +378,7 @@ frames = st.one_of(
 
 
 @given(coming=st.lists(frames, max_size=20), turns=st.booleans(), greets=st.booleans())
-def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
-    coming: list[bytes], turns: bool, greets: bool
-) -> None:
+def test_no_frame_raises_and_only_the_ticks_signal_is_admitted(coming: list[bytes], turns: bool, greets: bool) -> None:
     peer_link, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
     link = FrameLink(*coming)
     if greets:
@@ -403,7 +401,7 @@ def test_no_frame_ever_raises_and_only_the_signal_of_the_tick_is_let_in(
 
 @pytest.mark.parametrize("indices", [slice(1, 3), np.array([2, 0])], ids=["a slice", "scattered"])
 def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np.ndarray) -> None:
-    time = Time()
+    time = LinkClock()
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("a", "b"))
     link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
     sent: list[bytes] = []
@@ -418,7 +416,7 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]
 
 
-class Scripted:
+class ScriptedPeerLink:
     """A link of which it is written what comes of it, one thing each time that it is listened to."""
 
     def __init__(self, name: str, script: list[Received], listened: list[str]) -> None:
@@ -436,9 +434,9 @@ class Scripted:
 def awaited(
     scripts: dict[str, list[Received]], rounds: int, moved: Callable[[Received, int], int] = lambda _heard, tick: tick
 ) -> tuple[int | None, str]:
-    """What :func:`await_all` returns after b was listened to last, with so many rounds allowed; who was listened to."""
+    """The result of :func:`await_all` after b was read last, with so many rounds allowed; and the links read."""
     listened: list[str] = []
-    links: Any = [Scripted(name, script, listened) for name, script in scripts.items()]
+    links: Any = [ScriptedPeerLink(name, script, listened) for name, script in scripts.items()]
     left = iter([Duration(1)] * rounds)
     found = await_all(
         links, links[1], [], 7, Ears(), lambda _link, heard, tick: moved(heard, tick), lambda _tick: next(left, None)

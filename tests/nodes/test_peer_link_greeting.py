@@ -1,4 +1,4 @@
-"""How a node and its peers come together: who is told what first, and who is waited for."""
+"""How a node and its peers connect: the order of messages, and which peers are awaited."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def hello(peer: Peer) -> LinkHello:
     return LinkHello(PROTOCOL_VERSION, "id", "s", peer.name, peer.role, peer.ports)
 
 
-def test_a_peer_that_is_absent_is_not_waited_for_and_has_its_peer_link(transport: MemoryTransport) -> None:
+def test_an_absent_peer_is_not_awaited_and_keeps_its_peer_link(transport: MemoryTransport) -> None:
     links, endpoints = bind_links(common(LEFT, RIGHT), transport)
     del links["left"]
     answering(transport.connect(endpoints["right"], "c"), hello(RIGHT), Welcome(), Sample(0, 0, np.array([0.5])))
@@ -139,7 +139,7 @@ def test_all_handshakes_together_have_one_deadline(transport: MemoryTransport) -
     answering(transport.connect(endpoints["left"], "c"), hello(LEFT), Welcome())
 
     class Silent:
-        """A link to one who is there and says nothing."""
+        """A link to a peer that is there and sends nothing."""
 
         def send(self, _frame: bytes) -> bool:
             return True

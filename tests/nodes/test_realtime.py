@@ -1,4 +1,4 @@
-"""What is asked of the kernel: granted where it may be, refused in a sentence where not, and given back."""
+"""Requests to the kernel: granted where allowed, refused in one sentence elsewhere, and given back."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_priority_is_within_wish_and_limit_and_for_pinned_processes(
     assert system.now == ORDINARY
 
 
-def test_what_the_kernel_refuses_is_said_and_undone() -> None:
+def test_refusals_of_the_kernel_are_reported_and_undone() -> None:
     system = Answers({CAP_SYS_NICE, CAP_IPC_LOCK}, refuses=errno.EPERM)
     granted = prepare(RealtimeWishes(), system)
     assert not granted.memory_locked.granted
@@ -152,7 +152,7 @@ def test_who_may_not_have_children_inherit_again_goes_back_without() -> None:
     assert system.now == Scheduling(os.SCHED_RESET_ON_FORK, 0, ORDINARY.runaway)
 
 
-def test_every_grant_says_something_and_wishes_not_had_say_so() -> None:
+def test_every_grant_and_every_refused_wish_is_reported() -> None:
     granted = prepare(RealtimeWishes(memory=False, priority=0), Answers())
     assert all(grant.said for grant in granted.grants().values())
     assert granted.fifo.said == granted.memory_locked.said == "not asked for"
@@ -255,7 +255,7 @@ def test_pages_in_use_are_locked_where_that_is_permitted() -> None:
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_a_limit_that_is_too_small_leaves_the_process_able_to_allocate() -> None:
+def test_too_small_a_limit_leaves_the_process_able_to_allocate() -> None:
     """As an ordinary user; locking with what is to come would have the next allocations fail."""
     code = """
 import resource

@@ -1,4 +1,4 @@
-"""What a node does at its links when the supervisor says that a peer is lost, or back."""
+"""A node's actions at its links when the supervisor reports that a peer is lost, or back."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[Pee
         before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
 
 
-def test_who_connects_waits_to_be_told(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
     assert part(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
     assert not peer_links[1].reachable
     assert not line.offers
@@ -89,10 +89,10 @@ def test_who_connects_waits_to_be_told(peer_links: list[PeerLink], line: Offerin
     assert not peer_links[1].here
     frame = bound.recv(NOT_AT_ALL)
     assert frame is not None
-    assert decode(frame, MAX_CONTROL_BYTES) == OWN  # who connects says hello first
+    assert decode(frame, MAX_CONTROL_BYTES) == OWN  # the connecting side sends its hello first
 
 
-def test_every_absence_of_the_same_peer_has_a_place_of_its_own(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
         part(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3

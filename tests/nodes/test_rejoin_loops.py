@@ -1,4 +1,4 @@
-"""Nodes that are lost and come back, over the in-memory transport, in threads: who waits, who goes on, from where."""
+"""Nodes that are lost and come back, in threads over the in-memory transport: which wait, which go on, and where."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def colocated() -> Prepared:
 
 
 def hold_dz(name: str, line: Any) -> None:
-    """While dz waits for the test nobody can finish: the environment waits for it."""
+    """While dz waits for the test no node can finish, because the environment waits for dz."""
     if name == "dz":
         line.pause = HELD
 
@@ -58,7 +58,7 @@ def check(reports: dict[str, Report], ticks: int = TICKS) -> None:
 
 
 def check_rows(stage: ThreadedSession) -> None:
-    """What every node told is of ticks that follow each other, and its last row is of the tick before ``tick``."""
+    """Every node's rows are of consecutive ticks, and its last row is of the tick before ``tick``."""
     for line in stage.all_lines:
         before = 0
         for telemetry in line.told:
@@ -68,7 +68,7 @@ def check_rows(stage: ThreadedSession) -> None:
 
 
 @pytest.mark.parametrize("who", ["dx", "cx", ENVIRONMENT])
-def test_a_node_that_is_lost_comes_back_and_the_session_is_done(
+def test_a_lost_node_comes_back_and_the_session_finishes(
     prepared: Prepared, new_life: Callable[[], Any], who: str
 ) -> None:
     with held(prepared, new_life) as stage:
@@ -105,7 +105,7 @@ def test_a_node_is_lost_twice(prepared: Prepared, new_life: Callable[[], Any]) -
 def test_both_ends_of_a_link_are_lost_at_once(
     prepared: Prepared, new_life: Callable[[], Any], first: str, second: str
 ) -> None:
-    """Who binds the link comes back before the other, is told that it is absent, and offers it a place."""
+    """The binding end comes back first, learns that the other is absent, and offers it an endpoint."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose(first, second)
@@ -119,10 +119,8 @@ def test_both_ends_of_a_link_are_lost_at_once(
     assert reports["dy"].counts["jumps"] == 0
 
 
-def test_a_peer_lost_in_the_middle_of_its_return_is_met_at_the_next(
-    prepared: Prepared, new_life: Callable[[], Any]
-) -> None:
-    """The environment is told of an absence while the place that it offered before still waits."""
+def test_a_peer_lost_during_its_return_reconnects_at_the_next(prepared: Prepared, new_life: Callable[[], Any]) -> None:
+    """The environment learns of an absence while the endpoint that it offered before still waits."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose("cx")
@@ -149,7 +147,7 @@ def test_a_user_that_stays_away_does_not_hold_the_others_up(prepared: Prepared, 
 def test_an_environment_comes_back_though_a_user_stays_away(
     prepared: Prepared, new_life: Callable[[], Any], first: str
 ) -> None:
-    """The coupling without a device shakes hands with it all the same, and says whom it misses."""
+    """The coupling without a device still shakes hands with it, and names the missing device."""
     with held(prepared, new_life) as stage:
         stage.paused("dz")
         stage.lose(first)
@@ -178,7 +176,7 @@ def test_couplings_change_their_rungs(
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["told again", "not told again"])
-def test_an_environment_that_comes_back_finds_the_rungs_that_it_knows_of(
+def test_a_returned_environment_finds_the_rungs_it_knows(
     prepared: Prepared, new_life: Callable[[], Any], told: bool
 ) -> None:
     with held(prepared, new_life) as stage:
@@ -193,7 +191,7 @@ def test_an_environment_that_comes_back_finds_the_rungs_that_it_knows_of(
         reports = stage.reports()
         check(reports)
     assert {reports[name].counts["rung"] for name in ("dx", "cx")} == {int(told)}
-    core = stage.nodes[ENVIRONMENT]._core  # type: ignore[attr-defined]
+    core = stage.nodes[ENVIRONMENT].core  # type: ignore[attr-defined]
     assert core.clutches.ratio(0) >= SLOWEST - 1e-12  # it may still work an offset off
     rung = stage.nodes["cx"]._bundle.rungs[int(told)].block  # type: ignore[attr-defined]
     np.testing.assert_array_equal(core._D_V[:1, :1], rung.D)
@@ -206,7 +204,7 @@ def test_a_process_of_several_nodes_is_lost_and_comes_back(
     with held(colocated, new_life) as stage:
         stage.paused("dz")
         stage.lose(who)
-        if who == ENVIRONMENT:  # nobody goes on without it, and cz shakes hands with it in the process of dz
+        if who == ENVIRONMENT:  # no node goes on without it, and cz shakes hands with it in the process of dz
             stage.release("dz")
         stage.bring_back(who, HELD)
         stage.await_state("cx", *SEATED_SOON)
@@ -231,7 +229,7 @@ class Test_in_real_time:
             assert report.figures["ledger_min"] >= ROUNDING, name
 
     @pytest.mark.parametrize("session", ["prepared", "colocated"])
-    def test_a_user_that_is_silent_for_a_while_is_frozen_and_let_in_again(
+    def test_a_temporarily_silent_user_is_frozen_and_rejoins(
         self, session: str, new_life: Callable[[], Any], request: pytest.FixtureRequest
     ) -> None:
         stage = ThreadedSession(request.getfixturevalue(session), new_life, clock=REALTIME)

@@ -1,4 +1,4 @@
-"""What a guest refuses before it has knocked anywhere: each in one line that says what is wrong, and no secret."""
+"""Errors of a guest before its first connection: one line each, with the cause and without any secret."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def refusal(
     key: str | None = None,
     address: str = ADDRESS,
 ) -> str:
-    """What a guest says that does not start."""
+    """The message of a guest that does not start."""
     code = remote.join(name, machine / bundle, None if key is None else machine / key, address, None)
     out, err = capsys.readouterr()
     assert code == EXIT_BAD_INPUT
@@ -199,7 +199,7 @@ def load_role(path: Path) -> Any:
     return remote.role_of(path)
 
 
-def test_of_others_a_guest_has_the_names_and_public_keys_of_its_peers_alone(machine: Path, keys: Keys) -> None:
+def test_a_guest_knows_only_its_peers_names_and_public_keys(machine: Path, keys: Keys) -> None:
     text = (machine / "dx.bundle").read_text()
     held = {name for name, key in keys.public.keys.items() if key in text}
     assert held == {"dx", "cx", "supervisor"}

@@ -1,4 +1,4 @@
-"""A node's line to the supervisor: the conversation, word by word, over a line that a test holds the other end of."""
+"""A node's line to the supervisor, message by message; the test holds the other end."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def common(clock: str = "realtime", control: str = "memory://control") -> Common
 
 
 class AnsweringLine:
-    """A link whose other end answers what it is told to; time passes for a reader by None, at once."""
+    """A link whose other end gives scripted answers; None lets time pass for a reader, at once."""
 
     def __init__(self) -> None:
         self.said: list[Message] = []
@@ -108,7 +108,7 @@ class Doors:
 
 
 class Life:
-    """Goes on until ``check`` was called so often, or as its watch says."""
+    """A life that goes on for so many calls of ``check``, or as long as its watch allows."""
 
     def __init__(self, looks: int = 10**9, orphaned: bool = False) -> None:
         self.stopping = self.orphaned = False
@@ -164,7 +164,7 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
     transport.close()
 
 
-def test_a_refusal_is_told_as_it_came(line: AnsweringLine) -> None:
+def test_a_refusal_is_passed_on_as_it_came(line: AnsweringLine) -> None:
     line.say(Refusal(RefusalCode.NAME, "supervisor refused dx: because"))
     with pytest.raises(Refused, match=r"^supervisor refused dx: because$"):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -191,7 +191,7 @@ def test_a_life_that_ends_is_noticed_while_it_waits(line: AnsweringLine) -> None
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOT_ADMITTED, Trouble.NOT_PROVED])
-def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: AnsweringLine, trouble: Trouble) -> None:
+def test_a_refusing_supervisor_is_given_up_at_once(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused) as error:
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -203,7 +203,7 @@ def test_a_supervisor_that_will_not_have_it_is_given_up_at_once(line: AnsweringL
 
 
 @pytest.mark.parametrize("trouble", [Trouble.NOBODY, Trouble.BROKEN_OFF])
-def test_one_that_is_not_there_yet_or_too_busy_is_given_a_minute(line: AnsweringLine, trouble: Trouble) -> None:
+def test_an_absent_or_busy_supervisor_is_given_a_minute(line: AnsweringLine, trouble: Trouble) -> None:
     line.state = trouble
     with pytest.raises(Refused, match=str(trouble)):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
@@ -271,7 +271,7 @@ def test_the_clocks_offset_is_that_of_the_shortest_round_trip(line: AnsweringLin
     assert len(line.said) == 32
 
 
-def test_an_echo_of_another_question_is_not_believed_and_not_waited_behind(line: AnsweringLine) -> None:
+def test_an_echo_of_another_question_is_ignored_without_delay(line: AnsweringLine) -> None:
     stray = Echo(0, 10**12, 10**12)
     line.answer = lambda probe: [stray, Echo(probe.sent, probe.sent, probe.sent)]  # type: ignore[union-attr]
     one = control(line)
@@ -297,7 +297,7 @@ class Test_a_guest_in_its_loop:
         assert one.sight(Instant(0)) is expected
         assert one.connection() is expected
 
-    def test_it_says_every_second_that_it_is_there(self, line: AnsweringLine) -> None:
+    def test_it_sends_a_sign_of_life_every_second(self, line: AnsweringLine) -> None:
         one = control(line)
         for tenth in range(31):
             one.sight(Instant(SECOND + tenth * SECOND // 10))
@@ -311,7 +311,7 @@ class Test_the_last_word:
         assert line.said == [REPORT]
         assert (len(line.coming), line.waits) == (0, 0)
 
-    def test_it_waits_for_room_and_is_said_once(self, line: AnsweringLine) -> None:
+    def test_it_waits_for_room_and_is_sent_once(self, line: AnsweringLine) -> None:
         line.room = 0
         life = Life()
 
@@ -333,7 +333,7 @@ class Test_the_last_word:
         control(line).fault("dx: broken", Life())  # type: ignore[arg-type]
         assert line.waits == 2
 
-    def test_a_fault_says_anything_in_a_presentable_way(self, line: AnsweringLine) -> None:
+    def test_a_fault_presents_any_text_safely(self, line: AnsweringLine) -> None:
         control(line).fault("\x1b[2J" + "x" * 10_000, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
         (fault,) = line.said
         assert isinstance(fault, Fault)
@@ -375,7 +375,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert kept[-1] == Shift("cx", 999 % 8)  # the latest
         assert one.listen() is None
 
-    def test_who_is_absent_at_its_return_is_told_before_connect(self, line: AnsweringLine) -> None:
+    def test_absent_peers_are_reported_before_connect(self, line: AnsweringLine) -> None:
         line.say(Welcome(), Absent("cx"), Absent("cy"), Connect({}))
         one = control(line)
         assert one.peers_endpoints(Life()) == {}  # type: ignore[arg-type]
@@ -384,7 +384,7 @@ class Test_what_is_said_to_a_node_in_its_loop:
         assert one.malformed == 0
 
 
-class Binding:
+class PartlyTakenTransport:
     """A transport of whose addresses some are taken."""
 
     def __init__(self, line: AnsweringLine, taken: frozenset[str]) -> None:
@@ -402,8 +402,10 @@ class Binding:
 
 
 class Test_a_place_for_a_peer_that_was_lost:
-    def bound_with(self, line: AnsweringLine, *taken: str, address: str = "10.0.0.1:7401", times: int = 1) -> Binding:
-        doors = Binding(line, frozenset(taken))
+    def bound_with(
+        self, line: AnsweringLine, *taken: str, address: str = "10.0.0.1:7401", times: int = 1
+    ) -> PartlyTakenTransport:
+        doors = PartlyTakenTransport(line, frozenset(taken))
         one = ControlLine(doors, common())  # type: ignore[arg-type]
         peer = Peer("cx", Role.COUPLING, ("dx",), binds=True, address=address)
         for _ in range(times):
@@ -419,7 +421,7 @@ class Test_a_place_for_a_peer_that_was_lost:
         assert doors.bound == [("dx-cx.1.any", "cx", "10.0.0.1:*"), ("dx-cx.2.any", "cx", "10.0.0.1:*")]
 
     @pytest.mark.parametrize("address", ["", "10.0.0.1:7401"])
-    def test_where_there_is_none_that_is_told(self, line: AnsweringLine, address: str) -> None:
+    def test_an_address_that_cannot_be_bound_is_reported(self, line: AnsweringLine, address: str) -> None:
         with pytest.raises(TransportError):
             self.bound_with(line, address, "10.0.0.1:*", address=address)
 

@@ -1,4 +1,4 @@
-"""What happened to a node between its ticks is told once, with its tick, in the figures of its telemetry."""
+"""An event between two ticks of a node appears once, with its tick, in its telemetry's figures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from manyhands.nodes.tick_events import MOST_EVENTS, Kind, TickEvent, TickEvents, events_in
 
 
-def test_a_process_says_at_which_tick_it_began_and_jumped() -> None:
+def test_a_process_reports_the_ticks_of_its_start_and_jumps() -> None:
     events = TickEvents()
     assert [*events_in(events.take(20, 30))] == [TickEvent(Kind.BEGAN, 20, 1)]
     assert events.take(30, 40) == {}  # rows that follow each other
@@ -20,10 +20,10 @@ def test_periods_without_force_are_counted_by_the_tick_awaited() -> None:
     for tick in (12, 12, 15):
         events.release(tick)
     assert [*events_in(events.take(10, 20))] == [TickEvent(Kind.RELEASED, 12, 2), TickEvent(Kind.RELEASED, 15, 1)]
-    assert events.take(20, 30) == {}  # they are told once
+    assert events.take(20, 30) == {}  # they are reported once
 
 
-def test_rungs_and_frozen_couplings_are_told() -> None:
+def test_rungs_and_frozen_couplings_are_reported() -> None:
     events = TickEvents()
     events.take(0, 10)
     events.change_rung(11, 2)

@@ -1,4 +1,4 @@
-"""Both ends of each transport, as two processes would hold them; everything is closed when a test ends."""
+"""Both ends of each transport, held as two processes would hold them; every test closes all of them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The channel table: complete, and what theory asks of it."""
+"""The channel table is complete and meets the theory's requirements."""
 
 import pytest
 

@@ -66,6 +66,6 @@ def test_granted_timer_slack_is_in_force() -> None:
     assert ctypes.CDLL(None).prctl(PR_GET_TIMERSLACK, 0, 0, 0, 0) == 1
 
 
-def test_timer_slack_that_is_not_to_be_had_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unavailable_timer_slack_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_module.ctypes, "CDLL", lambda *_, **__: object())
     assert not RealtimeClock().timer_slack_set

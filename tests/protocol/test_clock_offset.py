@@ -1,4 +1,4 @@
-"""How far another clock is ahead: wrong by half of the shortest way at most, whatever the others took."""
+"""The offset of another clock: its error is at most half of the shortest round trip."""
 
 from __future__ import annotations
 

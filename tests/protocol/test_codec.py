@@ -177,7 +177,7 @@ def test_observations_of_different_nodes_or_content_differ() -> None:
         assert one != other
 
 
-def test_telemetry_tells_of_what_is_not_finite() -> None:
+def test_telemetry_carries_nonfinite_values() -> None:
     sent = Telemetry(3, {"peak": math.inf, "ratio": math.nan}, {"x": np.array([[math.nan, -math.inf]])})
     received = decode(encode(sent), limits.MAX_CONTROL_BYTES)
     assert isinstance(received, Telemetry)

@@ -1,6 +1,4 @@
-"""Whatever comes in: ``decode`` returns, and returns something that could have been sent; and it takes no more memory
-than a frame may.
-"""
+"""For any input ``decode`` returns a message that could have been sent, or a refusal, within a frame's memory."""
 
 import math
 import random
@@ -228,14 +226,14 @@ def test_the_flaw_is_named(items: tuple[Any, ...], flaw: Flaw) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_value_that_is_not_finite_is_found_on_the_direct_path_too(value: float) -> None:
+def test_the_direct_path_finds_nonfinite_values_too(value: float) -> None:
     frame = SAMPLE[:-8] + doubles(value)
     received = decode(frame, LIMIT)
     assert isinstance(received, Malformed)
     assert received.flaw is Flaw.NOT_FINITE
 
 
-def test_an_unsigned_tick_beyond_the_bound_is_refused_on_the_direct_path_too() -> None:
+def test_the_direct_path_refuses_unsigned_ticks_beyond_the_bound_too() -> None:
     received = decode(SAMPLE[:3] + b"\xff" * 8 + SAMPLE[11:], LIMIT)
     assert isinstance(received, Malformed)
     assert "Sample.tick" in received.reason

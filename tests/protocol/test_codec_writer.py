@@ -1,4 +1,4 @@
-"""What a loop writes tick after tick is what the codec would have written."""
+"""The writer that a loop uses in every tick makes the same bytes as the codec."""
 
 import math
 from collections.abc import Callable

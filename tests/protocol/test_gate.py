@@ -1,4 +1,4 @@
-"""What a gate admits, and under which name it counts the rest."""
+"""What a gate admits, and under which name it counts every other frame."""
 
 import math
 import struct
@@ -192,7 +192,7 @@ def test_every_byte_of_the_usual_head_replaced(at: int) -> None:
         assert (admitted is not None) == (isinstance(message, Sample) and message.tick == TICK)
 
 
-def test_the_longest_encoding_is_as_long_as_is_said() -> None:
+def test_the_longest_encoding_has_the_stated_length() -> None:
     head = b"\xdd\x00\x00\x00\x04" + b"".join(integers(n)[-1] for n in (16, TICK, 5)) + b"\xc6\x00\x00\x00\x10"
     assert len(head) == LONGEST
     assert admit(Gate(Sample, 2), head + doubles(1.0, 2.0), TICK) is not None
@@ -226,7 +226,7 @@ def test_the_first_signal_has_no_step() -> None:
     assert run(Gate(Sample, 2, Bounds((5.0, 5.0), (0.1, 0.1))), (4.0, -4.0), (4.05, -4.05)) == [True, True]
 
 
-def test_a_value_refused_for_another_reason_is_no_value_to_step_from() -> None:
+def test_a_value_refused_otherwise_is_no_base_for_a_step() -> None:
     gate = Gate(Sample, 2, BOUNDS)
     assert admit(gate, usual(0, 0.0, 0.0), 0) is not None
     for stray in (usual(0, 0.9, 0.0), usual(2, 0.9, 0.0), usual(1, 0.9, math.nan), usual(1, 0.9, 0.0)):
@@ -301,7 +301,7 @@ def stamped(*signals: tuple[int, float], bounds: Bounds | None = None) -> list[b
     return timed(*((stamp, stamp, value) for stamp, value in signals), bounds=bounds)
 
 
-def test_a_step_is_bounded_for_every_period_that_has_passed_and_for_no_more_than_a_device_is_kept_waiting() -> None:
+def test_a_steps_bound_grows_with_periods_up_to_the_longest_wait() -> None:
     assert stamped((5, 0.0), (6, 0.25), (8, 0.75), (9, 1.25)) == [True, True, True, False]
     assert stamped((5, 0.0), (5 + MOST_PERIODS, 0.25 * MOST_PERIODS)) == [True, True]
     assert stamped((5, 0.0), (5000, 0.25 * MOST_PERIODS + 0.01)) == [True, False]
@@ -318,7 +318,7 @@ def test_bounds_with_a_period_need_a_clock() -> None:
         Gate(Sample, 1, Bounds((10.0,), (STEP,), Duration(T)))
 
 
-def test_who_claims_the_longest_of_ticks_in_every_tick_gets_ahead_once() -> None:
+def test_claiming_the_longest_tick_every_time_gains_only_once() -> None:
     clock = Hands()
     gate = Gate(Sample, 1, Bounds((1e3,), (STEP,), Duration(T)), clock)
     at = 0.0

@@ -46,7 +46,7 @@ def over_the_wire(message: Message) -> Received:
 
 
 def converse(connector: LinkHandshake, binder: LinkHandshake) -> list[Message]:
-    """Carry messages to and fro until neither has any; everything that was said, in order."""
+    """Carry messages to and fro until neither side has any; returns all of them in order."""
     said: list[Message] = []
     waiting = [(binder, message) for message in connector.start()] + [(connector, m) for m in binder.start()]
     while waiting:
@@ -196,7 +196,7 @@ anything: st.SearchStrategy[Received] = st.sampled_from(
 
 
 @given(st.booleans(), st.lists(anything, max_size=6))
-def test_whatever_is_said_the_invariants_hold(opens: bool, said: list[Received]) -> None:
+def test_the_invariants_hold_for_any_messages(opens: bool, said: list[Received]) -> None:
     side = both()[0 if opens else 1]
     side.start()
     for received in said:
@@ -258,7 +258,7 @@ def test_the_supervisor_admits_a_node_of_its_session() -> None:
         (Malformed("rubbish"), RefusalCode.MALFORMED, "found a malformed frame (rubbish)"),
     ],
 )
-def test_the_supervisor_says_why_it_refuses(hello: Received, code: RefusalCode, what: str) -> None:
+def test_the_supervisor_gives_its_reason_to_refuse(hello: Received, code: RefusalCode, what: str) -> None:
     refusal = check_node_hello(hello, "c0ffee", "example-1", SESSION_NODES, "dx")
     assert refusal is not None
     assert refusal.code == code

@@ -1,9 +1,9 @@
-"""Both sides of a handshake, and between them somebody who loses, repeats, reorders, changes and invents frames.
+"""Both sides of a handshake with an attacker between them: it drops, repeats, reorders, changes and invents frames.
 
-What a handshake can promise without cryptography, and does: nobody is taken for a node that it does not claim to be
-in every part of its hello, whatever came before; nothing that was altered in an essential part is accepted; and
-whoever is left alone succeeds. That a hello is truly its sender's is the transport's business, and that D_V is the
-certificate's the environment's: here only its shape is essential.
+A handshake without cryptography promises three things. A peer is accepted only as the node that every part of its hello
+names, whatever came before. A hello altered in an essential part is refused. A pair that the attacker leaves alone
+succeeds. The transport ensures that a hello comes from its sender. The environment ensures that D_V is the
+certificate's: here only the shape of D_V is essential.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ COUPLING = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "cx", Role.COUPLIN
 ENVIRONMENT = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "environment", Role.ENVIRONMENT, PORTS)
 TO_DEVICE = dataclasses.replace(COUPLING, feedthrough=None)
 DEVICE = LinkHello(PROTOCOL_VERSION, "c0ffee", "example-1", "dxy", Role.DEVICE, PORTS)
-PAIRS = [(COUPLING, ENVIRONMENT), (DEVICE, TO_DEVICE)]  # who connects, who binds
+PAIRS = [(COUPLING, ENVIRONMENT), (DEVICE, TO_DEVICE)]  # the connecting and the binding side
 
 LIVE = {state for state, _ in TRANSITIONS}
 REFUSED = {State.REFUSED, State.REFUSED_BY_PEER}
@@ -91,7 +91,7 @@ ANSWERS: list[Message] = [Welcome(), Refusal("name", "no")]
 junk = st.binary(max_size=30) | strangers.map(encode) | others.map(encode)
 
 
-class Side:
+class RecordedSide:
     """One end, and a diary of what it was handed while it listened."""
 
     def __init__(self, own: LinkHello, hopes: LinkHello, opens: bool) -> None:
@@ -102,7 +102,7 @@ class Side:
 
 
 class AdversaryBetween(RuleBasedStateMachine):
-    """Two honest sides; every frame on its way is in the hands of the adversary, who may also invent some.
+    """Two honest sides; the adversary controls every frame between them and may invent frames.
 
     Frames wait in two lists, ``ways``: 0 to the side that binds, 1 to the one that connects.
     """
@@ -112,7 +112,7 @@ class AdversaryBetween(RuleBasedStateMachine):
     @initialize(pair=st.sampled_from(PAIRS))
     def begin(self, pair: tuple[LinkHello, LinkHello]) -> None:
         connects, binds = pair
-        self.sides = (Side(binds, connects, opens=False), Side(connects, binds, opens=True))
+        self.sides = (RecordedSide(binds, connects, opens=False), RecordedSide(connects, binds, opens=True))
         self.ways: tuple[list[bytes], list[bytes]] = ([], [])
         self.meddled = False
         for side in (1, 0):
@@ -144,7 +144,7 @@ class AdversaryBetween(RuleBasedStateMachine):
 
     @rule(target=kept, side=st.integers(0, 1))
     def copy(self, side: int) -> bytes:
-        """Keep a copy of what is on its way; nobody notices."""
+        """Copy the frames under way, unnoticed by both sides."""
         return self.ways[side][0] if self.ways[side] else b""
 
     @rule(side=st.integers(0, 1), frame=kept)
@@ -193,7 +193,7 @@ class AdversaryBetween(RuleBasedStateMachine):
 
     @rule(side=st.integers(0, 1), message=st.sampled_from(ANSWERS))
     def answer_for_somebody(self, side: int, message: Message) -> None:
-        """An answer arrives that nobody gave."""
+        """Deliver an answer that neither side gave."""
         self.meddled = True
         self._hand_over(side, encode(message))
 
@@ -209,7 +209,7 @@ class AdversaryBetween(RuleBasedStateMachine):
             peer = side.handshake.peer
             if peer is not None:
                 assert essence(peer) == essence(side.hopes)
-                assert encode(peer) in side.heard  # what was believed was said, and to this side
+                assert encode(peer) in side.heard  # the accepted hello was sent, and to this side
             if side.handshake.state is State.ESTABLISHED:
                 assert peer is not None
 
@@ -241,7 +241,7 @@ class AdversaryBetween(RuleBasedStateMachine):
                 assert others == rest
 
     def teardown(self) -> None:
-        """What is left is delivered; whoever was left alone succeeds."""
+        """Deliver the remaining frames; a pair that the adversary left alone succeeds."""
         if not hasattr(self, "sides"):
             return
         while any(self.ways):
@@ -302,7 +302,7 @@ def test_one_frame_too_many_at_any_point(pair: tuple[LinkHello, LinkHello], poin
     between.teardown()
 
 
-class Scripted:
+class ScriptedLink:
     """A link on which a script of frames and silences arrives, and the clock that passes with it."""
 
     def __init__(self, script: list[bytes | int], deaf: bool) -> None:
@@ -348,10 +348,10 @@ honest = st.sampled_from([encode(hello) for pair in PAIRS for hello in pair] + [
 @both_sides
 @given(script=st.lists(st.integers(1, 600) | junk | honest, max_size=6), deaf=st.booleans())
 @settings(max_examples=cases(50, 150))
-def test_a_handshake_over_a_link_ends_in_time_and_with_a_clear_word(
+def test_a_links_handshake_ends_in_time_with_a_clear_message(
     own: LinkHello, hopes: LinkHello, opens: bool, script: list[bytes | int], deaf: bool
 ) -> None:
-    handshake, link = side(own, hopes, opens), Scripted(script, deaf)
+    handshake, link = side(own, hopes, opens), ScriptedLink(script, deaf)
     try:
         peer = shake_hands(link, handshake, link, Instant(ALLOWED))
     except (HandshakeRefused, HandshakeTimeout) as error:
@@ -367,7 +367,7 @@ def test_a_handshake_over_a_link_ends_in_time_and_with_a_clear_word(
 
 
 def test_a_handshake_that_stops_half_way_ends_at_the_deadline() -> None:
-    link = Scripted([encode(COUPLING)], deaf=False)
+    link = ScriptedLink([encode(COUPLING)], deaf=False)
     handshake = side(ENVIRONMENT, COUPLING, opens=False)
     with pytest.raises(HandshakeTimeout, match=r"found no answer of cx in the time allowed \(awaiting welcome\)"):
         shake_hands(link, handshake, link, Instant(ALLOWED))

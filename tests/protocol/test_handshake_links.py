@@ -1,4 +1,4 @@
-"""The handshake over every transport, both sides at once: whoever is at fault, both end with a clear error."""
+"""The handshake over every transport, both sides at once: after any fault both end with a clear error."""
 
 import dataclasses
 import threading
@@ -85,7 +85,7 @@ def test_an_established_link_carries_signals_at_once(ends: "Ends") -> None:
         ),
         (
             COUPLING,
-            dataclasses.replace(ENVIRONMENT, role=Role.DEVICE),  # told by the connecting side
+            dataclasses.replace(ENVIRONMENT, role=Role.DEVICE),  # reported by the connecting side
             "cx refused environment: found the role device; expected environment",
         ),
     ],
@@ -102,7 +102,7 @@ def test_a_mismatch_is_a_clear_error_on_both_sides(
         assert expected in str(side.exception())
 
 
-def test_rubbish_instead_of_a_hello_is_refused_and_the_sender_told(ends: "Ends") -> None:
+def test_rubbish_instead_of_a_hello_is_refused_with_an_answer(ends: "Ends") -> None:
     bound, endpoint = ends.binder.bind("cx", "dx")
     stranger = ends.connector.connect(endpoint, "supervisor")
     assert stranger.send(b"GET / HTTP/1.1")

@@ -1,4 +1,4 @@
-"""Keys: what must not leak, whose files are trusted, and what is a key at all."""
+"""Keys: which secrets must not leak, which files are trusted, and which text is a key."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def forms(secret: str) -> tuple[str, ...]:
 
 
 def told(error: BaseException) -> str:
-    """All that an exception and those behind it carry: their text, their arguments, their attributes."""
+    """Everything that an exception and its causes carry: text, arguments, attributes."""
     texts = traceback.format_exception(error)
     seen: BaseException | None = error
     while seen is not None:
@@ -301,7 +301,7 @@ def test_a_file_of_another_user_is_refused(monkeypatch: pytest.MonkeyPatch, path
         (1000, 1000, True, 0o100600, False),
         (1000, 0, True, 0o100600, False),  # put there by the administrator
         (1000, 1001, True, 0o100600, True),
-        (0, 1000, True, 0o100600, True),  # whoever owns it could have put another key in it
+        (0, 1000, True, 0o100600, True),  # its owner could have put a different key in it
         (1000, 1000, True, 0o100640, True),
         (1000, 1000, True, 0o100601, True),
         (1000, 1000, True, 0o120600, True),
@@ -493,7 +493,7 @@ def test_public_keys_cannot_be_changed_afterwards(pair: KeyPair) -> None:
         (["dx"], "found no mapping"),
     ],
 )
-def test_what_are_no_public_keys_is_refused_in_memory_and_in_a_file(tmp_path: Path, keys: Any, said: str) -> None:
+def test_invalid_public_keys_are_refused_in_memory_and_in_files(tmp_path: Path, keys: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         PublicKeys("s", keys)
     file = tmp_path / "public.json"

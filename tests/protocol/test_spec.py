@@ -1,4 +1,4 @@
-"""SPEC.md says what the code does: its examples are the known byte vectors, its tables are compared with the data."""
+"""SPEC.md agrees with the code: its examples are the known byte vectors, its tables equal the data."""
 
 import dataclasses
 import re
@@ -147,7 +147,7 @@ def test_what_is_counted_at_a_door() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_what_is_said_to_be_new_is_there(version: int) -> None:
+def test_features_listed_as_new_are_there(version: int) -> None:
     new = SPEC.split(f"Version {version}, against version {version - 1}:")[1].split(", against version")[0]
     numbered = [(name, number) for name, number in re.findall(r"(\w+) \((\d+)\)", new) if name != "section"]
     assert numbered

@@ -1,4 +1,4 @@
-"""SPEC.md says what a session does: who listens and who connects, what is answered and counted, who is trusted."""
+"""SPEC.md describes a session: the side that listens, the side that connects, answers, counts, and trust."""
 
 import dataclasses
 import importlib
@@ -95,7 +95,7 @@ def prepared() -> Prepared:
 
 
 class Recorder(MemoryTransport):
-    """Remembers who may connect to what is bound, by its name, which is the ZAP domain."""
+    """Remembers the admitted peers of each bound endpoint, by its name, which is the ZAP domain."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -110,7 +110,7 @@ class Recorder(MemoryTransport):
         return super().bind_outlet(name, peer, address)
 
 
-def test_who_listens_and_who_connects(prepared: Prepared) -> None:
+def test_the_listening_and_the_connecting_side(prepared: Prepared) -> None:
     session = prepared.session
     roles = roster(session)
     placeholders = {
@@ -142,14 +142,14 @@ def test_what_is_counted_at_the_hub(prepared: Prepared, tmp_path: Path) -> None:
     hub, _ = transport.bind_hub(HUB_NAME, ())
     assert isinstance(hub, ZmqHub)
     hub.dropped.update(dict.fromkeys(HUB_DROPS, 1))
-    supervisor._conductor.ignored = supervisor._collector.refused = 1
+    supervisor.conductor.ignored = supervisor._collector.refused = 1
     supervisor._tally(hub, transport)
     transport.close()
     assert [row[0] for row in table("| count at the hub | is |")] == list(supervisor._refused)
 
 
-class Told:
-    """A node's line to the supervisor, of which only the last word is of interest."""
+class LastMessageLine:
+    """A node's line to the supervisor; only the last message matters."""
 
     def __init__(self) -> None:
         self.dropped, self.log, self.word = 0, Log(None, "s", "n", RealtimeClock()), Report(0, {}, {}, {})
@@ -175,7 +175,7 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
                 node = EnvironmentNode(bundle)
             case _:
                 continue
-        line = Told()
+        line = LastMessageLine()
         member = Member(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
         process._report(member, {}, Life.__new__(Life))
         own = [name for name in line.word.counts if name.removeprefix("dropped_") not in DROP_REASONS]

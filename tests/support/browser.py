@@ -1,4 +1,4 @@
-"""A real browser on the page of a real session: started, asked and ended within a test, and watched all the while."""
+"""A real browser on the page of a real session: a test starts, questions and ends it, and collects its errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .commands import read_until, started
 
 SESSION: Final = "browser.yaml"
 SLOWED: Final = ("--set", "period=0.01", "--set", "design.tau=0.004")
-"""A machine that draws pages too, by its processor, has no room for a kilohertz."""
+"""A machine whose processor also draws the page cannot keep 1 kHz."""
 
 QUIET: Final = (
     "--no-sandbox",
@@ -79,7 +79,7 @@ def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
 
 @contextmanager
 def browsing(executable: str) -> Iterator[Browser]:
-    """A browser that says nothing to anybody by itself."""
+    """A browser that sends nothing by itself."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=list(QUIET), timeout=60_000)
         try:
@@ -89,7 +89,7 @@ def browsing(executable: str) -> Iterator[Browser]:
 
 
 def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: list[str]) -> Page:
-    """Open the page, and wait until its plot moves; whatever is wrong with it is added to ``wrong``."""
+    """Open the page and wait until its plot moves; every later error of the page is added to ``wrong``."""
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page.set_default_timeout(60_000)
     host = urlsplit(address).netloc
@@ -110,7 +110,7 @@ def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: li
 
 
 def picture(page: Page, folder: Path, name: str) -> None:
-    """Keep how the page looks, all of it."""
+    """Save a picture of the whole page."""
     page.screenshot(path=folder / f"{name}.png", full_page=True)
 
 

@@ -1,7 +1,7 @@
-"""What goes over the wire, as somebody else on it sees it: tshark on the loopback interface, joined again by stream.
+"""The traffic on the wire as an eavesdropper sees it: tshark on the loopback interface, joined again by stream.
 
-Nothing here waits for time to pass. That the capture has begun, and that it has seen everything, is told by marker
-datagrams that appear in its output; that it has lost nothing, by sequence numbers that leave no hole.
+Nothing here waits for time to pass. Marker datagrams in tshark's output show that the capture has begun, and that it
+has seen everything. Sequence numbers without a hole show that it has lost nothing.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _SYN, _FIN = 0x02, 0x01
 def missing(what: str) -> NoReturn:
     """Skip the test for want of ``what``, or fail it where :data:`REQUIRED` is set."""
     if os.environ.get(REQUIRED) == "1":
-        pytest.fail(f"{what}, and {REQUIRED}=1 says that it must be there")
+        pytest.fail(f"{what}, and {REQUIRED}=1 requires it")
     pytest.skip(f"{what}; install it to run this test")
 
 
 class IncompleteCapture(Exception):
-    """Some of what was sent is not in the capture, so nothing can be said about it."""
+    """The capture lacks a part of what was sent, so it supports no conclusion."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Segment:
 
 
 def reassembled(segments: Iterable[Segment]) -> dict[tuple[int, int], bytes]:
-    """What was sent in each direction, by stream and source port: in order, and what was sent twice once.
+    """The bytes sent in each direction, by stream and source port, in order; retransmitted bytes appear once.
 
     Raises:
         IncompleteCapture: a direction's beginning, or a part of it, is missing.
@@ -81,20 +81,20 @@ def _joined(key: tuple[int, int], parts: list[Segment]) -> bytes:
 
 
 class Capture:
-    """A running tshark; use as a context, run what is to be seen, then :meth:`finish`.
+    """A running tshark: use it as a context, produce the traffic, then call :meth:`finish`.
 
     Sees the TCP connections to or from the given ports of the loopback interface.
     """
 
     def __init__(self, ports: range) -> None:
-        """Nothing is started yet; ``ports`` are consecutive."""
+        """``ports`` are consecutive; the context starts tshark."""
         self._ports = ports
         self._segments: list[Segment] = []
         self._markers: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._sent = 0
 
     def __enter__(self) -> Capture:
-        """Start it; returns when it sees what is sent.
+        """Start tshark; returns once it sees the traffic.
 
         Skips or fails the test where there is no tshark, or capturing is not permitted; see :func:`missing`.
         """
@@ -127,7 +127,7 @@ class Capture:
         self._end()
 
     def finish(self) -> dict[tuple[int, int], bytes]:
-        """All that was sent until now in each direction, as :func:`reassembled`; ends the capture.
+        """End the capture and return everything sent until now in each direction, as :func:`reassembled` does.
 
         Raises:
             IncompleteCapture: something was lost.
@@ -153,7 +153,7 @@ class Capture:
         return False
 
     def _read(self) -> None:
-        """In a thread of its own, for a full pipe would stop tshark."""
+        """Read tshark's output in a thread of its own, because a full pipe would stop tshark."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             stream, source, flags, sequence, payload, datagram = line.decode().rstrip("\n").split("\t")
@@ -186,7 +186,7 @@ def _as_options(fields: Iterable[str]) -> list[str]:
 
 
 def free_ports(count: int) -> range:
-    """Consecutive TCP ports of 127.0.0.1 that nobody uses, below those that the system gives away by itself."""
+    """Consecutive unused TCP ports of 127.0.0.1, below those that the system assigns by itself."""
     lowest_given = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     share = (min(lowest_given, 32_768) - 10_000) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))

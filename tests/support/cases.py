@@ -1,4 +1,4 @@
-"""How many cases a search tries: few in `make test`, all of them in `make test-long`."""
+"""The number of cases in a search: few in `make test`, all in `make test-long`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The program as a user starts it, for tests of whole sessions."""
+"""The program, started as a user starts it, for tests of whole sessions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 
 
 def run(*arguments: str | Path, cwd: Path | None = None) -> str:
-    """Run a command to its end; returns what it said on standard output.
+    """Run a command to its end and return its standard output.
 
     Raises:
-        AssertionError: its exit code is not 0; with what it said.
+        AssertionError: its exit code is not 0; the message has its output.
     """
     done = subprocess.run([*MANYHANDS, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, (
@@ -27,7 +27,7 @@ def run(*arguments: str | Path, cwd: Path | None = None) -> str:
 
 @contextmanager
 def started(*arguments: str | Path, cwd: Path | None = None) -> Iterator[subprocess.Popen[str]]:
-    """A command that goes on meanwhile; ended with Ctrl-C if the test fails before it has seen to that."""
+    """Start a command that runs beside the test; if the test fails before it ends the command, Ctrl-C ends it."""
     command = [*MANYHANDS, *map(str, arguments)]
     with subprocess.Popen(
         command, cwd=cwd, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True

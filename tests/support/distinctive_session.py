@@ -1,4 +1,4 @@
-"""A session of three users whose every number and name is like no other, so that it is known wherever it turns up.
+"""A session of three users with unique numbers and names, so that a search finds each one anywhere.
 
 The numbers are those of Example 1, each changed by up to a few per cent; the last bits are random, from a fixed seed.
 """
@@ -83,7 +83,7 @@ class _Near:
 
 
 def number_lists(plain: object) -> Iterator[list[float]]:
-    """The numbers in a tree of mappings and lists: those that stand in one list together, and each other by itself."""
+    """The numbers in a tree of mappings and lists: numbers of one list together, every other number by itself."""
     match plain:
         case Mapping():
             for value in plain.values():
@@ -102,7 +102,7 @@ def number_lists(plain: object) -> Iterator[list[float]]:
 
 
 def texts(plain: object) -> Iterator[str]:
-    """Every text in such a tree, the mappings' keys too."""
+    """Every text in such a tree, including the mappings' keys."""
     match plain:
         case Mapping():
             for key, value in plain.items():

@@ -1,7 +1,7 @@
-"""A session of nodes that do nothing but keep the protocol of joining, leaving and coming back, around a conductor.
+"""A session around a conductor whose nodes only keep the protocol of joining, leaving and coming back.
 
-Nothing is sent at once: what the nodes say, what they are told and the ends of their processes wait in queues, and a
-test decides what comes next. What a process had said before it was killed still arrives.
+Nothing is sent at once: the messages of nodes, the messages to them, and the ends of their processes wait in queues. A
+test decides which comes next. Messages of a process from before its death still arrive.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ CERTIFICATE = "c"
 
 
 def hello_of(graph: Topology, node: str, endpoints: dict[str, str], pid: int = 1) -> NodeHello:
-    """What ``node`` says first."""
+    """The first message of ``node``."""
     return NodeHello(PROTOCOL_VERSION, CERTIFICATE, "s", node, graph.nodes[node], pid, endpoints)
 
 
 @dataclass
-class Process:
+class FakeProcess:
     """One process of a node.
 
     Attributes:
-        bound: where it waits for each peer that connects to it.
-        connected: where it has connected to, by peer.
-        absent: whom it was told not to wait for.
-        connects: whether it was told where its peers are.
-        ready: whether it has said so.
-        starts: what it was started with.
-        shifts: what it was told of the ladder.
-        inbox: what it has not read.
+        bound: its own endpoint for each peer that connects to it.
+        connected: the endpoints that it has connected to, by peer.
+        absent: peers that were reported absent to it.
+        connects: whether it has received its peers' endpoints.
+        ready: whether it has sent Ready.
+        starts: the Start messages that it has received.
+        shifts: the Shift messages that it has received.
+        inbox: messages that it has not read.
     """
 
     bound: dict[str, str]
@@ -75,17 +75,17 @@ class FakeSession:
     """The nodes of ``graph``, all of them with processes, and their conductor.
 
     Attributes:
-        conductor: the one in question.
-        processes: those that live, by node.
-        said: what the nodes have said and the conductor has not heard.
-        ended: processes that have ended, which the conductor has not seen.
-        killed: nodes whose processes the conductor had killed.
-        now: ns.
+        conductor: the conductor under test.
+        processes: the living processes, by node.
+        said: messages of nodes that the conductor has not received yet.
+        ended: ends of processes that the conductor has not seen yet.
+        killed: nodes whose processes the conductor has killed.
+        now: the time, ns.
     """
 
     def __init__(self, graph: Topology, conductor: Conductor) -> None:
         self.graph, self.conductor = graph, conductor
-        self.processes: dict[str, Process] = {}
+        self.processes: dict[str, FakeProcess] = {}
         self.said: deque[tuple[str, Message]] = deque()
         self.ended: deque[tuple[str, int]] = deque()
         self.killed: list[str] = []
@@ -93,11 +93,11 @@ class FakeSession:
         self.now = 0
         self._places, self._pids = itertools.count(), itertools.count(1)
         for node in graph.nodes:
-            self._start(node)
+            self.start(node)
         self.settle()
 
     def settle(self) -> None:
-        """Let everything that is under way arrive."""
+        """Deliver everything under way, until all queues are empty."""
         while self.said or self.ended or any(process.inbox for process in self.processes.values()):
             while self.deliver():
                 pass
@@ -108,15 +108,15 @@ class FakeSession:
                 pass
 
     def deliver(self) -> bool:
-        """The conductor hears the next message, if there is one."""
+        """Give the conductor the next message, if there is one."""
         if self.said:
             sender, message = self.said.popleft()
-            self._obey(self.conductor.hear(sender, message, self.now))
+            self.obey(self.conductor.receive(sender, message, self.now))
             return True
         return False
 
     def read(self, node: str) -> bool:
-        """A node reads the next message, if there is one."""
+        """Let a node read its next message, if there is one."""
         process = self.processes.get(node)
         if process is None or not process.inbox:
             return False
@@ -125,9 +125,9 @@ class FakeSession:
         return True
 
     def see_end(self) -> bool:
-        """The conductor sees the next end of a process, if there is one."""
+        """Report the next end of a process to the conductor, if there is one."""
         if self.ended:
-            self._obey(self.conductor.exited(*self.ended.popleft(), self.now))
+            self.obey(self.conductor.exited(*self.ended.popleft(), self.now))
             return True
         return False
 
@@ -146,11 +146,11 @@ class FakeSession:
         ends = self.processes.get(binder), self.processes.get(connector)
         return all(ends) and ends[0].bound[connector] == ends[1].connected.get(binder)  # type: ignore[union-attr]
 
-    def _start(self, node: str) -> None:
+    def start(self, node: str) -> None:
         assert node not in self.processes, f"{node} was started while it still runs"
         assert all(ended != node for ended, _ in self.ended), f"{node} was started before its end was seen"
         binds = [link.connector for link in self.graph.links_of(node) if link.binder == node]
-        self.processes[node] = Process({peer: self._place(node, peer) for peer in binds})
+        self.processes[node] = FakeProcess({peer: self._place(node, peer) for peer in binds})
         pid = next(self._pids)
         if self.conductor.phase is SessionPhase.RUNNING and node not in self.conductor.remote:
             self.conductor.started(node, pid)
@@ -159,14 +159,14 @@ class FakeSession:
     def _place(self, node: str, peer: str) -> str:
         return f"ipc:///{node}-{peer}.{next(self._places)}"
 
-    def _obey(self, instructions: list[Instruction]) -> None:
+    def obey(self, instructions: list[Instruction]) -> None:
         for one in instructions:
             match one:
                 case Send(node, message):
                     if node in self.processes:
                         self.processes[node].inbox.append(message)
                 case StartProcess(node):
-                    self._start(node)
+                    self.start(node)
                 case KillProcess(node):
                     self.killed.append(node)
                     self.kill(node)
@@ -177,7 +177,7 @@ class FakeSession:
                 case ReleaseName():
                     pass
 
-    def _take(self, node: str, process: Process, message: Message) -> None:
+    def _take(self, node: str, process: FakeProcess, message: Message) -> None:
         match message:
             case Connect(endpoints):
                 expected = {link.binder for link in self.graph.links_of(node) if link.connector == node}

@@ -1,4 +1,4 @@
-"""A gate's answer as an array, in which tests reckon."""
+"""A gate's answer as an array, for computations in tests."""
 
 from __future__ import annotations
 

@@ -81,9 +81,9 @@ class _Boxes:
     """The mailboxes of one endpoint: its own, and one for each peer that connected or joined.
 
     Attributes:
-        own: of the bound end.
-        peers: of those who have an identity, by it.
-        all: those of peers that were forgotten among them.
+        own: the mailbox of the bound end.
+        peers: the mailbox of each peer with an identity, by identity.
+        all: every mailbox, including those of forgotten peers.
     """
 
     def __init__(self, limit: int) -> None:
@@ -139,11 +139,11 @@ _PEER = "peer"  # the one identity of a link's other end
 
 
 class MemoryHub:
-    """The one end of a star."""
+    """The centre of a star."""
 
     def __init__(self, boxes: _Boxes) -> None:
         self._boxes = boxes
-        self.dropped: dict[str, int] = {}  # nobody here sends anything but frames
+        self.dropped: dict[str, int] = {}  # every peer here sends only frames
         self.handled = 0
 
     def recv(self) -> tuple[str, bytes] | None:
@@ -162,7 +162,7 @@ class MemoryHub:
         return peer is not None and peer.put("", frame)
 
     def forget(self, identity: str) -> None:
-        """Let another have the name; see :class:`~manyhands.protocol.transport.Hub`."""
+        """Make the name free again; see :class:`~manyhands.protocol.transport.Hub`."""
         self._boxes.peers.pop(identity, None)
 
     def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
@@ -219,7 +219,7 @@ class MemoryTransport:
         """There is no door; see :class:`~manyhands.protocol.transport.Transport`."""
 
     def refused(self) -> Mapping[str, int]:
-        """Nobody is refused within a process; see :class:`~manyhands.protocol.transport.Transport`."""
+        """No peer is refused within a process; see :class:`~manyhands.protocol.transport.Transport`."""
         return {}
 
     def close(self) -> None:

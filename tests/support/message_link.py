@@ -11,7 +11,7 @@ from manyhands.protocol.messages import Message
 
 
 class MessageLink:
-    """A link whose other end is a test's: what is coming, and what was said."""
+    """A link whose other end a test holds: messages to come, and messages sent."""
 
     def __init__(self) -> None:
         self.coming: deque[bytes] = deque()

@@ -1,4 +1,4 @@
-"""A session to look on at, for tests: what it says of itself, and frames that come by a clock of the test's own."""
+"""A session to observe in tests: its description, and frames that come by the test's own clock."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ABOUT = About(
 
 
 def telemetry(node: str, tick: int, rows: int = 100, **figures: float) -> bytes:
-    """A node's telemetry of so many ticks; the value of each is the tick's number."""
+    """A node's telemetry of so many ticks; the value in each tick is the tick's number."""
     ticks = np.arange(tick - rows, tick, dtype=np.float64)[:, None]
     columns = len(ABOUT.nodes[node].ports)
     if ABOUT.nodes[node].role is Role.DEVICE:
@@ -45,13 +45,13 @@ def telemetry(node: str, tick: int, rows: int = 100, **figures: float) -> bytes:
 
 def condition(phase: str = "running", silent: tuple[str, ...] = (), incidents: tuple[str, ...] = (),
               **states: str) -> bytes:  # fmt: skip
-    """How the session is."""
+    """A frame of the session's condition."""
     stand = {**dict.fromkeys(ABOUT.nodes, "running"), **states}
     return encode(Condition(phase, 2.5, stand, silent, ("a notice",), incidents, ()))
 
 
 class Frames:
-    """Frames that come at given ms, on a clock that goes on only while somebody waits for them."""
+    """Frames that come at given instants, ms, on a clock that advances only during a wait for them."""
 
     def __init__(self, at: Mapping[int, list[bytes]]) -> None:
         """``at``: frames by the instant at which they come, ms."""

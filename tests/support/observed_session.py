@@ -1,4 +1,4 @@
-"""A session to look on at that needs no processes: its description, and frames as its broadcast would show them."""
+"""A session to observe without processes: its description, and frames as its broadcast sends them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ UNCERTIFIED = replace(ABOUT, certificate=None)
 
 
 def observed(node: str, tick: int, traces: Mapping[str, Floats], **figures: float) -> bytes:
-    """A frame of what a node told."""
+    """A frame of a node's telemetry."""
     return encode(Observation(node, tick, figures, traces))
 
 
@@ -59,7 +59,7 @@ def moving(tick: int, rows: int = 100) -> bytes:
 
 
 def conditioned(phase: str = "running", **told: tuple[str, ...]) -> bytes:
-    """A frame of how the session is, all nodes running but those that ``lost`` names."""
+    """A frame of the session's condition: all nodes run except those in ``lost``."""
     lost = told.pop("lost", ())
     states = {name: "lost" if name in lost else "running" for name in ABOUT.nodes}
     return encode(Condition(phase, 1.0, states, **told))

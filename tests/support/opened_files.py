@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .capture import missing
 
-# the calls of which the log tells, and what they return: a descriptor, with the path behind it
+# the calls in the log, and what they return: a descriptor, with the path behind it
 _OPENING = "trace=/^(open|creat)"
 _OPENED = re.compile(r" = \d+<(/.*)>(?:\(deleted\))?$")
 
@@ -26,6 +26,6 @@ def watched(command: Sequence[str], log: Path) -> list[str]:
 
 
 def opened(log: Path) -> set[Path]:
-    """The files and folders that were opened, as they are named in the file system."""
+    """The opened files and folders, by their names in the file system."""
     found = (_OPENED.search(line) for line in log.read_text().splitlines())
     return {Path(match[1]) for match in found if match}

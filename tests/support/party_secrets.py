@@ -1,4 +1,4 @@
-"""What each party of a session may not find out about the others, and the shapes in which it could turn up."""
+"""The data of each party that the other parties must not learn, and the forms in which it could appear."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Lists = list[list[float]]
 
 
 def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]) -> _Lists:
-    """The numbers that are ``name``'s alone, from its part of the session file and from its bundle."""
+    """The numbers of ``name`` alone, from its part of the session file and from its bundle."""
     if name in distinctive_session.DEVICES:
         return [*_numbers(session["devices"][name]), *_numbers({**bundle, "common": None})]
     if name in distinctive_session.COUPLINGS:
@@ -35,13 +35,13 @@ def own_numbers(name: str, session: Mapping[str, Any], bundle: Mapping[str, Any]
 
 
 def _numbers(plain: object) -> _Lists:
-    """The numbers of a tree, those in formulas too."""
+    """The numbers of a tree, including those in formulas."""
     formulas = [[float(number) for number in _NUMBER.findall(text)] for text in distinctive_session.texts(plain)]
     return [*distinctive_session.number_lists(plain), *formulas]
 
 
 def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
-    """What others own and ``name`` may know all the same: a device's K and limits its coupling, D_V the environment.
+    """The others' numbers that ``name`` may know: its devices' K and limits a coupling, D_V the environment.
 
     The delays of the ladder's rungs are the session's, and every device's.
     """
@@ -58,7 +58,7 @@ def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[floa
 
 
 def forbidden_numbers(name: str, session: Mapping[str, Any], bundles: Mapping[str, Mapping[str, Any]]) -> _Lists:
-    """The distinctive numbers of the others, lists of numbers that stand together as such.
+    """The distinctive numbers of the others; numbers of one list stay together.
 
     A number that is ``name``'s own as well, up to rounding, is no secret: springs and dampers of softer rungs stand in
     one proportion in all blocks (decision 16), so that their A agree in more digits than are searched for.
@@ -74,7 +74,7 @@ def _among(number: float, known: set[float]) -> bool:
 
 
 def forbidden_texts(name: str, session: Mapping[str, Any]) -> set[str]:
-    """Names of those that ``name`` has nothing to do with, and the others' formulas."""
+    """The names of parties without a link to ``name``, and the others' formulas."""
     hands = [session["devices"][device]["hand"] for device in distinctive_session.DEVICES if device != name]
     texts = {hand[intent] for hand in hands for intent in ("force", "motion")} | {distinctive_session.HUB}
     if name in distinctive_session.DEVICES:
@@ -94,7 +94,7 @@ def _coupling_of(device: str) -> str:
 
 
 def as_numbers(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:
-    """The numbers as a processor or a text would hold them, either sign.
+    """The numbers as a processor or a text holds them, with either sign.
 
     As float 32 those that stand together, two by two: the four bytes of one alone turn up by accident.
     """
@@ -111,14 +111,14 @@ def as_numbers(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:
 
 
 def _as_text(number: float) -> bytes:
-    """How the text of a number begins, whatever its length; without an exponent."""
+    """The beginning of a number's text, whatever its length, without an exponent."""
     text = repr(abs(number)).partition("e")[0]
     leading = len(text) - len(text.lstrip("0."))
     return text[: leading + _DIGITS + 1].encode()  # one more for the point
 
 
 def as_doubles(lists: Iterable[Iterable[float]]) -> dict[bytes, str]:
-    """The distinctive ones of the numbers as a processor holds them."""
+    """The distinctive numbers as a processor holds them."""
     return {struct.pack("<d", n): repr(n) for numbers in lists for n in numbers if is_distinctive(n)}
 
 
@@ -128,6 +128,6 @@ def as_texts(texts: Iterable[str]) -> dict[bytes, str]:
 
 
 def as_keys(keys: Mapping[str, str]) -> dict[bytes, str]:
-    """Keys by what they are: their characters, and the 32 bytes that these mean."""
+    """Keys in both forms: their characters, and the 32 bytes that these encode."""
     text = {key.encode(): f"{what} (text)" for what, key in keys.items()}
     return text | {z85.decode(key): f"{what} (bytes)" for what, key in keys.items()}

@@ -1,4 +1,4 @@
-"""Many byte strings looked for at once, in more bytes than one would keep: what was sent, or what a process holds."""
+"""A search for many byte strings at once in a long stream of bytes: network traffic, or a process's memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Patterns:
     """
 
     def __init__(self, wanted: Mapping[bytes, str]) -> None:
-        """``wanted``: what each byte string is.
+        """``wanted`` gives the meaning of each byte string.
 
         Raises:
             ValueError: one is shorter than :data:`SHORTEST`, or nothing but zeros.
@@ -40,7 +40,7 @@ class Patterns:
         self._overlap = max(map(len, wanted), default=1) - 1
 
     def found_in(self, pieces: Iterable[bytes]) -> set[str]:
-        """What of the patterns occurs in consecutive ``pieces``, across their borders too."""
+        """The meanings of the patterns that occur in consecutive ``pieces``, also across their borders."""
         found: set[bytes] = set()
         rest = b""
         for piece in pieces:
@@ -65,10 +65,10 @@ class Patterns:
 
 
 def _is_nothing(data: bytes) -> bool:
-    """Whether these are zeros, like most of what a process has never touched."""
+    """Whether these bytes are all zero, as in most memory that a process has never touched."""
     return not data[0] and not any(data[:64]) and data.count(0) == len(data)
 
 
 def is_distinctive(value: float) -> bool:
-    """Whether a number would hardly turn up by accident: at least five distinct bytes that are not zero."""
+    """Whether a number hardly occurs by accident: at least five distinct bytes other than zero."""
     return len(set(struct.pack("<d", value)) - {0}) >= 5

@@ -1,7 +1,7 @@
-"""What a process holds in its memory: while it runs, and when it ends, before its memory is gone.
+"""The memory of another process: while it runs, and at its end, before the kernel frees it.
 
-A process is held with ptrace: at will, and at its end (PTRACE_EVENT_EXIT), when it has done all that it will ever do
-and its memory is still there.
+ptrace stops the process at any time, and at its end (PTRACE_EVENT_EXIT), when it has done all its work and its memory
+is still there.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class CannotTrace(Exception):
 
 
 def memory_contains(pid: int, patterns: Patterns) -> set[str]:
-    """What of ``patterns`` is anywhere in a process's readable memory.
+    """The names of those ``patterns`` that occur anywhere in a process's readable memory.
 
-    Of a process that is not held it may miss what is moved meanwhile.
+    In a process that is not held, the search may miss data that moves meanwhile.
 
     Raises:
         OSError: its memory cannot be read.
@@ -51,7 +51,7 @@ def memory_contains(pid: int, patterns: Patterns) -> set[str]:
 
 
 def _readable(pid: int) -> list[tuple[int, int]]:
-    """The readable ranges of addresses, neighbours made one."""
+    """The readable ranges of addresses; adjacent ones are joined."""
     out: list[tuple[int, int]] = []
     for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
         addresses, rights, *rest = line.split(maxsplit=5)
@@ -81,14 +81,14 @@ def _pieces(memory: int, begin: int, end: int) -> Iterator[bytes]:
 
 
 class TracedProcess:
-    """A process that can be held; use as a context, all in one thread.
+    """A process that a test can hold; use it as a context, in one thread.
 
-    The process runs on until :meth:`hold`, and again after :meth:`resume`. One that is still there when the context
-    is left runs on without being held.
+    The process runs on until :meth:`hold`, and again after :meth:`resume`. A process that is still there at the end of
+    the context runs on.
     """
 
     def __init__(self, pid: int) -> None:
-        """Nothing is done yet; ``pid`` is of a process that we may trace: our own, or a descendant's."""
+        """``pid`` belongs to a process that we may trace: our own, or a descendant's."""
         self.pid = pid
         self.exit_status: int | None = None
         self._libc = ctypes.CDLL(None, use_errno=True)
@@ -132,7 +132,7 @@ class TracedProcess:
         self._wait_for(_EVENT_STOP)
 
     def resume(self) -> None:
-        """Let it run on."""
+        """Let the process run on."""
         self._is_held = False
         self._ask(_CONT)
 
@@ -153,7 +153,7 @@ class TracedProcess:
         return self.exit_status
 
     def _wait_for(self, event: int) -> None:
-        """Pass on whatever else stops the process, until ``event`` does."""
+        """Wait until ``event`` stops the process; other signals are passed on."""
         while True:
             status = self._next_change()
             if not os.WIFSTOPPED(status):

@@ -1,4 +1,4 @@
-"""An environment's tick with arrays, in which tests reckon."""
+"""An environment's tick with arrays, for computations in tests."""
 
 from __future__ import annotations
 

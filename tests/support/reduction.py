@@ -1,6 +1,6 @@
 """What is left of a certificate when coupling blocks are frozen, and when their ratios are anything between.
 
-A frozen block's tools rest in the environment and no force goes to its users. For those who remain, the environment is
+A frozen block's tools rest in the environment and no force goes to its users. For other users, the environment is
 the compression of E_hat to their ports: a network with the frozen ports held to the ground, or matrices without
 their rows and columns. Levels and storage are parts of those of the whole certificate:
 
@@ -56,7 +56,7 @@ Storage = Matrix | Literal["energy", "enforced"]
 
 
 def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
-    """The certificate of those who remain, sealed; it is claimed, not yet proved.
+    """The certificate of the remaining users, sealed; it is a claim, not yet a proof.
 
     Of transparency it claims nothing: that storage is in another realisation. What was asked stays what was asked of
     the whole loop.
@@ -162,7 +162,7 @@ def _grounded(network: Network, ports: tuple[str, ...]) -> Network:
 
 
 def _without_late(P: Storage, m: int, ports: Sequence[int], delay: int) -> Storage:
-    """P without the late velocities of held ports, which are zero: the last m ``delay`` states, the latest first."""
+    """P without the delayed velocities of held ports, which are zero: the last m ``delay`` states, the latest first."""
     if isinstance(P, str) or delay == 0:
         return P
     n = P.shape[0] - m * delay

@@ -17,7 +17,7 @@ force of the same tick, and records it. It gets no further: the environment awai
 
 
 def rows_of(recording: Recording, port: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x and f_v of a port whose device was there to the end, up to the last tick that the device recorded.
+    """x and f_v of a port whose device ran to the end, up to the last tick that the device recorded.
 
     Fails where the device missed a tick before that one, or where it ended more than :data:`UNDONE` ticks before the
     last device.

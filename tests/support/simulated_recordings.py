@@ -1,4 +1,4 @@
-"""Recordings of simulated sessions, as a recorder writes them: no process is needed for them."""
+"""Recordings of simulated sessions, as a recorder writes them, without any process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Rows = Mapping[tuple[str, str], np.ndarray]
 
 
 def simulated(prepared: Prepared, ticks: int, faults: Sequence[Silence] = ()) -> dict[tuple[str, str], np.ndarray]:
-    """What all nodes tell of a run."""
+    """The telemetry of all nodes in a run."""
     simulation = Simulation(prepared)
     traces: Traces = simulation.traces(ticks)
     simulation.run(ticks, faults=faults, traces=traces)
@@ -63,15 +63,15 @@ def written(
     more: Callable[[str, int], Mapping[str, float]] = lambda node, tick: {},
     frozen: bool = True,
 ) -> Path:
-    """A recording of these rows; where a node has none, it told of none.
+    """Write a recording of these rows; a node without rows in a tick sent no telemetry of it.
 
     Args:
-        path: where it goes.
+        path: the file.
         recorded: the session.
         attachments: by name.
         rows: by node and trace.
-        more: by node and tick, what its figures say besides its ledger.
-        frozen: whether the environment says that it froze a coupling while that has no rows.
+        more: by node and tick, its figures besides its ledger.
+        frozen: whether the environment reports a coupling without rows as frozen.
     """
     core = RecorderCore(recorded, attachments, START)
     for node, role in recorded.roles.items():
@@ -88,7 +88,7 @@ def written(
                 figures = {LEDGER: float(told[LEDGER][-1, 0])} if LEDGER in told else {}
                 if frozen and role is Role.ENVIRONMENT:
                     figures |= _frozen(rows, recorded, int(ticks[0]), until)
-                if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and says so
+                if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and reports it
                     figures |= TickEvents().take(int(ticks[0]), until)
                 figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
                 core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)
@@ -98,7 +98,7 @@ def written(
 
 
 def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, float]:
-    """What an environment says of the couplings that have no rows, in its telemetry of these ticks."""
+    """An environment's figures about the couplings without rows, in its telemetry of these ticks."""
     events = TickEvents()
     for node, role in recorded.roles.items():
         if role is Role.COUPLING:
@@ -110,10 +110,10 @@ def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, f
 
 
 def forged(path: Path, run: RecordedRun, change: Callable[[dict[tuple[str, str], np.ndarray]], None]) -> Path:
-    """A recording once more, as a recorder writes it and so with every checksum right, with some numbers changed.
+    """Write a recording again with some numbers changed; a recorder writes it, so every checksum is right.
 
     Args:
-        path: where it goes.
+        path: the file.
         run: what was recorded.
         change: changes the rows in place.
     """

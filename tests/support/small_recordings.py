@@ -35,7 +35,7 @@ TRACES = {
 
 
 def observation(node: str, tick: int, rows: int, **figures: float) -> bytes:
-    """A frame of a node's ticks up to ``tick``, with numbers that have many digits."""
+    """A frame of a node's ticks up to ``tick``, with numbers of many digits."""
     base = np.sin(np.arange(tick - rows, tick, dtype=np.float64)[:, None] + 1.0)
     traces = {
         name: base * (place + 1) * np.ones((1, width)) for place, (name, width) in enumerate(TRACES[node].items())
@@ -44,19 +44,19 @@ def observation(node: str, tick: int, rows: int, **figures: float) -> bytes:
 
 
 def condition(phase: str = "running", elapsed: float = 0.0) -> bytes:
-    """A frame of how the session is."""
+    """A frame of the session's condition."""
     return encode(Condition(phase, elapsed, dict.fromkeys(RECORDED.roles, "running")))
 
 
 def frames(ticks: int, each: int, recorded: Recorded = RECORDED) -> Iterable[bytes]:
-    """What a broadcast shows of a session of ``ticks``, ``each`` in an observation."""
+    """The frames of a broadcast of a session of ``ticks``, ``each`` in an observation."""
     for tick in range(each, ticks + 1, each):
         for node in recorded.roles:
             yield observation(node, tick, each, late=float(tick))
 
 
 def pieces(ticks: int, each: int, chunks: int, recorded: Recorded = RECORDED) -> list[bytes]:
-    """A recording as its recorder writes it: its beginning, about so many chunks, its end."""
+    """The parts of a recording as a recorder writes them: the beginning, about so many chunks, the end."""
     core = RecorderCore(recorded, ATTACHED, STARTED)
     shown = [condition(), *frames(ticks, each, recorded)]
     out = [core.cut()]
@@ -73,6 +73,6 @@ def recording(ticks: int = 10, each: int = 5, chunks: int = 2, recorded: Recorde
 
 
 def cut_recording(ticks: int, each: int) -> bytes:
-    """One that ends within the second of three chunks."""
+    """A recording that ends within the second of three chunks."""
     beginning, first, second, *_ = pieces(ticks, each, 3)
     return beginning + first + second[: len(second) // 2]

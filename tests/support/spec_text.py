@@ -15,5 +15,5 @@ def table(header: str) -> list[list[str]]:
 
 
 def listed(cell: str) -> set[str]:
-    """What a cell lists; "nothing" is nothing."""
+    """The entries of a cell; the word "nothing" means none."""
     return set() if cell == "nothing" else set(cell.split(", "))

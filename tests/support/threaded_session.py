@@ -1,7 +1,7 @@
 """A session whose nodes are threads, over the in-memory transport, with a test in the supervisor's place.
 
-The test ends nodes without a word, tells the survivors, collects their offers, and starts nodes anew. It waits for what
-nodes tell and for what they look at, never for time to pass.
+The test ends nodes without a message, reports this to the survivors, collects their offers, and starts nodes anew. It
+waits for the nodes' telemetry and for their looks at a line, never for time to pass.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from tests.support.memory_transport import MemoryTransport
 PATIENCE = 30.0  # s, of a test for what must come
 
 
-class TestLine:
+class ThreadLine:
     """A node's line to the test.
 
     Attributes:
         told: every telemetry, with its traces copied.
-        pause: the node stays in the telemetry of this tick until it is released; -1: it does not.
+        pause: the node waits in the telemetry of this tick until :meth:`ThreadedSession.release`; -1: it never waits.
     """
 
     def __init__(self, transport: MemoryTransport, name: str, generation: int) -> None:
@@ -92,7 +92,7 @@ class TestLine:
             return next(filter(done, self.told))
 
     def give_up(self) -> None:
-        """A node has failed: nobody need wait any more."""
+        """End every wait, because a node has failed."""
         with self._news:
             self.given_up = True
             self._news.notify_all()
@@ -105,13 +105,13 @@ class TestLine:
 
 
 def _in_step(bundle: Bundle) -> Bundle:
-    """All tell in the same ticks, so that a test knows in which."""
+    """The bundle with telemetry in the same ticks for all nodes, so that a test knows in which."""
     common = bundle.common
     return replace(bundle, common=replace(common, telemetry_first=common.telemetry_ticks))
 
 
 class ThreadedSession:
-    """A session whose nodes are threads; to be entered and left."""
+    """A session whose nodes are threads; use it as a context."""
 
     def __init__(
         self, prepared: Prepared, new_life: Callable[[], Any], *, clock: str = SIMULATED, ticks: int = 0, tick: int = 0
@@ -122,8 +122,8 @@ class ThreadedSession:
         self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, RunPlan(clock, None, "")).items()}
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
-        self.lines: dict[str, TestLine] = {}
-        self.all_lines: list[TestLine] = []
+        self.lines: dict[str, ThreadLine] = {}
+        self.all_lines: list[ThreadLine] = []
         self.lives: dict[str, Any] = {}
         self.nodes: dict[str, Node] = {}
         self.ends: dict[str, Future[None]] = {}
@@ -131,7 +131,7 @@ class ThreadedSession:
         self._awaited: list[threading.Event] = []
         self.error: BaseException | None = None
         self.epoch = Instant(RealtimeClock().now() + 50_000_000)
-        self.prepare: Callable[[str, TestLine], None] = lambda _name, _line: None
+        self.prepare: Callable[[str, ThreadLine], None] = lambda _name, _line: None
 
     def __enter__(self) -> ThreadedSession:
         links: dict[str, dict[str, Link]] = {name: {} for name in self.graph.nodes}
@@ -155,11 +155,11 @@ class ThreadedSession:
             raise self.error
 
     def together(self, name: str) -> list[str]:
-        """A node and those that it carries."""
+        """A node and the couplings that it carries."""
         return [name, *(node for node, carrier in self.graph.carriers.items() if carrier == name)]
 
     def _run(self, name: str, links: dict[str, dict[str, Link]], tick: int) -> None:
-        """Start a process of its own for ``name``, and what it carries."""
+        """Start a thread for ``name`` and the couplings that it carries."""
         together, life = self.together(name), self._new_life()
         carried = [CarriedBlock(self._bundles[other]) for other in together[1:]]  # type: ignore[arg-type]
         leader: Node
@@ -175,7 +175,7 @@ class ThreadedSession:
         self.nodes.update(zip(together, (leader, *carried), strict=True))
         for node in together:
             self._generation += 1
-            line = self.lines[node] = TestLine(self.transport, node, self._generation)
+            line = self.lines[node] = ThreadLine(self.transport, node, self._generation)
             self.all_lines.append(line)
             self.prepare(node, line)
             self.lives[node] = life
@@ -195,7 +195,7 @@ class ThreadedSession:
         self.ends.update(dict.fromkeys(together, end))
 
     def _look_at(self, end: Future[None]) -> None:
-        """A node's error ends the others, too, and is raised when the stage is left."""
+        """End the other nodes at a node's error; leaving the session raises it."""
         if (error := end.exception()) is not None or any(life.failure for life in self.lives.values()):
             self.error = self.error or error
             for life in self.lives.values():
@@ -216,7 +216,7 @@ class ThreadedSession:
         self.lines[name].released.set()
 
     def see(self, name: str, what: Callable[[], bool]) -> None:
-        """Wait until a node, which looks at its line again and again, has ``what`` come about."""
+        """Wait until ``what`` holds; it is tested whenever the node looks at its line."""
         seen = threading.Event()
         self._awaited.append(seen)
         self.lines[name].looking = lambda: seen.set() if what() else None
@@ -230,11 +230,11 @@ class ThreadedSession:
             raise self.error
 
     def reach(self, name: str, tick: int) -> int:
-        """Wait until a node has told of this tick."""
+        """Wait until a node has sent telemetry of this tick."""
         return self.lines[name].reach(lambda telemetry: telemetry.tick >= tick).tick
 
     def lose(self, *names: str) -> None:
-        """Nodes end without a word, all at once, and then those of their peers that live are told."""
+        """End nodes without a message, all at once; then report them as absent to their living peers."""
         gone = {node for name in names for node in self.together(name)}
         for name in names:
             self.lives[name].stopping = True
@@ -247,7 +247,7 @@ class ThreadedSession:
                     self.lines[peer].words.put(Absent(name))
 
     def bring_back(self, name: str, tick: int, absent: Sequence[str] = ()) -> None:
-        """A new process in the place of ``name``, which is told that ``absent`` are not there."""
+        """Start a new process for ``name``, and report ``absent`` to it as lost peers."""
         links: dict[str, dict[str, Link]] = {}
         returns: list[tuple[str, Return]] = []
         for node in self.together(name):
@@ -276,18 +276,20 @@ class ThreadedSession:
         return [plan.connector if plan.binder == name else plan.binder for plan in self.graph.links_of(name)]
 
     def state(self, coupling: str) -> Membership | None:
-        """Where a coupling stands at the environment, as of now."""
-        members = getattr(self.nodes[ENVIRONMENT], "_members", None)
+        """The membership of a coupling now; None before the environment has shaken hands."""
+        environment = self.nodes[ENVIRONMENT]
+        assert isinstance(environment, EnvironmentNode)
+        members = environment.members
         if members is None:
             return None
         return next(member.membership.state for member in members.all if member.peer_link.peer.name == coupling)
 
     def await_state(self, coupling: str, *states: Membership) -> None:
-        """Wait until the environment, which looks at its line again and again, has ``coupling`` stand so."""
+        """Wait until the environment gives ``coupling`` one of these states; it looks at its line repeatedly."""
         self.see(ENVIRONMENT, lambda: self.state(coupling) in states)
 
     def reports(self, *names: str) -> dict[str, Report]:
-        """The last words of all, or of ``names``, after their end."""
+        """The reports of all nodes, or of ``names``, after their end."""
         for name in names or self.nodes:
             self.ends[name].result(timeout=PATIENCE)
         return {name: self.nodes[name].report() for name in names or self.nodes}

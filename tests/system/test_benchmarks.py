@@ -1,4 +1,4 @@
-"""The benchmarks of the loop run for a moment, and say what they say in the form in which it is read. No timings."""
+"""The benchmarks of the loop run for a moment and report in the documented form. No timings."""
 
 from __future__ import annotations
 
@@ -137,11 +137,11 @@ def test_memory_that_grows_is_seen() -> None:
 
 
 class Over(Exception):
-    """A wire has nothing left to say."""
+    """A scripted wire has no frame left."""
 
 
 class ScriptedWire:
-    """What each peer sends, in order; None for nothing within the time."""
+    """The frames of each peer, in order; None for no frame within the time."""
 
     version = "scripted"
 
@@ -195,7 +195,7 @@ def test_what_a_recording_costs_without_a_loop(tmp_path: Path) -> None:
     assert f"{found['messages_per_s']:.0f} messages/s" in said
 
 
-def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
+def test_an_onlookers_window_takes_each_tick_once() -> None:
     from watched_figures import Window  # type: ignore[import-not-found]
 
     window = Window(["a", "b"], first=100, ticks=50)
@@ -215,7 +215,7 @@ def test_the_window_of_who_looks_on_takes_each_tick_once() -> None:
     assert run.late == pytest.approx((10 + 10) / 100)
 
 
-def test_a_device_that_tells_nothing_is_named() -> None:
+def test_a_silent_device_is_named() -> None:
     from watched_figures import Window
 
     window = Window(["a", "b"], 0, 10)

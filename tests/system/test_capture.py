@@ -1,4 +1,4 @@
-"""What somebody else on the network can read of a session: of one with keys nothing, of one without all of it."""
+"""What an eavesdropper on the network can read: nothing of a session with keys, everything without keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..support.patterns import Patterns, is_distinctive
 
 SECONDS = "0.4"
 PORTS = 24  # one for the hub, one for each link, and some to spare
-GREETING_MECHANISM = slice(12, 32)  # of what each side of a ZMTP 3 connection says first
+GREETING_MECHANISM = slice(12, 32)  # of the first bytes of each side of a ZMTP 3 connection
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +31,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @dataclass(frozen=True)
 class Captured:
-    """A session, and what was seen of it.
+    """A session and its captured traffic.
 
     Attributes:
         directions: all that was sent, by connection and direction.
         signals: every x and f_v that the session's own recording has.
-        certificate: the id of what it ran under.
+        certificate: the id of its certificate.
     """
 
     directions: list[bytes]
@@ -68,12 +68,12 @@ def captured(folder: Path, *options: str | Path) -> Captured:
 
 
 def values(signals: np.ndarray, form: str) -> dict[bytes, str]:
-    """Those of the values that would not turn up by accident, as they are sent."""
+    """The values that hardly occur by accident, as they are sent."""
     return {struct.pack(form, value): f"{value!r} ({form})" for value in signals.tolist() if is_distinctive(value)}
 
 
 @pytest.mark.alone
-def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_insecure_one_all(folder: Path) -> None:
+def test_a_capture_shows_insecure_sessions_whole_and_keyed_ones_not(folder: Path) -> None:
     keyed = captured(folder, "--keys", folder / "keys")
     plain = captured(folder, "--insecure")
 
@@ -96,7 +96,7 @@ def test_a_capture_of_a_keyed_session_has_nothing_of_what_was_sent_and_of_an_ins
 SYN, ACK, FIN = 0x02, 0x10, 0x01
 
 
-def test_what_was_sent_is_found_however_it_was_cut_and_in_whatever_order_it_was_seen() -> None:
+def test_sent_bytes_are_found_however_cut_and_in_any_order() -> None:
     value = struct.pack("<d", 0.12345678901234567)
     segments = [
         Segment(3, 5000, ACK, 6, value[4:] + b"-end"),
@@ -113,7 +113,7 @@ def test_what_was_sent_is_found_however_it_was_cut_and_in_whatever_order_it_was_
 
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
-def test_a_capture_with_a_hole_says_nothing(lost: int) -> None:
+def test_a_capture_with_a_hole_proves_nothing(lost: int) -> None:
     segments = [
         Segment(0, 5000, SYN, 0, b""),
         Segment(0, 5000, ACK, 1, b"abcd"),

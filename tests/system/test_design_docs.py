@@ -1,4 +1,4 @@
-"""docs/design.md is executed: every block prints what it says, and every number in the text is one of a block."""
+"""docs/design.md is executed: every block prints the output shown, and every number in the text is one of a block."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from manyhands import design
 from manyhands.launch import cli
 
 ROOT = Path(__file__).parents[2]
@@ -96,7 +97,7 @@ def own_interrupt() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("own_interrupt")
-def test_every_block_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_block_prints_its_quoted_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the page's order, in one folder: commands leave files that the code reads, and the other way round."""
     monkeypatch.chdir(tmp_path)
     # as to a file, even where the tests themselves write to a terminal
@@ -143,7 +144,7 @@ def test_every_number_in_the_text_is_one_of_a_block() -> None:
     assert unfounded(PAGE.read_text(encoding="utf-8")) == []
 
 
-def test_what_is_too_slow_to_run_here_names_the_program_that_prints_it() -> None:
+def test_examples_too_slow_for_a_test_name_their_program() -> None:
     found = COMPUTED.findall(PAGE.read_text(encoding="utf-8"))
     assert found
     for command, _ in found:
@@ -153,10 +154,15 @@ def test_what_is_too_slow_to_run_here_names_the_program_that_prints_it() -> None
 
 
 def test_the_check_sees_what_is_wrong() -> None:
-    """The rules that the page is held to, each broken once."""
+    """The rules of the page, each broken once."""
     output = "│ margin of (10)  │ 1.4955 N·s/m │\nexample-1: certified   \n"
     assert missing(["margin of (10) 1.4... N·s/m", "example-1: certified"], output) == []
     assert missing(["margin of (10) 1.5... N·s/m", "certified"], output) == ["margin of (10) 1.5... N·s/m", "certified"]
     page = "The limit (24) is 2740 N/m, not 2750, in 3 steps, `x = 7.5`.\n```console\n$ manyhands x\n2740\n```\n"
     assert unfounded(page) == ["2750"]
     assert unfounded(page + "<!-- computed by: python a.py -->\n| 2750.5 |\n") == []
+
+
+def test_the_page_describes_every_public_name_of_design() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert [name for name in design.__all__ if f"`{name}`" not in text] == []

@@ -47,7 +47,7 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_readmes_terminals_show_what_they_say(tmp_path: Path) -> None:
-    """The lines of the three terminals, in their order; what goes on is ended with Ctrl-C, as a person would."""
+    """The lines of the three terminals, in their order; Ctrl-C ends a running command, as a person would."""
     text = (ROOT / "README.md").read_text()
     lines = re.findall(r"^(\d) \$ manyhands (.*?)(?:  +#.*)?$", text, flags=re.MULTILINE)
     assert [terminal for terminal, _ in lines] == ["1", "2", *"3333"]
@@ -67,7 +67,7 @@ def test_the_readmes_terminals_show_what_they_say(tmp_path: Path) -> None:
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
-def test_every_key_of_the_files_is_told(tmp_path: Path) -> None:
+def test_every_key_of_the_files_is_documented(tmp_path: Path) -> None:
     command = [sys.executable, "-P", "-m", "manyhands"]
     arguments = ["example1.yaml", "-o", "c.json", "--json"]
     said = subprocess.run([*command, "design", *arguments], cwd=tmp_path, capture_output=True, check=True).stdout
@@ -89,7 +89,7 @@ def test_the_readmes_session_is_valid_and_certified(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_readmes_python_prints_what_it_says(tmp_path: Path) -> None:
+def test_the_readmes_python_prints_its_quoted_output(tmp_path: Path) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     done = subprocess.run(
         [sys.executable, "-P", "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False

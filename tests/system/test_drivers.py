@@ -1,4 +1,4 @@
-"""Whole sessions whose devices are moved by what was recorded, or by a hand at a browser."""
+"""Whole sessions whose devices are moved by a recording, or by a hand at a browser."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TRACED = "devices.{0}={{dof: 1, osp: 1.37, driver: trace, trace: {{file: '{1}'}}
 
 @pytest.mark.parametrize("colocate", ["false", pytest.param("true", marks=pytest.mark.long)])
 def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path: Path, colocate: str) -> None:
-    """Recorded by a run of processes; met again by a weaker coupling, and at half the period."""
+    """A run of processes records it; a weaker coupling, and half the period, replay it."""
     recorded = tmp_path / "run.npz"
     run("launch", "example1", "--clock", "simulated", "--duration", "0.4", "--record", recorded)
     given = ["design.coupling=given", "design.stiffness=300", "design.damping=0.1", f"colocate={colocate}"]
@@ -60,7 +60,7 @@ def test_a_recorded_motion_meets_another_coupling_as_in_the_simulation(tmp_path:
 
 
 @pytest.mark.alone
-def test_a_hand_at_a_browser_moves_the_other_user_of_a_running_session() -> None:
+def test_a_hand_at_a_browser_moves_a_running_sessions_other_user() -> None:
     clock = RealtimeClock()
     with started("launch", "browser") as process:
         read_until(process, "running: tick")

@@ -1,4 +1,4 @@
-"""However a session ends, nothing is left of it, and the exit code says how it ended.
+"""After any end of a session nothing is left, and the exit code shows how it ended.
 
 Nothing here waits for time to pass: each end is brought about at an event that the supervisor reports.
 """
@@ -38,7 +38,7 @@ def prepared() -> Prepared:
 
 @pytest.fixture(scope="module")
 def brittle(prepared: Prepared) -> Prepared:
-    """The session in which nobody who dies comes back."""
+    """The session without restarts."""
     session = load_session(SESSIONS / "example1.yaml", ["faults.restarts=0"])
     return dataclasses.replace(prepared, session=session)
 
@@ -51,7 +51,7 @@ def run(prepared: Prepared, show: Callable[[Progress], None], transport: str = "
 
 
 def once(when: Callable[[Progress], bool], then: Callable[[Progress], object]) -> Callable[[Progress], None]:
-    """Do something the first time that a progress is like this."""
+    """Act at the first progress that meets a condition."""
     done: list[bool] = []
 
     def show(progress: Progress) -> None:
@@ -131,7 +131,7 @@ def test_a_node_of_another_certificate_is_refused_by_the_supervisor(
     assert any(f"found the certificate {'0' * 64}" in fault and prepared.id in fault for fault in outcome.faults)
 
 
-def test_a_node_that_cannot_read_its_bundle_says_so(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_that_cannot_read_its_bundle_reports_it(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
     def swapped(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         bundles = cut(prepared, run)
         return {**bundles, "cy": bundles["dx"]}

@@ -1,4 +1,4 @@
-"""The examples run as they stand, draw what they say, and show the physics that they are about."""
+"""The examples run as they stand, draw what they promise, and show their physics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(script: str, folder: Path, *arguments: str) -> str:
 @pytest.mark.parametrize(
     "script", [pytest.param(one, marks=pytest.mark.long) if one in FURTHER else one for one in FIGURES]
 )
-def test_a_figure_of_the_paper_is_drawn_and_its_hands_do_what_it_says(script: str, tmp_path: Path) -> None:
+def test_a_paper_figure_is_drawn_and_its_hands_move_as_stated(script: str, tmp_path: Path) -> None:
     said = run(script, tmp_path)
     (picture,) = tmp_path.iterdir()
     assert picture.name == Path(script).with_suffix(".png").name

@@ -1,7 +1,7 @@
-"""Nodes and observers that join from outside: with the invitation they have a part in the session, or a clear error.
+"""Nodes and observers from outside: the invitation gives them a part in the session, or a clear error.
 
-Real processes over real sockets. Nothing here waits for time to pass: guests try until the session is there, and what a
-test brings about, it does at an event that it was told of.
+Real processes over real sockets. Nothing here waits for time to pass: guests try until the session is there, and a test
+acts only at an event that was reported to it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ PATIENCE = 60.0  # s; far more than anything here takes
 
 @dataclass(frozen=True)
 class Home:
-    """The machine that a session is launched from.
+    """The machine that launches a session.
 
     Attributes:
         folder: session file, certificate, keys.
@@ -106,7 +106,7 @@ def listen() -> Listen:
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Path:
-    """Another machine."""
+    """A second machine."""
     folder = tmp_path / "machine"
     folder.mkdir()
     return folder
@@ -139,7 +139,7 @@ def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def once(when: Callable[[Progress], bool], then: Callable[[], object]) -> Callable[[Progress], None]:
-    """Do something the first time that a progress is like this."""
+    """Act at the first progress that meets a condition."""
     done: list[bool] = []
 
     def show(progress: Progress) -> None:
@@ -168,7 +168,7 @@ def assert_as_simulated(outcome: Outcome, home: Home) -> None:
 
 
 def test_from_keys_to_a_run_with_a_guest(tmp_path: Path, machine: Path, listen: Listen) -> None:
-    """As two people would do it, by the command line alone; the private key is no longer at home."""
+    """As two people do it, by the command line alone; the private key has left the launching machine."""
     run("design", "example1.yaml", "-o", tmp_path / "c.json")
     run("keys", "example1.yaml", "-o", tmp_path / "keys")
     invitation = ("--keys", tmp_path / "keys", "--certificate", tmp_path / "c.json", "--clock", "simulated")
@@ -312,10 +312,8 @@ def test_a_guest_that_is_interrupted_leaves_and_the_others_go_on(home: Home, mac
     assert 0 < ticks["dx"] < ticks["dy"]
 
 
-def test_a_guest_that_is_interrupted_before_the_first_tick_is_waited_for_again(
-    home: Home, machine: Path, listen: Listen
-) -> None:
-    """It has joined and waits for another guest, who never comes."""
+def test_a_guest_interrupted_before_the_first_tick_is_awaited_again(home: Home, machine: Path, listen: Listen) -> None:
+    """It has joined and waits for a second guest that never comes."""
     home.invited("dx", machine)
     ended: list[tuple[int, str]] = []
 
@@ -366,7 +364,7 @@ def test_a_guest_ends_when_the_supervisor_is_killed(home: Home, machine: Path, l
     sweep_directories()  # as the next run does: the killed one could not remove its folder
 
 
-def test_a_guest_with_another_certificate_is_told_so(home: Home, machine: Path, listen: Listen) -> None:
+def test_a_guest_with_another_certificate_gets_the_reason(home: Home, machine: Path, listen: Listen) -> None:
     home.invited("dx", machine)
     bundle = machine / "dx.bundle"
     bundle.write_text(bundle.read_text().replace(home.prepared.id, "0" * 64))
@@ -383,7 +381,7 @@ def test_a_guest_with_another_certificate_is_told_so(home: Home, machine: Path, 
 
 
 def served(process: subprocess.Popen[str], listen: Listen, keys: Keys | None) -> tuple[int, str]:
-    """The end of a guest that knocks at a supervisor with these keys (None: with none), which answers and no more."""
+    """The end of a guest at a supervisor with these keys (None: without) that answers and does nothing more."""
     ring = None if keys is None else keys.ring(SUPERVISOR, ["dx"])
     transport = ZmqTransport.tcp(ring)
     descriptor = os.pidfd_open(process.pid)
@@ -407,7 +405,9 @@ def told(listen: Listen, trouble: str) -> tuple[int, str]:
 NOT_PROVED = "the other side does not hold the key expected of it, or one side is encrypted and the other is not"
 
 
-def test_a_guest_whose_key_was_renewed_is_told_so(home: Home, machine: Path, listen: Listen, tmp_path: Path) -> None:
+def test_a_guest_with_an_outdated_key_gets_the_reason(
+    home: Home, machine: Path, listen: Listen, tmp_path: Path
+) -> None:
     shutil.copytree(home.folder / "keys", tmp_path / "keys")
     make_keys(home.prepared.session, tmp_path / "keys", renew=["dx"])
     home.invited("dx", machine)
@@ -417,7 +417,7 @@ def test_a_guest_whose_key_was_renewed_is_told_so(home: Home, machine: Path, lis
 
 
 def test_a_guest_does_not_join_somebody_elses_supervisor(home: Home, machine: Path, listen: Listen) -> None:
-    """One that knows the guest's key, and has a key of its own."""
+    """A supervisor that knows the guest's key, and has a key of its own."""
     home.invited("dx", machine)
     impostor = ephemeral(roster(home.prepared.session), home.prepared.session.name)
     (machine / "dx.key").unlink()
@@ -438,7 +438,7 @@ def test_plain_and_encrypted_do_not_meet(keyed: bool, home: Home, machine: Path,
 
 
 def test_where_nobody_listens_a_guest_gives_up_in_the_end(home: Home, machine: Path, listen: Listen) -> None:
-    """After a minute; here, after what takes as long with a hundredth of its patience."""
+    """After a minute; here the timeout is a hundredth of that."""
     home.invited("dx", machine)
     impatient = (
         "import sys\n"

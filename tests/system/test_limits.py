@@ -46,7 +46,7 @@ def test_a_force_limit_that_bites_gives_the_simulations_numbers(file: str) -> No
 
 
 @pytest.mark.parametrize("limits", ["{displacement: 1e-4}", "{speed: 0.01}"])
-def test_a_device_beyond_its_limits_lets_go_and_the_session_goes_on(limits: str) -> None:
+def test_beyond_its_limits_a_device_lets_go_and_others_continue(limits: str) -> None:
     session = prepared(limits)
     outcome = run(session)
     assert (outcome.code, outcome.faults) == (0, ())
@@ -65,8 +65,8 @@ def test_a_device_beyond_its_limits_lets_go_and_the_session_goes_on(limits: str)
     assert not np.any(np.all(expected.f_v[120:, 1:] == 0.0, axis=1))  # the others feel the world all the time
 
 
-def test_who_is_moved_beyond_its_speed_is_not_blamed_and_the_guest_is_held_to_its_budget() -> None:
-    """A guest says that it moves by 5 cm at 6 Hz; before there were budgets that ended the session, naming dy."""
+def test_a_guest_moving_others_too_fast_is_held_to_its_budget() -> None:
+    """A guest reports a motion of 5 cm at 6 Hz; before there were budgets this ended the session, naming dy."""
     t = np.arange(0.0, 1.201, 1e-3)
     path = np.minimum(1.0, t / 0.1) * 0.045 * np.sin(2.0 * np.pi * 6.0 * t)
     trace = f"{{times: {t.round(3).tolist()}, values: {path.tolist()}}}"

@@ -1,4 +1,4 @@
-"""Looking on at a session that really runs: every command, its ends, and that nobody who looks on changes anything."""
+"""Observing a running session: every command, its ends, and no effect of an observer on the session."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ END = 60.0  # s, of patience with a process that is about to end
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[subprocess.Popen[str]]:
-    """One session for all of them, in a temporary directory of its own; whoever looks on has to look there."""
+    """One session for all tests, in a temporary directory of its own; observers have to look there."""
     folder = tempfile.mkdtemp(prefix="mh", dir="/tmp")
     command = [*MANYHANDS, "launch", "example1-operator.yaml", "--set", "observers={scope: {reads: [cx/tool]}}"]
     with subprocess.Popen(
@@ -69,7 +69,7 @@ def looked_json(*arguments: object) -> Any:
 
 
 def settled(*arguments: object, key: str) -> Any:
-    """The same, again and again until ``key`` is known: on a busy machine a glance may see nothing."""
+    """Repeat the command until ``key`` is known: on a busy machine one look may see nothing."""
     for _ in range(40):
         said = looked_json(*arguments)
         (one,) = said if isinstance(said, list) else [said]
@@ -80,7 +80,7 @@ def settled(*arguments: object, key: str) -> Any:
 
 @contextmanager
 def onlooker(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A command that goes on looking, in a process of its own."""
+    """An observing command in a process of its own."""
     command = [*MANYHANDS, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -110,7 +110,7 @@ def test_graph(tmp_path: Path) -> None:
     assert ET.parse(tmp_path / "g.svg").getroot().tag == "{http://www.w3.org/2000/svg}svg"
 
 
-def test_echo_says_ticks_that_follow_each_other(session: subprocess.Popen[str]) -> None:
+def test_echo_prints_consecutive_ticks(session: subprocess.Popen[str]) -> None:
     lines = [json.loads(line) for line in looked("echo", "d/sample", "-n", 30, "--session", session.pid).splitlines()]
     ticks = [line["tick"] for line in lines]
     assert len(ticks) == 30
@@ -138,8 +138,8 @@ def test_top() -> None:
     assert "example-1-operator (process " in looked("top", "--once")
 
 
-def test_whoever_looks_on_ends_as_he_likes_and_one_that_stalls_changes_nothing(session: subprocess.Popen[str]) -> None:
-    """At the end of the session its last onlooker ends by itself, and the session as if nobody had looked on."""
+def test_observers_end_freely_and_a_stalled_one_changes_nothing(session: subprocess.Popen[str]) -> None:
+    """At the end of the session its last observer ends by itself, and the session ends as if unobserved."""
     with (
         onlooker("echo", "d/sample") as leaves,
         onlooker("hz", "d/sample") as interrupted,

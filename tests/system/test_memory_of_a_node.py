@@ -1,7 +1,7 @@
-"""What a node's process has of the others: nothing, in its bundle, in its memory, and in the files that it opens.
+"""A node's process holds nothing of the others: in its bundle, its memory, and the files that it opens.
 
-The session is one whose every number and name is like no other. Searching finds them, as the same search in the
-supervisor's process shows, which has them all.
+Every number and name of the session is distinctive. The same search in the supervisor's process, which has them all,
+shows that the search finds them.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ PEERS = {DEVICE: {COUPLING}, COUPLING: {DEVICE, ENVIRONMENT}, ENVIRONMENT: set(d
 
 @dataclass(frozen=True)
 class Owner:
-    """What the owner of a session has: everything.
+    """Everything that the owner of a session has.
 
     Attributes:
         folder: the session file, its certificate and its keys.
         session: the session file's content.
-        bundles: what each node is handed, by name.
-        secrets: the private keys, by whose.
-        publics: the public keys, by whose.
+        bundles: each node's bundle, by name.
+        secrets: the private keys, by owner.
+        publics: the public keys, by owner.
     """
 
     folder: Path
@@ -57,7 +57,7 @@ class Owner:
     publics: Mapping[str, str]
 
     def forbidden(self, node: str) -> dict[bytes, str]:
-        """All that ``node`` must have nothing of, in every shape."""
+        """All data that ``node`` must not hold, in every form."""
         numbers = party_secrets.forbidden_numbers(node, self.session, self.bundles)
         secrets = {f"private key of {who}": key for who, key in self.secrets.items() if who != node}
         strangers = self.publics.keys() - {node, SUPERVISOR, *PEERS[node]}
@@ -69,7 +69,7 @@ class Owner:
         }
 
     def raw(self, *nodes: str) -> dict[bytes, str]:
-        """The numbers that the session file has of these nodes, as a processor holds them."""
+        """The numbers of these nodes in the session file, as a processor holds them."""
         parts = [self.session["environment"] if n == ENVIRONMENT else self.session["devices"][n] for n in nodes]
         return party_secrets.as_doubles(distinctive_session.number_lists(parts))
 
@@ -123,13 +123,13 @@ def launched(owner: Owner, *options: str | Path) -> AbstractContextManager[subpr
 
 
 def remote(owner: Owner, port: int) -> tuple[str | Path, ...]:
-    """The options of a session whose device is somewhere else."""
+    """The options of a session with a remote device."""
     keys = owner.folder / "keys-here"
     return ("--transport", "tcp", "--keys", keys, "--listen", f"127.0.0.1:{port}", "--remote", DEVICE)
 
 
 def joining(port: int) -> tuple[str, ...]:
-    """What is typed on the other machine, in the folder with the bundle and the key."""
+    """The command on the other machine, in the folder with the bundle and the key."""
     files = ("--session", f"{DEVICE}.bundle", "--key", f"{DEVICE}.key")
     return ("node", DEVICE, *files, "--connect", f"tcp://127.0.0.1:{port}")
 
@@ -147,7 +147,7 @@ def test_a_devices_bundle_has_nothing_of_the_others(owner: Owner) -> None:
     assert known <= Patterns(keys).found_in([content]) <= known | {owner.publics[DEVICE]}
 
 
-def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owner: Owner, machine: Path) -> None:
+def test_a_remote_device_never_holds_other_parties_data(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
     others = owner.raw(*distinctive_session.DEVICES[1:], ENVIRONMENT)
     key = party_secrets.as_keys({"the device's private key": owner.secrets[DEVICE]})
@@ -157,7 +157,7 @@ def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owne
                 read_until(session, "running: tick")
                 holding.hold()
                 assert_it_holds_its_own_alone(owner, DEVICE, node.pid)
-                holding.resume()  # before the supervisor, who hears nothing of it, gives it up
+                holding.resume()  # before the supervisor gives the silent node up
                 # the supervisor has what the device has not, and so it would be found; and not the device's key
                 assert memory_contains(session.pid, Patterns({**others, **key})) == set(others.values())
                 session.send_signal(signal.SIGINT)
@@ -171,7 +171,7 @@ def test_a_device_that_joined_from_elsewhere_never_holds_what_is_the_others(owne
     assert {path.name for path in machine.iterdir()} == {f"{DEVICE}.bundle", f"{DEVICE}.key"}
 
 
-def test_a_device_that_joined_from_elsewhere_opens_its_bundle_and_its_key_alone(owner: Owner, machine: Path) -> None:
+def test_a_remote_device_opens_only_its_bundle_and_its_key(owner: Owner, machine: Path) -> None:
     port = free_ports(16)[0]
     log = owner.folder / "opened.log"
     command = watched([*MANYHANDS, *joining(port)], log)

@@ -1,4 +1,4 @@
-"""From the source distribution to a wheel to an installation: the path on which layouts with links lose files."""
+"""From the source distribution to a wheel to an installation: the way on which layouts with links lose files."""
 
 from __future__ import annotations
 

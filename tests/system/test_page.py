@@ -1,4 +1,4 @@
-"""The page in a browser: what moves is drawn, what happens is told, and a drag is felt by the other user."""
+"""The page in a browser: it draws motion, shows incidents, and passes a drag to the other user."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = [
 
 LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
 BALL = '[data-mass="ball"]'
-MOVED = 0.001  # m: nobody else moves anything in this session
+MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
 OVERFLOW = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
 

@@ -1,4 +1,4 @@
-"""What the other tests here rely on: searches find what is there and nothing else, and what is opened is seen."""
+"""The searches that other tests rely on find exactly what is there, and every opened file is seen."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ for reader in readers:
 """
 
 
-def test_what_is_opened_is_told_and_by_its_own_name(tmp_path: Path) -> None:
+def test_opened_files_are_reported_by_their_own_name(tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("own", "linked to", "not opened")]
     for file in files:
         file.touch()

@@ -1,4 +1,4 @@
-"""A session that runs already is recorded from another terminal, looked at, and exported."""
+"""A session that already runs is recorded from another terminal, inspected, and exported."""
 
 from __future__ import annotations
 

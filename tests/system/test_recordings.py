@@ -1,4 +1,4 @@
-"""Whole sessions that are recorded as they run, and what is kept of them: the recorder killed, the disk really full."""
+"""Whole sessions recorded as they run, with the recorder killed, or with a disk that is really full."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_a_recorder_that_is_killed_ends_no_session(
         assert_begins(found, expected)
 
 
-def test_the_supervisor_leaves_telemetry_with_the_nodes_while_the_recorder_is_slow(
+def test_while_the_recorder_is_slow_telemetry_waits_at_the_nodes(
     prepared: Prepared, expected: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A recorder that is stopped until as much waits as may wait; the run is too short for the true bounds."""

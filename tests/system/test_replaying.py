@@ -1,4 +1,4 @@
-"""A whole session recorded, run again and audited; and what is told of a file that was changed afterwards."""
+"""A whole session is recorded, run again and audited; a file changed afterwards is reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told(code: int, *arguments: str | Path) -> str:
-    """What a command says that ends with ``code``."""
+    """The output of a command that ends with ``code``."""
     command = [*MANYHANDS, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == code, done.stdout + done.stderr

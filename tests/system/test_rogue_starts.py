@@ -1,4 +1,4 @@
-"""Sessions that do not start, because somebody in them or their certificate is not what it should be; and say why."""
+"""Sessions that refuse to start and report why: a wrong member, or a wrong certificate."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def with_other_feedthrough(bundle: CouplingBundle) -> CouplingBundle:
 
 
 def with_stolen_certificate(bundle: CouplingBundle) -> CouplingBundle:
-    """With a block that could be certified, too: what was agreed on is another."""
+    """With a block that could be certified, too, but differs from the agreed one."""
     return replace(bundle, common=replace(bundle.common, certificate=identity(stolen(1.5))))
 
 
 @dataclass(frozen=True)
 class Ending:
-    """What makes a session end, and what it says."""
+    """A cause that ends a session, and its message."""
 
     sentence: str
     acts: Mapping[str, str] | None = None

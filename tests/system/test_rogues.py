@@ -1,8 +1,8 @@
-"""Rogues around a session and within it: whatever they do is refused and counted, and moves nothing.
+"""Rogues around a session and within it: every attack is refused and counted, and moves nothing.
 
 Around it: strangers with no keys or with the keys of others, and crowds before its doors. Within it: members with their
-real keys that say what they should not. Processes, sockets and keys are real; the values of a run without rogues are
-those that a run with them must have, to the last bit.
+real keys that send what they should not. Processes, sockets and keys are real. A run with rogues must have the values
+of a run without them, to the last bit.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .rogues.strangers import Fate
 from .rogues.strays import STRAYS
 
 
-def told() -> around.Told:
+def told() -> around.AttackResults:
     seen = surrounded().told
-    assert isinstance(seen, around.Told)
+    assert isinstance(seen, around.AttackResults)
     return seen
 
 
@@ -97,7 +97,7 @@ def test_each_connection_is_counted_by_kind(name: str, reason: str) -> None:
 
 
 def test_no_other_connection_is_counted() -> None:
-    """A door that is shut for a while, and what members say out of turn, are all that comes on top."""
+    """Only a temporarily shut door and members' messages out of turn come on top."""
     said = {"shut", "out_of_turn", "second_route", "not_a_frame"}
     found = {
         (name, reason)
@@ -127,12 +127,12 @@ def test_what_an_observer_writes_is_out_of_turn() -> None:
     assert told().refused["out_of_turn"] == len(around.LIES) + len(around.WRITES)
 
 
-def test_an_observer_is_told_what_it_may_read_and_nothing_else() -> None:
+def test_an_observer_receives_what_it_may_read_and_nothing_else() -> None:
     assert {observation.node for observation in told().observations} == set(quiet().nodes)
     assert all(observation.figures and not observation.traces for observation in told().observations)
 
 
-def test_a_flood_of_junk_is_read_as_fast_as_the_supervisor_allows_and_counted() -> None:
+def test_a_flood_of_junk_is_read_within_the_allowance_and_counted() -> None:
     counted = refused_by(surrounded(), SUPERVISOR)["out_of_turn"] - told().refused["out_of_turn"]
     assert 0 < counted <= told().queued <= around.FLOOD
 
@@ -152,7 +152,7 @@ def expected_within() -> Mapping[tuple[str, str], int]:
                 counts[name, stray.reason] += len(links.MISBEHAVES)
         counts[name, "malformed"] += links.JUNK * len(links.MISBEHAVES) + MAX_STRAY_FRAMES
         counts[name, "old_tick"] += len(links.MISBEHAVES)  # each honest signal a second time
-    # who says a signal of an earlier tick again is answered again, for the answer may have been lost: the rogues
+    # a repeated signal of an earlier tick is answered again, because the answer may have been lost: the rogues
     # themselves hear it twice, but that the environment does not answer those of long ago
     counts["dx", "old_tick"] = counts["cx", "old_tick"]
     counts["cy", "old_tick"] = counts["environment", "old_tick"] - len(links.MISBEHAVES)
@@ -177,15 +177,15 @@ def test_no_other_frame_is_counted() -> None:
     assert found == expected_within().keys()
 
 
-def test_what_a_member_says_out_of_turn_is_counted() -> None:
+def test_messages_out_of_turn_are_counted() -> None:
     assert refused_by(infested(), SUPERVISOR) == {
         "out_of_turn": len(acts.OUT_OF_TURN),
         "telemetry_that_does_not_fit": len(acts.MISFITS),
     }
 
 
-def test_a_force_beyond_its_limit_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The hand feels the limit for as long as its coupling is mad, and the world is what it is with that force."""
+def test_an_excessive_force_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hand feels the limit while its coupling is dishonest, and the world moves as with that force."""
     simulation = Simulation(prepared())
     guard = simulation.guards["dy"]
     clip, ticks = guard.clip, iter(range(TICKS))
@@ -205,7 +205,7 @@ def test_a_force_beyond_its_limit_is_clipped_at_the_device_and_counted(monkeypat
     }
 
 
-def test_more_strays_in_one_wait_than_a_queue_holds_end_the_session_and_name_their_sender() -> None:
+def test_too_many_strays_in_one_wait_end_sessions_naming_the_sender() -> None:
     played = play(acts={"dx": "flooding device"})
     outcome = played.outcome
     assert outcome.code == 1

@@ -1,4 +1,4 @@
-"""The helper of the system tests that reads the rows of an ended session lets no missed tick pass."""
+"""The helper that reads the rows of an ended session admits no missed tick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a private key may be while a session runs, and where it may not: command lines, environments, logs, reports."""
+"""Where a private key may be while a session runs, and where not: command lines, environments, logs, reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/security.md is executed: its terminals are shells, its commands run in its order and say what it quotes."""
+"""docs/security.md is executed: its terminals are shells, and its commands run in order with the quoted output."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ PROMPT = re.compile(r"^(\w+)\$ ", flags=re.MULTILINE)
 
 @dataclass(frozen=True)
 class Command:
-    """What is typed at a terminal, and what is to come of it."""
+    """A command at a terminal, and its expected output."""
 
     terminal: str
     line: str
@@ -88,7 +88,7 @@ class Terminal:
             self.finish()
 
     def finish(self) -> None:
-        """Wait for the last command's end, and hold what it said against the page."""
+        """Wait for the last command's end, and compare its output with the page."""
         command, self._waits = self._waits, None
         if command is None:
             return
@@ -111,7 +111,7 @@ class Terminal:
 
 @contextmanager
 def terminal(folder: Path) -> Iterator[Terminal]:
-    """A terminal in ``folder``; whatever still runs in it afterwards is ended."""
+    """A terminal in ``folder``; processes that still run in it at the end are ended."""
     program = folder / "bin" / "manyhands"
     program.parent.mkdir(exist_ok=True)
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m manyhands "$@"\n')
@@ -143,7 +143,7 @@ def write_session(folder: Path) -> Path:
 
 @pytest.mark.long
 def test_the_walk_through(tmp_path: Path) -> None:
-    """As the page has it, but for the port, which may be in use here."""
+    """As the page has it, except for the port, which may be in use here."""
     write_session(tmp_path)
     page = PAGE.replace(str(PORT), str(free_ports(PORTS)[0]))
     typed = list(commands(page))
@@ -168,7 +168,7 @@ def test_the_ports_it_names(tmp_path: Path) -> None:
     assert f"up to {PORT + PORTS - 1}" in PAGE
 
 
-def test_a_guests_bundle_holds_what_it_says(tmp_path: Path) -> None:
+def test_a_guests_bundle_holds_what_the_page_lists(tmp_path: Path) -> None:
     prepared = prepare(load_session(write_session(tmp_path)), uncertified=True)
     bundle = bundle_of(prepared, RunPlan("realtime", None, ""), "right")
     assert isinstance(bundle, DeviceBundle)
@@ -191,7 +191,7 @@ def test_every_count_is_explained_and_every_count_explained_there_is() -> None:
     assert [row[:2] for row in rows("| count | where | happened | look at |")] == expected
 
 
-def test_what_a_guest_says() -> None:
+def test_the_page_lists_every_message_of_a_guest() -> None:
     assert {row[0] for row in rows("| it says | look at |")} == set(Trouble)
 
 

@@ -67,8 +67,8 @@ def test_every_shipped_session_runs(file: str) -> None:
 
 
 @pytest.mark.alone
-def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
-    """Slowly enough that a busy machine makes nobody wait for three periods, who would then be frozen."""
+def test_in_real_time_the_report_has_lateness_tau_and_period() -> None:
+    """Slowly enough that even on a busy machine no wait lasts three periods, which would freeze a user."""
     slowly = ["period=0.05", "design.ladder=[]", "faults.breach=warn"]
     prepared = prepare(load_session(SESSIONS / "example1.yaml", slowly))
     outcome = run(prepared, "ipc", clock="realtime", ticks=60)
@@ -90,7 +90,7 @@ def test_in_real_time_the_report_tells_lateness_tau_and_period() -> None:
 
 
 def test_the_uncoupled_hands_shake_and_the_coupled_ones_come_to_rest() -> None:
-    """Ten seconds of the world of Example 1, in one process: what the certificate is for."""
+    """Ten seconds of the world of Example 1, in one process: the purpose of the certificate."""
     coupled = Simulation(prepare(load_session(SESSIONS / "example1.yaml"))).run(10_000).velocity
     uncoupled = Simulation(prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True))
     shaken = uncoupled.run(10_000).velocity

@@ -1,4 +1,4 @@
-"""What surrounds a session: signals of its terminal, poor locales, narrow terminals, a user without rights."""
+"""The surroundings of a session: signals of its terminal, poor locales, narrow terminals, a user without rights."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def ignore_hangup() -> None:
     signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 
-def test_a_session_under_nohup_outlives_its_terminal_and_ctrl_backslash_ends_it_in_order(tmp_path: Path) -> None:
+def test_under_nohup_a_session_outlives_its_terminal_until_ctrl_backslash(tmp_path: Path) -> None:
     with subprocess.Popen(
         [*LAUNCH, "--clock", "simulated", "--report", str(tmp_path / "run.json")],
         preexec_fn=ignore_hangup,
@@ -61,7 +61,7 @@ def test_a_session_under_nohup_outlives_its_terminal_and_ctrl_backslash_ends_it_
 
 
 def drop_rights() -> None:
-    """Be an ordinary user, whoever this is: no capability, no real-time priority, no memory that can be locked."""
+    """Become an ordinary user: no capability, no real-time priority, no memory that can be locked."""
     prctl = ctypes.CDLL(None).prctl
     for capability in range(_CAPABILITIES):
         prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)  # of an ordinary user there is none to drop
@@ -70,7 +70,7 @@ def drop_rights() -> None:
         resource.setrlimit(limit, (0, 0))
 
 
-def test_in_real_time_without_rights_or_a_display_and_where_letters_are_ascii(tmp_path: Path) -> None:
+def test_real_time_works_without_rights_display_or_unicode(tmp_path: Path) -> None:
     """Folder, session file and report have other letters; the table that is printed, too."""
     folder = tmp_path / "üτ"
     folder.mkdir()

@@ -16,7 +16,6 @@ from manyhands.design.levels.device import (
     PIECES,
     Share,
     device_share,
-    device_share_fixed,
     gain_for_share,
     greatest_share,
     least_gain,
@@ -40,12 +39,21 @@ def four_by_four(t: float, kappa: float, share: float, c: float) -> Matrix:
     return out - share * np.outer(y, y)
 
 
+def limit_share(kappa: float, tau_hat: float) -> Share:
+    """Equation (*) of the module, with its c: the limit of infinitely many pieces, for one constant delay."""
+    v = 2.0 * kappa - 1.0 - 3.0 * tau_hat
+    share = v / (v**2 + (1.0 + 4.0 * tau_hat) * v + 4.0 * tau_hat**2) if tau_hat else 0.5 / kappa
+    p, q, a = tau_hat / 2.0, tau_hat * (1.0 - tau_hat) / 4.0, 0.5 - share * kappa
+    b = kappa * a
+    return Share(share, q + (b - q) * p / (a + p) if tau_hat else 0.0)
+
+
 @pytest.mark.parametrize(
     ("kappa", "tau_hat", "share"),
     [(0.9, 0.1, 0.505), (1.75, 0.5, 0.200), (0.5, 0.0, 1.0), (1.0, 0.0, 0.5)],
 )
 def test_reference_values(kappa: float, tau_hat: float, share: float) -> None:
-    assert device_share_fixed(kappa, tau_hat).share == pytest.approx(share, abs=5e-4)
+    assert limit_share(kappa, tau_hat).share == pytest.approx(share, abs=5e-4)
     assert device_share(kappa, tau_hat).share == pytest.approx(share, abs=5e-4)
 
 
@@ -67,7 +75,7 @@ def test_a_solver_finds_the_same_share(tau_hat: float, above: float) -> None:
     S = np.diag([np.sqrt(tau_hat), np.sqrt(1.0 - tau_hat), 1.0, 1.0])  # so that the solver sees a unit diagonal
     cp.Problem(cp.Maximize(share), [S @ form @ S >> 0]).solve(solver="CLARABEL")
     # Clarabel's gap is 1e-8 of numbers of order 10
-    assert device_share_fixed(kappa, tau_hat).share == pytest.approx(float(share.value), abs=1e-6)
+    assert limit_share(kappa, tau_hat).share == pytest.approx(float(share.value), abs=1e-6)
 
 
 @given(DELAYS, ABOVE, st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
@@ -75,7 +83,7 @@ def test_one_c_serves_every_delay_up_to_the_longest(tau_hat: float, above: float
     assume(tau_hat > 1e-6)
     kappa = least_gain(tau_hat) + above
     found = device_share(kappa, tau_hat)
-    limit = device_share_fixed(kappa, tau_hat)
+    limit = limit_share(kappa, tau_hat)
     assert 0.0 < found.share < limit.share <= greatest_share(tau_hat) * (1.0 + 1e-12)
     for part in parts:
         t = min(max(part * tau_hat, 1e-9), 1.0 - 1e-9)
@@ -93,14 +101,14 @@ def test_pieces_prove_it_in_exact_arithmetic(tau_hat: float, above: float) -> No
     found = device_share(kappa, tau_hat)
     assert pieces_hold(kappa, tau_hat, found)
     assert device_form(*(fmpq(*Fraction(v).as_integer_ratio()) for v in (kappa, found.share, found.c, tau_hat))).holds
-    too_much = Share(min(1.0, device_share_fixed(kappa, tau_hat).share * (1.0 + 1e-6)), found.c)
+    too_much = Share(min(1.0, limit_share(kappa, tau_hat).share * (1.0 + 1e-6)), found.c)
     assume(too_much.share < 1.0)
     assert not pieces_hold(kappa, tau_hat, too_much)
 
 
 @given(st.floats(1e-4, 1e-2), st.floats(0.0, 1.0), ABOVE)
 def test_a_quotient_that_is_rounded_leaves_the_claim_true(T: float, part: float, above: float) -> None:
-    """Whoever proves it divides tau by T exactly."""
+    """A proof divides tau by T exactly."""
     tau = part * T
     exact = Fraction(tau) / Fraction(T)
     kappa = least_gain(tau / T) + above
@@ -117,13 +125,13 @@ def test_gain_and_share_are_inverse(tau_hat: float, part: float) -> None:
         # near the greatest share kappa moves with the root of the share's rounding; near none, the share is in
         # proportion to v = 2 kappa - 1 - 3 tau_hat, of which kappa's last digit is a large part for small delays
         lost = 1e-15 / (2.0 * kappa - 1.0 - 3.0 * tau_hat)
-        assert device_share_fixed(kappa, tau_hat).share == pytest.approx(share, rel=1e-6 + lost)
+        assert limit_share(kappa, tau_hat).share == pytest.approx(share, rel=1e-6 + lost)
         assert kappa <= (0.5 + 2.5 * tau_hat) * (1.0 + 1e-7)
 
 
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.99))
 def test_the_gain_knows_what_pieces_cost(tau_hat: float, part: float) -> None:
-    """At the gain for 16 pieces they prove the share, but for the safety; a little below they do not."""
+    """At the gain for 16 pieces they prove the share, except for the safety margin; a little below they do not."""
     share = part * greatest_share(tau_hat)
     kappa = gain_for_share(share, tau_hat, PIECES)
     assert kappa is not None
@@ -143,7 +151,7 @@ def test_the_ends_of_the_curve(tau_hat: float) -> None:
     assert gain_for_share(min(1.0, greatest_share(tau_hat) * 1.0001), tau_hat) is None or tau_hat == 0.0
     best = 0.5 + 2.5 * tau_hat
     assume(tau_hat > 1e-9)  # without a delay the greatest share is only approached
-    assert device_share_fixed(best, tau_hat).share == pytest.approx(greatest_share(tau_hat), rel=1e-6)
+    assert limit_share(best, tau_hat).share == pytest.approx(greatest_share(tau_hat), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +162,7 @@ def test_the_ends_of_the_curve(tau_hat: float) -> None:
         (lambda: device_share(float("inf"), 0.1), "kappa: found inf"),
         (lambda: device_share(0.65, 0.1), r"expected more than 1/2 \+ 3/2 tau/T = 0.65"),
         (lambda: device_share(0.4, 0.0), "expected more than"),
-        (lambda: device_share_fixed(0.6, 0.1), "expected more than"),
+        (lambda: device_share(0.6, 0.1), "expected more than"),
         (lambda: device_share(0.9, 0.1, pieces=0), "pieces: found 0"),
         (lambda: gain_for_share(0.1, 0.1, pieces=0), "pieces: found 0"),
         (lambda: gain_for_share(-0.1, 0.1), "share: found -0.1"),

@@ -202,7 +202,7 @@ def test_a_needle_in_frequency_is_found(width: float) -> None:
 
 
 @pytest.mark.parametrize("width", [1e-2, 1e-5])
-def test_a_needle_that_the_grid_does_not_know_is_found_by_the_hamiltonian(
+def test_the_hamiltonian_finds_a_needle_between_the_points_of_the_grid(
     monkeypatch: pytest.MonkeyPatch, width: float
 ) -> None:
     split = needle(0.7, width, 3.0)
@@ -232,7 +232,7 @@ def test_an_environment_without_states() -> None:
     assert storage(split, T, found.Phi_E).shape == (0, 0)
 
 
-def test_a_mode_that_does_not_decay_is_told() -> None:
+def test_a_mode_that_does_not_decay_is_reported() -> None:
     split = Split(np.eye(1), StateSpace([[1.0]], [[0.0]], [[0.0]], [[1.0]]))
     with pytest.raises(SolverFailure, match="does not decay"):
         best_level(split, T, np.eye(1), np.eye(1))
@@ -262,7 +262,7 @@ def test_the_margin_is_that_of_the_matrix(problems) -> None:
 
 
 def test_forty_ports_two_ticks_late_with_a_storage_function() -> None:
-    """Order 200, in parts that no semidefinite program takes; told what is going on."""
+    """Order 200, in parts that no semidefinite program takes; progress is reported."""
     told: list[str] = []
     split = delayed_split(random_network(np.random.default_rng(1), 40, 60, 300.0).split(T), 2, T)
     Delta = 1.37 * np.eye(40)

@@ -53,7 +53,7 @@ def test_random_networks_late_or_not(problems, data: st.DataObject) -> None:
     m = len(network.ports)
     split = delayed_split(network.split(T), data.draw(st.integers(0, 3)), T)
     radius = float(np.max(np.abs(np.linalg.eigvals(split.rest.A)), initial=0.0))
-    assume(radius < 1.0 - 1e-8)  # a mode that loses less in a tick has no room: told in the test below
+    assume(radius < 1.0 - 1e-8)  # a mode that loses less in a tick has no room: see the test below
     lack = lack_of_passivity(split, T, np.eye(m))
     spare = data.draw(st.sampled_from([1e-4, 1e-2, 1.0])) * max(abs(lack.multiple), 0.1)
     Phi_E = (lack.multiple + spare) * np.eye(m)

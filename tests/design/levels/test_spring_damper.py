@@ -86,7 +86,7 @@ def test_one_port_by_hand_is_one_port_by_program(find, part: float, phi: float) 
     assert two.distance == pytest.approx(one.distance, rel=1e-5)
 
 
-def test_an_environment_that_needs_more_than_the_device_has_empties_the_class() -> None:
+def test_an_environment_needing_more_than_the_device_has_empties_the_class() -> None:
     with pytest.raises(Infeasible, match=r"coupling c: .* exceeds the device's level by 0\.46 of it") as error:
         centred(np.array([[1.37]]), np.array([[2.0]]), 1.0, T, "c")
     assert any("osp" in way for way in error.value.relax)

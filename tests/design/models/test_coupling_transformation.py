@@ -81,7 +81,7 @@ def test_V_hat_is_12(problems) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.integers(1, 3))
-def test_each_block_is_multiplied_as_7_says(seed: int, n: int, m: int) -> None:
+def test_each_block_is_multiplied_as_in_7(seed: int, n: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     T, K = 1e-3, np.eye(m) * 4e-4
     S = StateSpace(0.3 * rng.normal(size=(n, n)), *(rng.normal(size=s) for s in ((n, m), (m, n), (m, m))))

@@ -1,4 +1,4 @@
-"""Simulated devices: exact between samples, and honest about the work of the hand's intention."""
+"""Simulated devices are exact between samples and account for all work of the hand's intention."""
 
 import numpy as np
 import pytest
@@ -90,7 +90,7 @@ def test_the_work_of_the_intention(problems, data: st.DataObject, seed: int) -> 
     ("mass", "given_coupling", "largest"), [(0.2, False, 1.000508), (0.05, False, 1.00307), (0.2, True, 0.99885)]
 )
 def test_example_1_with_and_without_coupling(problems, mass: float, given_coupling: bool, largest: float) -> None:
-    """theory.md's closed-loop eigenvalues; the largest but for those of x and the tools at rest, which are 1."""
+    """theory.md's closed-loop eigenvalues; the largest except those of x and the tools at rest, which are 1."""
     T, h = problems.T, RationalMatrix((((problems.h),),)).realisation()
     device = held_device([mass] * 3, [1.37] * 3, _thrice(h), [0.0] * 3, [0.0] * 3)
     n = 2 * 3 + 3 * h.order  # without d, which an absent hand spring leaves unobserved

@@ -1,4 +1,4 @@
-"""Environments of every kind: what they are at each frequency, their split, and the passivity each method keeps."""
+"""Environments of every kind: frequency response, split, and the passivity that each method keeps."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_a_network_is_its_split_at_every_frequency(problems, data: st.DataObject
 
 
 @given(st.data())
-def test_the_split_of_matrices_is_that_of_the_network_they_come_from(problems, data: st.DataObject) -> None:
+def test_matrices_split_as_the_network_they_come_from(problems, data: st.DataObject) -> None:
     network = data.draw(problems.networks(tied=True))
     if np.abs(np.linalg.eigvals(network.environment(T).A)).max(initial=0.0) > 1.0 - 1e-9:
         return  # masses that drift freely have a pole at 1, which matrices may not have
@@ -69,7 +69,7 @@ def test_transfer_functions_are_the_network_that_they_describe() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_each_method_is_what_it_says(method: str) -> None:
+def test_each_method_keeps_its_definition(method: str) -> None:
     A = np.array([[0.0, 1.0], [-900.0, -8.0]])
     system = StateSpace(A, np.array([[0.0], [1.0]]), np.array([[200.0, 3.0]]), np.array([[50.0]]))
     discrete = StateSpaceEnvironment(("a",), system, method).environment(T)

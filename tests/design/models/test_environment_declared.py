@@ -1,4 +1,4 @@
-"""Environments that are known by a declared level alone: what can be certified with them, and what a proof says."""
+"""Environments known only by a declared level: what can be certified with them, and what the proof concludes."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_nothing_is_certified_beyond_what_the_devices_dissipate(wish: str) -> No
         design(loop(1.01 * OSP, PAIR), WISHES[wish])
 
 
-def test_a_given_coupling_that_leaves_no_room_is_refused_with_the_figure() -> None:
+def test_a_given_coupling_without_room_is_refused_with_the_figure() -> None:
     with pytest.raises(Infeasible, match=r"\(10\) fails with the environment's declared level: .* is -1\.491 N\*s/m"):
         design(loop(1.3), SpringDamperGiven(SPRINGS))
 
@@ -120,7 +120,7 @@ def test_the_budget_leaves_what_the_level_takes() -> None:
     assert environment_share(loop(-0.5).environment, OSP * np.eye(3), 1e-3) == 0.0
 
 
-def test_a_certificate_says_that_it_is_conditional_and_round_trips(tmp_path: Path) -> None:
+def test_a_certificate_states_its_condition_and_round_trips(tmp_path: Path) -> None:
     certificate = design(loop(0.2), SpringDamperWanted()).certificate
     save(certificate, tmp_path / "c.json")
     again, data = load(tmp_path / "c.json")
@@ -133,7 +133,7 @@ def test_a_certificate_says_that_it_is_conditional_and_round_trips(tmp_path: Pat
         assert differences(again, other, SpringDamperWanted()) == ["the environment differs"]
 
 
-def test_the_proof_proves_everything_else_and_says_so() -> None:
+def test_the_proof_proves_everything_else_and_reports_it() -> None:
     findings = prove(plain(0.2))
     assert all(finding.holds for finding in findings)
     (kept,) = (finding for finding in findings if finding.enforced)

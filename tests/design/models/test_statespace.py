@@ -1,4 +1,4 @@
-"""Systems in state space: shapes are checked and nothing is reshaped behind one's back."""
+"""Systems in state space: shapes are checked, and no array is silently reshaped."""
 
 import numpy as np
 import pytest

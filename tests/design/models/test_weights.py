@@ -1,4 +1,4 @@
-"""Weights: what backward Euler makes of a filter, the band's meaning, and what is refused."""
+"""Weights: the backward-Euler form of a filter, the meaning of a band, and the errors."""
 
 import numpy as np
 import pytest

@@ -29,7 +29,7 @@ RUNAWAY = -1e4  # an "optimum" below that, from data of size 1, is a solver that
 
 @dataclass(frozen=True)
 class Case:
-    """One system and what both sides say of it; a string is the class of a failure."""
+    """One system and the answers of both sides; a string is the class of a failure."""
 
     number: int
     system: StateSpace
@@ -155,7 +155,7 @@ def cases() -> list[Case]:
 
 
 def test_both_call_the_same_systems_passive(cases: list[Case]) -> None:
-    """And the frequency response says which is right, where they differ."""
+    """Where the two differ, the frequency response decides which is right."""
     disagree = [case for case in cases if case.holds != case.theirs_holds]
     for case in cases:
         assert case.holds == (case.least >= 0.0), case.number  # shifted by percents, so that a grid can tell

@@ -107,7 +107,7 @@ def test_one_level_costs_the_other() -> None:
         assert found == pytest.approx(2.0 - 4.0 * Delta, abs=1e-6)
 
 
-def test_a_level_can_be_lacking_and_the_sign_of_the_storage_can_bind() -> None:
+def test_a_level_can_be_missing_and_the_storages_sign_can_bind() -> None:
     unstable = StateSpace([[1.1]], [[1.0]], [[1.0]], [[5.0]])
     level = greatest_output_level(unstable)
     assert level.value == pytest.approx(-0.2, abs=1e-6)

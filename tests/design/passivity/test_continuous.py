@@ -106,7 +106,7 @@ def test_a_device_held_by_a_passive_hand_keeps_its_level(problems, data: st.Data
     hand = passive_operator(RationalMatrix(((entry,),)).realisation())
     held = lemma3(device, hand)
     np.testing.assert_array_equal(held.Delta, device.Delta)
-    # the frequency response says so too: He Y - Y^* b Y >= 0
+    # the frequency response shows it, too: He Y - Y^* b Y >= 0
     for w in np.logspace(-2, 4, 60):
         Y = held.system.response(1j * w)[0, 0]
         assert Y.real - b * abs(Y) ** 2 >= -1e-9 * abs(Y)

@@ -1,4 +1,4 @@
-"""The least supply over frequency: against brute force, and where a grid would miss it."""
+"""The least supply over frequency: against brute force, and between the points of a grid."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_a_pair_does_not_see_the_storage(seed: int, n: int, m: int, angle: float
     np.testing.assert_allclose(X.conj().T @ M @ X, -X.conj().T @ Q @ X, atol=1e-10 * (1 + np.abs(M).max()))
 
 
-def test_nothing_to_compare_with_is_told() -> None:
+def test_a_missing_comparison_is_reported() -> None:
     system = StateSpace.static([[1.0]])
     with pytest.raises(ValueError, match="every pair is silent"):
         least_ratio(system, supply_form(system), np.zeros((1, 1)))

@@ -53,7 +53,7 @@ def test_agrees_with_python_control(seed: int, order: int, ports: int, radius: f
 
 
 @given(systems)
-def test_the_peak_is_where_it_is_said_to_be_and_nowhere_higher(system: StateSpace) -> None:
+def test_the_peak_is_at_the_reported_frequency_and_nowhere_higher(system: StateSpace) -> None:
     gamma, frequency = hinf_norm(system, T=0.01)
     at = frequency_response(system, np.array([frequency * 0.01]))[0]
     assert np.linalg.norm(at, 2) == pytest.approx(gamma, rel=1e-9)
@@ -72,7 +72,7 @@ def test_a_peak_as_narrow_as_its_pole_is_near(distance: float) -> None:
 
 
 @given(systems)
-def test_peaks_that_the_grid_does_not_see_are_found_by_the_hamiltonian(system: StateSpace) -> None:
+def test_the_hamiltonian_finds_peaks_between_the_points_of_the_grid(system: StateSpace) -> None:
     expected, _ = hinf_norm(system)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hinfinity, "frequency_grid", lambda poles: np.array([0.0, 3.0, np.pi]))

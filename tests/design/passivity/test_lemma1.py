@@ -1,4 +1,4 @@
-"""Lemma 1 as an analysis: yes with a storage matrix, no with a reason, never the solver's word."""
+"""Lemma 1 as an analysis: yes with a storage matrix, no with a reason, never by the solver's status alone."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_the_couplings_of_the_paper_up_to_their_greatest_level(problems, name: s
     assert not analyse(V_hat, 1.0001 * greatest).holds
 
 
-def test_a_mass_with_a_damper_is_exactly_as_dissipative_as_its_damper() -> None:
+def test_a_damped_mass_is_exactly_as_dissipative_as_its_damper() -> None:
     mass, b = 0.2, 1.37
     device = StateSpace([[-b / mass]], [[1.0 / mass]], [[1.0]], [[0.0]])
     finding = analyse(device, np.array([[b]]), time="continuous")
@@ -107,7 +107,7 @@ def test_the_lossless_is_passive_and_no_more() -> None:
 
 
 def test_an_unstable_system_has_no_storage_although_its_frequencies_are_fine() -> None:
-    """He G > 0 over the circle, but the pole at 1.1 is outside: only the sign of P tells."""
+    """He G > 0 over the circle, but the pole at 1.1 is outside: only the sign of P shows it."""
     system = StateSpace([[1.1]], [[1.0]], [[-0.1]], [[5.0]])
     assert least_hermitian_eigenvalue(system)[0] > 0.0
     finding = analyse(system)

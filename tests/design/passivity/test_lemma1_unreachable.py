@@ -1,4 +1,4 @@
-"""Motions that no port moves or feels, taken apart: what is left behaves alike, and both together store energy."""
+"""Motions that no port moves or observes are separated: the rest behaves alike, and both together store energy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
-from manyhands.design.passivity.lemma1 import analyse, parted, storage_of_motion
+from manyhands.design.passivity.lemma1 import analyse, separated, storage_of_motion
 from manyhands.design.passivity.storage import storage_inequality
 
 T = 1e-3
@@ -39,15 +39,15 @@ def test_equal_masses_that_swing_unseen_are_passive(count: int, mass: float, k: 
     [
         (NetworkLink(("m0", "m1"), 100.0, 1e-3),),
         (NetworkLink(("m0", GROUND), 100.0, 0.0), NetworkLink(("m1", GROUND), 100.0, 0.0)),
-        (NetworkLink(("m0", GROUND), 100.0, 1e-6), NetworkLink(("m1", GROUND), 100.0, 2e-6)),  # felt, but hardly
+        (NetworkLink(("m0", GROUND), 100.0, 1e-6), NetworkLink(("m1", GROUND), 100.0, 2e-6)),  # coupled, but weakly
     ],
 )
 def test_equal_masses_that_are_joined_are_passive(more: tuple[NetworkLink, ...]) -> None:
     assert analyse(of_equal_masses(2, 0.1, 100.0, 1e-6, *more)).holds
 
 
-def test_what_is_hidden_saves_nobody_who_is_not_passive() -> None:
-    """The felt part decides: a level that two masses do not have is refused with the same reason as for their sum."""
+def test_hidden_motions_make_no_system_passive() -> None:
+    """The reachable part decides: a level that two masses lack is refused with the same reason as for their sum."""
     finding = analyse(of_equal_masses(2, 0.1, 100.0, 1e-3), Phi=np.array([[1.0]]))
     assert not finding.holds
     assert finding.frequency is not None
@@ -55,16 +55,16 @@ def test_what_is_hidden_saves_nobody_who_is_not_passive() -> None:
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("count", [2, 3])
-def test_the_felt_part_answers_like_the_whole(count: int, unit: float) -> None:
+def test_the_reachable_part_answers_like_the_whole(count: int, unit: float) -> None:
     system = of_equal_masses(count, 0.2, 300.0, 0.01)
     units = unit ** np.linspace(-1.0, 1.0, system.order)
     system = StateSpace(system.A * units / units[:, None], system.B / units[:, None], system.C * units, system.D)
-    parts = parted(system)
-    assert parts.felt.order == 2  # a mass swings against the port, and no more
-    assert len(parts.P_u) == system.order - parts.felt.order
+    parts = separated(system)
+    assert parts.reachable.order == 2  # a mass swings against the port, and no more
+    assert len(parts.P_u) == system.order - parts.reachable.order
     for angle in (1e-3, 0.1, 3.0):
         z = np.exp(1j * angle)
-        np.testing.assert_allclose(parts.felt.response(z), system.response(z), rtol=1e-9)
+        np.testing.assert_allclose(parts.reachable.response(z), system.response(z), rtol=1e-9)
 
 
 def test_storage_of_the_whole_is_that_of_both() -> None:
@@ -72,8 +72,8 @@ def test_storage_of_the_whole_is_that_of_both() -> None:
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     A = turn @ np.diag([0.5, 0.9, -0.3]) @ turn.T
     system = StateSpace(A, turn[:, :1], turn[:, :1].T, [[0.0]])
-    parts = parted(system)
-    assert parts.felt.order == 1
+    parts = separated(system)
+    assert parts.reachable.order == 1
     P = parts.storage(np.array([[7.0]]))
     assert turn[:, 0] @ P @ turn[:, 0] == pytest.approx(7.0)
     assert np.linalg.eigvalsh(P - A.T @ P @ A)[0] > 0.0
@@ -82,15 +82,15 @@ def test_storage_of_the_whole_is_that_of_both() -> None:
 @pytest.mark.parametrize(
     "system",
     [
-        StateSpace([[0.5]], [[1.0]], [[0.0]], [[1.0]]),  # moved, not felt
-        StateSpace([[0.5]], [[0.0]], [[1.0]], [[1.0]]),  # felt, not moved
+        StateSpace([[0.5]], [[1.0]], [[0.0]], [[1.0]]),  # reachable, not observable
+        StateSpace([[0.5]], [[0.0]], [[1.0]], [[1.0]]),  # observable, not reachable
         StateSpace([[1.1]], [[0.0]], [[0.0]], [[1.0]]),  # grows by itself
         StateSpace([[0.5, 0.1], [0.0, 0.5]], [[1.0], [0.0]], [[0.0, 1.0]], [[1.0]]),  # not side by side
         StateSpace.static([[1.0]]),
     ],
 )
 def test_what_cannot_be_taken_apart_is_left_whole(system: StateSpace) -> None:
-    assert parted(system).felt is system
+    assert separated(system).reachable is system
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Certificates put together by hand from closed forms, and an independent opinion on what they claim.
+"""Certificates built by hand from closed forms, and an independent judgement of their claims.
 
 Nothing here uses the package under test, or the rest of design: storage matrices come from energies or from Riccati
 equations of scipy, and :meth:`Certificates.refuted` judges by frequency responses and eigenvalues.
@@ -266,7 +266,7 @@ class Certificates:
     # --- the opinion
 
     def refuted(self, data: Data) -> list[str]:
-        """What is clearly false in the claim, by numpy: beyond 1e-7 relative; empty says nothing."""
+        """The clearly false parts of the claim, by numpy: beyond 1e-7 relative; an empty result proves nothing."""
         T = data["period"]
         if not (T > 0.0 and 0.0 <= data["tau"] <= T):
             return ["period"]

@@ -1,4 +1,4 @@
-"""What design() certifies and somebody changes: every claim that is false by numpy is rejected, the id recomputed."""
+"""Designs of design() with changed data and a recomputed id: every claim that numpy refutes is rejected."""
 
 from __future__ import annotations
 

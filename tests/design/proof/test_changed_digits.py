@@ -161,7 +161,7 @@ def test_the_static_stiffness_must_be_symmetric(certificates) -> None:
         assert holds or any("50.0 and 50.0000" in finding.argument for finding in prove(data)), skew
 
 
-def test_a_static_gain_that_a_pole_leaves_none_of_cannot_be_stated(certificates) -> None:
+def test_a_static_gain_that_a_pole_removes_cannot_be_stated(certificates) -> None:
     for A, time in (([[1.0]], {"time": "discrete"}), ([[0.0]], {"time": "continuous", "method": "zoh"})):
         environment = {
             "type": "state-space",

@@ -1,4 +1,4 @@
-"""Forged claims: what is changed to look better, with the id and the margins of its own content, is found and named."""
+"""Forged claims, improved and given the id and margins of their own content, are found and named."""
 
 import copy
 import dataclasses
@@ -221,7 +221,7 @@ def test_stated_margins_are_checked(proved: Data) -> None:
 
 
 def test_no_solver_is_needed() -> None:
-    """What a certificate says can be read and proved where neither solver nor scipy is installed."""
+    """A certificate can be read and proved where neither solver nor scipy is installed."""
     code = (
         "import sys, manyhands.design.proof, manyhands.design.certificate, manyhands.design.certificate\n"
         "print(sorted({name.split('.')[0] for name in sys.modules} & "

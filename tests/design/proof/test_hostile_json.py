@@ -1,4 +1,4 @@
-"""Whatever valid JSON is handed in, a proof ends with findings or with one error that names the key."""
+"""For any valid JSON a proof ends with findings or with one error that names the key."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_missing_key(certificates) -> None:
 
 
 def test_what_was_asked_is_any_plain_data_of_bounded_size(certificates) -> None:
-    """It is no claim: whatever it says, the rest is proved as it would be without it."""
+    """It is no claim: the rest is proved as it would be without it, whatever its content."""
     data = bases(certificates)[0]
     for asked in (
         {},

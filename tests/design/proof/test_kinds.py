@@ -165,7 +165,7 @@ def test_a_network_with_a_storage_matrix(certificates, delay: int) -> None:
         A, B, C, D = rest
         late = D - T * E1 if len(A) == 2 else np.zeros((1, 1))
         rest = chained(A, B, C, late, E1)
-    # the frequency domain says which level is needed
+    # the frequency domain gives the level needed
     z = np.exp(1j * np.linspace(1e-3, np.pi, 4000))
     response = certificates.response(environment, ["p0"], z)[:, 0, 0]
     level = -np.min((response * T * z / (z - 1.0)).real)

@@ -148,7 +148,7 @@ def test_diagonal_dominance_with_weights(seed: int) -> None:
     assert not sparse.definite(sparse.dense(above, range(n))).holds
 
 
-def test_too_large_is_said() -> None:
+def test_too_large_a_number_is_reported() -> None:
     M: sparse.Sparse = {}
     for i in range(MAX_DENSE + 1):
         sparse.add_entry(M, i, i, fmpq(2))

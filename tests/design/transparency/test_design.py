@@ -173,7 +173,7 @@ def test_no_spring_damper_of_one_port_is_better(problems: Any, data: st.DataObje
     assert design.gamma <= best * 1.01
 
 
-def test_no_spring_damper_where_the_environment_takes_more_than_the_device_has(problems: Any) -> None:
+def test_no_spring_damper_if_the_environment_needs_more_than_the_device(problems: Any) -> None:
     E = problems.network.environment(T)
     loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, problems.decentralised, SHAPING)
     with pytest.raises(Infeasible, match=r"no spring-damper coupling satisfies \(10\)"):

@@ -1,4 +1,4 @@
-"""What the transparency programs are made of: weighted loops, bases, families and their derivatives, small programs."""
+"""The parts of the transparency programs: weighted loops, bases, families and their derivatives, small programs."""
 
 from itertools import pairwise
 from typing import Any

@@ -1,4 +1,4 @@
-"""Certificates on the command line, by their format's version: those of 0.5.0, and what a session asks of new ones.
+"""Certificates of each format version on the command line: those of 0.5.0, and requirements on new ones.
 
 The files of 0.5.0 (``tests/design/data/certificates-0.5.0``) are as ``manyhands design SESSION -o FILE`` of that
 release wrote them, one for each shipped session that can be certified, and for the example with a model.
@@ -81,7 +81,7 @@ def test_there_is_one_for_every_session_that_can_be_certified() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_certificate_of_0_5_0_is_proved_as_what_it_is(name: str) -> None:
+def test_a_0_5_0_certificate_is_proved_as_its_own_version(name: str) -> None:
     read, data = load(old(name))
     assert all(finding.holds for finding in prove(data))
     assert to_json(read) == old(name).read_text()  # nothing is added when it is written again
@@ -97,7 +97,7 @@ def test_a_certificate_of_0_5_0_is_proved_as_what_it_is(name: str) -> None:
     assert lines[-1].endswith(f"; certificate {data['id']}")
 
 
-def test_without_a_session_nothing_is_said_of_comparing_it() -> None:
+def test_without_a_session_no_comparison_is_reported() -> None:
     done = manyhands_command("verify", old("example1"))
     assert done.exit_code == 0
     assert f"{old('example1')}: {NOT_RECORDED}" in done.stdout.splitlines()
@@ -151,8 +151,8 @@ def test_a_feasible_certificate_is_not_one_for_the_stiffest(feasible: Path, stif
     assert not bundle.exists()
 
 
-def test_a_certificate_of_0_5_0_is_invited_under_with_the_same_line(stiffest: Path, tmp_path: Path) -> None:
-    """Whether it was asked for as the session asks is not known: it says so, and goes on as 0.5.0 did."""
+def test_a_0_5_0_certificate_gives_the_same_invitation_line(stiffest: Path, tmp_path: Path) -> None:
+    """The request behind it is unknown: the program reports this, and goes on as 0.5.0 did."""
     bundle = tmp_path / "dx.bundle"
     done = manyhands_command("invite", stiffest, "dx", "--certificate", old("example1"), "--insecure", "-o", bundle)
     assert done.exit_code == 0, done.stderr
@@ -160,7 +160,7 @@ def test_a_certificate_of_0_5_0_is_invited_under_with_the_same_line(stiffest: Pa
     assert bundle.exists()
 
 
-def test_a_run_under_a_certificate_of_0_5_0_keeps_it_and_is_audited_with_it(tmp_path: Path) -> None:
+def test_a_run_keeps_and_audits_its_0_5_0_certificate(tmp_path: Path) -> None:
     """The copy in the recording is the file itself, of version 2 and with its own id; its rungs are made now."""
     prepared = prepare(load_named("example1.yaml"), old("example1"))
     kept = kept_files(prepared)
@@ -175,7 +175,7 @@ def test_a_run_under_a_certificate_of_0_5_0_keeps_it_and_is_audited_with_it(tmp_
     assert (done.exit_code, f"certificate {first.id}: proved again, and this session's" in done.stdout) == (0, True)
 
 
-def test_a_file_that_would_not_keep_its_id_is_not_run_under(feasible: Path, tmp_path: Path) -> None:
+def test_a_certificate_file_that_would_change_its_id_is_refused(feasible: Path, tmp_path: Path) -> None:
     """Another order of keys, with the id of that order, is proved as it is, but a recording would write it anew."""
     data = dict(reversed(json.loads(feasible.read_text()).items()))
     data["id"] = identity(data)

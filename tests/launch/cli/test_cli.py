@@ -1,4 +1,4 @@
-"""The command line: exit codes, what goes to which output, and messages that tell what to do."""
+"""The command line: exit codes, standard output and error, and messages that name the remedy."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_the_session_a_certificate_belongs_to_is_checked(tmp_path: Path) -> None
     assert "it is the session's: the session's name differs" in other.stderr
 
 
-def test_too_stiff_a_coupling_is_exit_3_with_what_could_be_relaxed() -> None:
+def test_too_stiff_a_coupling_exits_3_and_names_possible_relaxations() -> None:
     result = manyhands_command("design", "example1.yaml", "--json", *given("3000", "0"))
     assert result.exit_code == 3
     said = json.loads(result.stdout)
@@ -244,7 +244,7 @@ def test_a_short_demo_draws_and_reports(tmp_path: Path) -> None:
     assert manyhands_command("verify", out / "certificate.json").exit_code == 0
 
 
-def test_a_demo_that_does_not_come_to_rest_says_so(tmp_path: Path) -> None:
+def test_a_demo_that_does_not_come_to_rest_reports_it(tmp_path: Path) -> None:
     result = manyhands_command("demo", "-o", tmp_path / "demo", "--duration", "0.5", "--clock", "simulated")
     assert result.exit_code == 1
     assert "not every device came to rest" in result.stdout

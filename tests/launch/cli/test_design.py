@@ -1,4 +1,4 @@
-"""`manyhands design`, `verify` and `budget`: pictures, what other programs read, and Ctrl-C on the way."""
+"""`manyhands design`, `verify` and `budget`: pictures, the output for other programs, and Ctrl-C meanwhile."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_budget_prints_and_draws(tmp_path: Path) -> None:
 
 
 def interrupting(after: int, calls: list[str], how: Callable[[], None]) -> Callable[..., Any]:
-    """A design that is interrupted when the search tells something for the ``after``-th time."""
+    """A design that is interrupted at the ``after``-th report of the search."""
     honest = synthesis.design
 
     def design(loop: Any, wanted: Any, progress: Callable[[str], None]) -> Any:
@@ -232,7 +232,7 @@ def test_a_second_ctrl_c_ends_at_once(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(calls) == 6
 
 
-def test_an_interrupt_that_a_search_answers_with_its_best_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_answered_with_the_best_result_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the method: the flag of what was found is what decides, not the signal alone."""
     honest = synthesis._springs
 

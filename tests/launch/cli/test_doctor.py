@@ -1,4 +1,4 @@
-"""`manyhands doctor`, really run: its object, its tables, its exit codes, and nothing left when it is interrupted."""
+"""`manyhands doctor` as a process: its object, tables and exit codes; an interrupt leaves nothing behind."""
 
 from __future__ import annotations
 

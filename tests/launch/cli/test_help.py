@@ -1,4 +1,4 @@
-"""Every command says how it is used, and ends with an example that it would understand."""
+"""The help of every command shows its usage and ends with an example that parses."""
 
 from __future__ import annotations
 

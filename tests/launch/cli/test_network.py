@@ -1,4 +1,4 @@
-"""The commands about who may take part: what they refuse, in which words, and what they leave."""
+"""The commands for keys and guests: their refusals, messages, and files."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_keys_of_another_session_are_refused(folder: Path) -> None:
     assert "found the keys of session 'example-1'; expected those of 'example-2'" in done.stderr
 
 
-def test_plain_tcp_says_so(folder: Path) -> None:
+def test_plain_tcp_is_announced(folder: Path) -> None:
     done = manyhands_command(
         "launch", "example1.yaml", "--certificate", folder / "c.json", "--duration", "0.01", "--clock", "simulated",
         "--transport", "tcp", "--insecure",
@@ -179,7 +179,7 @@ def test_nodes_that_cannot_join(arguments: tuple[str, ...], found: str, folder: 
     assert (done.stderr.count("\n"), done.stdout) == (1, "")
 
 
-def test_an_address_in_use_or_of_another_machine_is_told(folder: Path) -> None:
+def test_an_address_in_use_or_of_another_machine_is_reported(folder: Path) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

@@ -1,4 +1,4 @@
-"""The commands that look on, where there is nothing to look at, and what a shell is told at Tab."""
+"""The observing commands without a session, and completion at Tab."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def manyhands_command(*arguments: object) -> Result:
 
 
 def completed(*words: str) -> list[str]:
-    """What bash is told when Tab is pressed behind these words, the last of which is not yet whole."""
+    """The completions that bash receives at Tab behind these words; the last word is not yet whole."""
     environment = {
         "_MANYHANDS_COMPLETE": "complete_bash",
         "COMP_WORDS": " ".join(["manyhands", *words]),
@@ -43,7 +43,7 @@ def completed(*words: str) -> list[str]:
 
 @contextmanager
 def running(*sessions: str) -> Iterator[None]:
-    """Sessions that say what they are, and nothing else, under this process."""
+    """Sessions under this process that describe themselves and send nothing."""
     if not sessions:
         yield
         return
@@ -91,7 +91,7 @@ def test_what_is_refused(arguments: tuple[str, ...], found: str) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_a_session_that_says_nothing_is_listed_as_it_describes_itself() -> None:
+def test_a_silent_session_is_listed_by_its_description() -> None:
     with running("mute"):
         done = manyhands_command("list", "--json")
     (said,) = json.loads(done.stdout)

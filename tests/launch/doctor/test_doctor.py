@@ -1,4 +1,4 @@
-"""The doctor without a machine: what files say of one, what figures mean, and processes that misbehave."""
+"""The doctor without a machine: its reading of files, its advice on figures, and processes that misbehave."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ IPC, TCP = Way("ipc", "ipc", "ipc"), Way("tcp_curve", "tcp with CURVE", "tcp")
 
 
 def a_machine(**changes: object) -> Machine:
-    """A machine with nothing to be said about."""
+    """A machine without any finding."""
     best: dict[str, Any] = {
         "kernel": "Linux 6.12", "preemption": "PREEMPT_RT", "virtual": None, "container": False, "processors": 8,
         "usable": tuple(range(8)), "governors": ("performance",), "clock_source": "tsc", "priority_limit": 99,
@@ -124,7 +124,7 @@ def test_governors_and_the_share_of_realtime_threads_are_read(tmp_path: Path) ->
     assert realtime_share(root) is None
 
 
-def test_a_machine_that_tells_nothing_is_examined_all_the_same(tmp_path: Path) -> None:
+def test_a_machine_without_information_is_examined_too(tmp_path: Path) -> None:
     found = examine(tmp_path)
     assert (found.virtual, found.governors, found.clock_source, found.realtime_share) == (None, None, None, None)
     assert set(found.usable) == os.sched_getaffinity(0)
@@ -156,10 +156,10 @@ def test_nothing_moves_in_the_session_at_rest() -> None:
 def test_the_delays_of_every_telemetry_are_kept_in_nanoseconds() -> None:
     delays = Delays()
     for node, rows in (("dx", [[250.0], [300.5]]), ("dy", [[0.125]])):
-        delays.tell(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
-    delays.tell(encode(Observation("cx", 2, {}, {})))
-    delays.tell(encode(Condition("running", 0.1, {}, (), (), (), ())))
-    delays.tell(None)
+        delays.take(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
+    delays.take(encode(Observation("cx", 2, {}, {})))
+    delays.take(encode(Condition("running", 0.1, {}, (), (), (), ())))
+    delays.take(None)
     assert delays.tau == [250_000, 300_500, 125]
 
 
@@ -201,7 +201,7 @@ def test_nothing_is_advised_where_nothing_is_to_be_gained(worth: Worth) -> None:
     [
         ({"preemption": "PREEMPT_DYNAMIC"}, "PREEMPT_RT"),
         ({"virtual": "KVM"}, "KVM"),
-        ({"usable": (0, 1)}, "3 users and an environment want 4"),
+        ({"usable": (0, 1)}, "3 users and an environment need 4"),
         ({"governors": ("powersave",)}, "found powersave"),
         ({"clock_source": "hpet"}, "found hpet"),
         ({"curve": False}, "CURVE"),
@@ -222,13 +222,13 @@ def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says:
     assert NO.said in one.change
 
 
-def test_a_processor_for_each_chain_and_one_for_the_environment_are_enough(worth: Worth) -> None:
+def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Worth) -> None:
     assert advice(a_machine(usable=(0, 1, 2, 3)), measurement(510.0, 600.0), worth, chains=3) == ()
     (one,) = advice(a_machine(usable=(0, 1, 2)), measurement(510.0, 600.0), worth, chains=3)
-    assert one.change == "give it more processors: 3 usable, 3 users and an environment want 4"
+    assert one.change == "give it more processors: 3 usable, 3 users and an environment need 4"
 
 
-def test_what_a_tail_costs_is_told_in_newtons(worth: Worth) -> None:
+def test_the_cost_of_a_tail_is_reported_in_newtons(worth: Worth) -> None:
     (one,) = advice(a_machine(virtual="KVM"), measurement(510.0, 600.0), worth, chains=3)
     even, now = (1.37 / (0.5e-3 + 1.5 * tau) for tau in (510e-6, 600e-6))
     assert f"{now:.0f} -> {even:.0f} N/m" in one.buys
@@ -276,7 +276,7 @@ def test_a_process_that_fails_is_reported_with_its_words(tmp_path: Path, monkeyp
         waking(tmp_path, interrupt)
 
 
-def test_a_process_that_says_nothing_has_a_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_process_has_a_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probe, "ANSWER_TIME", Duration(0))
     monkeypatch.setattr(probe, "SLOWEST", 0)
     with Interrupt() as interrupt, pytest.raises(ProbeFailed, match="waking: no answer within 0 s"):
@@ -317,12 +317,12 @@ def test_an_interrupted_session_interrupts_the_probe(monkeypatch: pytest.MonkeyP
 
 
 def test_a_session_without_an_answered_tick_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ProbeFailed, match="ipc: found no tick that was answered"):
+    with pytest.raises(ProbeFailed, match="ipc: found no tick that got a force"):
         ended(monkeypatch, 0)()
 
 
 def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
-    """In the midst of its task, and with nobody left to kill it."""
+    """In the midst of its task, with no process left to kill it."""
     code = f"""
 from pathlib import Path
 from manyhands.launch.run.processes import Processes

@@ -1,4 +1,4 @@
-"""A session's graph as a picture: everything is in it, nothing covers anything, and whatever a name is, it is text."""
+"""A session's graph as a picture: complete, without overlaps, and any name is shown as text."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_the_picture_of_a_file() -> None:
     assert not [element for element in root.iter() if element.tag in (f"{SVG}script", f"{SVG}image", f"{SVG}use")]
 
 
-def test_the_picture_of_a_running_session_says_how_each_is_in_colour_and_in_words() -> None:
+def test_the_picture_shows_each_nodes_state_in_colour_and_words() -> None:
     root = ET.fromstring(svg(drawing_of_scene(scene(d="lost"))))
     assert root.findtext(f"{SVG}title") == "s: away"
     kinds = {(g.get("class") or ""): g for g in root.iter(f"{SVG}g") if "node" in (g.get("class") or "")}
@@ -119,7 +119,7 @@ def test_the_picture_of_a_running_session_says_how_each_is_in_colour_and_in_word
     assert labels == ["p → ← f_v (silent)", "p → ← f_v (ok)", "x → ← f_v (away)", "x → ← f_v (away)"]
 
 
-def test_a_coupling_in_its_devices_process_is_joined_to_it_by_no_link() -> None:
+def test_a_coupling_in_its_devices_process_has_no_link_to_it() -> None:
     session = load_session(SESSIONS / "example1.yaml", ["colocate=true"])
     drawing = drawing_of_session(Plan(session))
     joined = [tie for tie in drawing.ties if not tie.is_link]
@@ -195,7 +195,7 @@ def test_the_form_that_is_meant(name: str | None, file: str | None, as_json: boo
     assert format_of(name, None if file is None else Path(file), as_json) == form
 
 
-def test_a_suffix_that_says_nothing_is_refused() -> None:
+def test_an_unknown_suffix_is_refused() -> None:
     with pytest.raises(TargetError, match=r"g\.png: found the suffix '\.png'; expected \.svg"):
         format_of(None, Path("g.png"), as_json=False)
 

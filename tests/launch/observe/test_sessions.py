@@ -1,4 +1,4 @@
-"""Looking on: when it ends, what is told meanwhile, and that nothing is waited for without an end."""
+"""Observing a session: its end, the messages meanwhile, and bounds on every wait."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manyhands.protocol.messages import Condition, Observation
 from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 
 
-def test_each_message_is_told_in_order_with_its_instant_until_the_session_is_over() -> None:
+def test_messages_are_printed_in_order_with_instants_until_the_session_ends() -> None:
     frames = Frames({10: [telemetry("d", 100)], 20: [condition()], 30: [condition("over")], 40: [telemetry("d", 200)]})
     scene = Scene(ABOUT)
     seen = list(watch(frames, scene, frames.clock, lambda: False))
@@ -29,7 +29,7 @@ def test_each_message_is_told_in_order_with_its_instant_until_the_session_is_ove
     assert (scene.condition.phase, scene.tick) == ("over", 100)
 
 
-def test_where_nothing_comes_that_is_told_too_and_it_ends_with_the_supervisor() -> None:
+def test_silence_is_reported_and_watching_ends_with_the_supervisor() -> None:
     frames = Frames({350: [b"no message at all"], 360: [telemetry("d", 100)]})
     looks: list[int] = []
 
@@ -41,7 +41,7 @@ def test_where_nothing_comes_that_is_told_too_and_it_ends_with_the_supervisor() 
     assert [(one.at // MS, one.message is None) for one in seen] == [
         (200, True), (350, True), (360, False), (560, True), (760, True),
     ]  # fmt: skip
-    assert looks == [200, 560, 760, 960]  # what has come is read before it is found that nobody is there
+    assert looks == [200, 560, 760, 960]  # frames that have come are read before the end is noticed
 
 
 def test_at_its_deadline_it_ends_even_where_frames_come_without_end() -> None:
@@ -67,7 +67,7 @@ def test_a_supervisor_is_there_while_its_directory_is(running: Running) -> None:
         assert gone()
 
 
-def test_a_supervisor_whose_process_has_ended_is_gone_though_nobody_has_reaped_it(running: Running) -> None:
+def test_an_ended_but_unreaped_supervisor_counts_as_gone(running: Running) -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
         with presence(replace(running, about=replace(ABOUT, pid=process.pid))) as gone:
             assert not gone()

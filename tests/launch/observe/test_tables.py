@@ -1,4 +1,4 @@
-"""What a list and a top show of sessions, and that both end in bounded time."""
+"""The tables of `list` and `top`, and the bounded time in which both end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from manyhands.launch.observe.tables import (
     print_sessions,
     session_object,
     show_live,
-    tell,
+    show_repeatedly,
     top_object,
 )
 from manyhands.launch.run.display import COLUMNS
@@ -69,7 +69,7 @@ def test_who_does_not_run_is_not_waited_for() -> None:
     assert session_object(one.scene)["nodes"]["cx"]["health"] == "away"
 
 
-def test_a_session_that_says_nothing_is_not_waited_for_without_end() -> None:
+def test_a_silent_session_is_awaited_for_a_bounded_time() -> None:
     (one,), took = glanced(Frames({}))
     assert took == pytest.approx(GLANCE / 1e9, abs=0.02)
     said = session_object(one.scene)
@@ -110,7 +110,7 @@ FIGURES = {"late": 3.0, "tau_us_p50": 120.0, "tau_us_p99": 350.0, "speed": 0.01,
            "ledger_margin": 0.125, "rung": 1.0, "not_admitted": 7.0}  # fmt: skip
 
 
-def test_a_picture_has_every_node_and_figure_and_what_is_not_well() -> None:
+def test_the_table_has_every_node_figure_and_alarm() -> None:
     scene = scene_of(telemetry("d", 100, **FIGURES), condition(silent=("cx",), incidents=("dx came back",)))
     text = printed(scene, 200)
     (row,) = [line.split() for line in text.splitlines() if line.split()[:2] == ["d", "device"]]
@@ -135,7 +135,7 @@ def test_a_picture_has_every_node_and_figure_and_what_is_not_well() -> None:
     assert "s (process 17, realtime clock): running, 2 s; silent" in text
 
 
-def test_who_was_frozen_for_being_late_is_named_with_what_it_cost() -> None:
+def test_a_user_frozen_for_lateness_is_named_with_its_cost() -> None:
     late = {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "waited_ticks_cy": 1.0, "waited_us_cy": 600.0}
     text = printed(scene_of(telemetry("environment", 100, **late, frozen_late_cx=2.0), condition()), 200)
     assert "the others waited for cx in 53 ticks, 0.117 s in all, and it was frozen for that 2 times" in text
@@ -143,7 +143,7 @@ def test_who_was_frozen_for_being_late_is_named_with_what_it_cost() -> None:
 
 
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
-def test_where_there_is_little_room_figures_are_left_out_and_no_name_is_cut(width: int) -> None:
+def test_in_a_narrow_table_figures_are_omitted_and_names_stay_whole(width: int) -> None:
     scene = scene_of(*(telemetry(name, 100, **FIGURES) for name in ABOUT.nodes), condition())
     text = printed(scene, width)
     assert max(map(len, text.splitlines())) <= width
@@ -174,7 +174,7 @@ def test_as_json() -> None:
     assert (said["notices"], said["incidents"], said["faults"]) == (["a notice"], [], [])
 
 
-def test_a_terminal_is_drawn_at_most_five_times_a_second_until_a_key_is_pressed() -> None:
+def test_a_terminal_is_drawn_at_most_five_times_a_second() -> None:
     frames, text = Frames(minute()), io.StringIO()
     scene, console = Scene(ABOUT), Console(file=text, width=100, height=30, force_terminal=True)
     seeing = watch(frames, scene, frames.clock, lambda: False)
@@ -183,8 +183,10 @@ def test_a_terminal_is_drawn_at_most_five_times_a_second_until_a_key_is_pressed(
     assert 5 <= text.getvalue().count("(process 17") <= 11
 
 
-def test_without_a_terminal_it_is_told_every_two_seconds_and_at_the_end() -> None:
+def test_without_a_terminal_it_prints_every_two_seconds_and_finally() -> None:
     frames = Frames(minute({5000: [condition("over")]}, seconds=5))
     scene, told = Scene(ABOUT), []
-    tell(scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9))
+    show_repeatedly(
+        scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9)
+    )
     assert told == pytest.approx([0.1 + PRINT_EVERY / 1e9, 0.1 + 2 * PRINT_EVERY / 1e9, 5.0])

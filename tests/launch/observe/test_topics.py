@@ -1,4 +1,4 @@
-"""Topics by name, the lines of an echo, and what is found of a topic's pace."""
+"""Topics by name, the lines of `echo`, and the measured pace of a topic."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class TestNames:
         assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])
         assert named_topics(ABOUT)["environment/masses"].columns == ("hub",)
 
-    def test_a_session_that_nothing_proves_has_no_ledgers_and_one_without_masses_none_of_them(self) -> None:
+    def test_uncertified_sessions_list_no_ledgers_and_massless_ones_no_masses(self) -> None:
         names = named_topics(replace(ABOUT, certificate=None, masses={}))
         assert not [name for name in names if name.endswith(("/ledger", "/masses"))]
         assert "environment/tools" in names
@@ -87,7 +87,7 @@ class TestEcho:
     def test_others_say_nothing_of_it(self) -> None:
         assert echoed("cx/tool", telemetry("d", 10, 2), telemetry("cy", 10, 2), condition(), b"junk") == []
 
-    def test_every_so_many_ticks_wherever_a_batch_begins_and_to_the_count(self) -> None:
+    def test_the_interval_and_count_do_not_depend_on_batches(self) -> None:
         batches = [telemetry("d", 105, 98), telemetry("d", 205)]
         assert [line["tick"] for line in echoed("d/sample", *batches, every=50)] == [50, 100, 150, 200]
         assert [line["tick"] for line in echoed("d/sample", *batches, every=50, count=3)] == [50, 100, 150]
@@ -106,7 +106,7 @@ class TestEcho:
         }  # fmt: skip
         assert line["states"]["cx"] == "running"
 
-    def test_what_is_no_number_is_null_and_what_does_not_fit_is_left_out(self) -> None:
+    def test_non_numbers_are_null_and_misfitting_fields_are_omitted(self) -> None:
         echo = EchoLines(find_topic(ABOUT, "d/sample"), ABOUT.period)
 
         def lines(tick: int, trace: list[list[float]]) -> list[str]:
@@ -135,7 +135,7 @@ class TestPace:
         assert "tau_us" not in found
         assert "batches arrive here" in sentence(found)
 
-    def test_a_device_says_itself_how_even_its_ticks_are(self) -> None:
+    def test_a_device_reports_the_evenness_of_its_ticks(self) -> None:
         figures = {"period_us_p50": 1000.0, "period_us_p99": 1200.0}
         found = paced("d/force", {0: telemetry("d", 100, **figures), 100: telemetry("d", 200, **figures)})
         assert found["period_us"] == {"p50": 1000.0, "p99": 1200.0}
@@ -143,7 +143,7 @@ class TestPace:
         assert "1000/1200 us (the device's, since its start)" in sentence(found)
         assert "period_us" not in paced("d/force", {0: telemetry("d", 100, period_us_p50=math.nan, period_us_p99=1.0)})
 
-    def test_ticks_that_nobody_told_of_are_counted(self) -> None:
+    def test_ticks_without_telemetry_are_counted(self) -> None:
         found = paced("d/sample", {0: telemetry("d", 100), 100: telemetry("d", 250), 200: telemetry("d", 400)})
         assert found["missing"] == 100
         assert found["rate"] == pytest.approx(1500.0)

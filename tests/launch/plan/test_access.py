@@ -1,4 +1,4 @@
-"""Who may read and write what: from the structure alone, and the same as the blocks of V and the sockets say."""
+"""Read and write access follows from the structure alone and equals the blocks of V and the sockets."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Pattern = NDArray[np.bool_]
 def needed_by(V: StateSpace, orders: Mapping[str, int], ports: tuple[str, ...]) -> set[Grant]:
     """What each process must read and write, from the nonzero entries of the whole V and nothing else.
 
-    The states of V are stacked by block; ``orders`` says how many belong to each. A process reads f_v of the ports
+    The states of V are stacked by block; ``orders`` has the number of each. A process reads f_v of the ports
     whose force reaches its states and hands it on to their devices; it moves the tools that its states reach, each from
     the displacement x of that port. A direct entry of D_V belongs to the process that its tool or its force does.
     """
@@ -72,8 +72,8 @@ def granted(table: tuple[Capability, ...]) -> set[Grant]:
     return {(row.node, port, row.action, row.channel) for row in table if row.channel in SIGNALS for port in row.ports}
 
 
-class Binding:
-    """Stands in for a transport, and notes what is bound for whom."""
+class BindingNotes:
+    """Stands in for a transport, and notes each binding with its peer."""
 
     def __init__(self) -> None:
         self.bound: list[str] = []
@@ -88,7 +88,7 @@ def carried(bundles: Mapping[str, Bundle]) -> set[Grant]:
     found: set[Grant] = set()
     commons = {name: bundle.common for name, bundle in bundles.items()}
     for name, common in commons.items():
-        transport: Any = Binding()
+        transport: Any = BindingNotes()
         links, endpoints = bind_links(common, transport)
         assert len(set(transport.bound)) == len(transport.bound) == len(endpoints)
         for other in links:
@@ -103,7 +103,7 @@ def carried(bundles: Mapping[str, Bundle]) -> set[Grant]:
                         found |= {(receiver.name, port, "read", channel.name) for port in mine.ports}
     connecting = [(name, peer.name) for name, common in commons.items() for peer in common.peers if not peer.binds]
     binding = [(peer.name, name) for name, common in commons.items() for peer in common.peers if peer.binds]
-    assert sorted(connecting) == sorted(binding)  # nobody connects to what is not bound for it
+    assert sorted(connecting) == sorted(binding)  # every connection has its own bound endpoint
     return found
 
 
@@ -271,7 +271,7 @@ def test_nobody_may_more_than_its_role_and_its_ports(
     table = Plan(session).access
     keys = [(row.node, row.channel, row.peer) for row in table]
     assert len(set(keys)) == len(keys)
-    # each may is somebody's may at the other end, for the same ports
+    # each right has its counterpart at the other end, for the same ports
     mirror = {"read": "write", "write": "read"}
     rows = {(row.node, row.action, row.channel, row.peer): (row.ports, row.content) for row in table}
     for (node, action, channel, peer), about in rows.items():
@@ -293,7 +293,7 @@ def test_nobody_may_more_than_its_role_and_its_ports(
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_an_observer_is_told_what_it_asked_for_and_nothing_else(
+def test_an_observer_receives_its_requested_topics_and_nothing_else(
     drawn_sessions: st.SearchStrategy[Session], data: st.DataObject
 ) -> None:
     session = data.draw(drawn_sessions)
@@ -305,7 +305,7 @@ def test_an_observer_is_told_what_it_asked_for_and_nothing_else(
         assert told == asked
 
 
-def test_peers_are_those_who_share_a_channel() -> None:
+def test_peers_share_a_channel() -> None:
     session = session_of()
     assert Plan(session).peers == {
         "d": {"a", "b", "supervisor"},

@@ -1,4 +1,4 @@
-"""Blocks of V that need what their processes may not read or write: not designed, and not launched."""
+"""Blocks of V that need data their processes may not read or write are neither designed nor launched."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_certificate_whose_block_leaves_its_process_is_refused_at_launch(tmp_p
 
 @pytest.mark.usefixtures("own_interrupt")
 def test_a_stolen_certificate_with_two_blocks_exchanged_is_refused_at_launch(tmp_path: Path) -> None:
-    """Whoever edits the file can also compute its id anew; what the processes may do is not in the file."""
+    """A thief can also compute the file's id anew; the rights of the processes are not in the file."""
     certificate = prepare(load_session(SESSIONS / "example1.yaml", GIVEN)).certificate
     assert certificate is not None
     save(certificate, tmp_path / "honest.json")
@@ -105,7 +105,7 @@ def test_a_stolen_certificate_with_two_blocks_exchanged_is_refused_at_launch(tmp
 
 @settings(max_examples=40)
 @given(data=st.data())
-def test_a_block_that_needs_what_its_process_may_not_read_cannot_be_designed(
+def test_a_block_needing_data_its_process_may_not_read_is_refused(
     drawn_plain_sessions: st.SearchStrategy[dict[str, Any]], data: st.DataObject, tmp_path: Path
 ) -> None:
     plain = data.draw(drawn_plain_sessions)

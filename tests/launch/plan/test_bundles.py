@@ -1,4 +1,4 @@
-"""From a session's limits to each process's bounds: whose limits go where, and that no honest tool is ever refused."""
+"""From a session's limits to each process's bounds: their addressees, and no honest tool is ever refused."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_limits_are_those_of_the_ports_in_their_order() -> None:
     assert limits_at(held, held.ports[1:]) == Limits((2.0, 3.0), (0.5, 0.5), (5.0, 6.0))
 
 
-def test_each_bundle_holds_the_limits_of_its_own_ports_and_the_environment_none(tmp_path: Path) -> None:
+def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:
     prepared = prepare(session())
     cuts = cut(prepared, RunPlan("simulated", tmp_path, ""))
     for name, expected in (("dy", (3.0, 0.2, 4.0)), ("cz", (5.0, 0.3, 6.0))):
@@ -72,7 +72,7 @@ def test_each_bundle_holds_the_limits_of_its_own_ports_and_the_environment_none(
     }
 
 
-def test_a_tool_can_go_as_far_as_its_device_and_the_memory_of_its_block() -> None:
+def test_the_device_and_its_blocks_memory_bound_the_tools_reach() -> None:
     """In closed form for springs and dampers, h = gain (0, 1, a, a^2, ...)."""
     held = session()
     prepared = prepare(held)
@@ -148,7 +148,7 @@ def test_a_block_without_a_bound_leaves_its_ports_without_one(tmp_path: Path) ->
     assert bounds.step == (np.inf,)
 
 
-def test_telemetry_comes_ten_times_a_second_or_as_often_as_its_traces_need(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_telemetry_is_sent_at_10_hz_or_as_traces_need(monkeypatch: pytest.MonkeyPatch) -> None:
     def ticks(period: float, name: str) -> int:
         prepared = prepare(load_session(SESSIONS / "example1-centralised.yaml", [f"period={period}"]), uncertified=True)
         return cut(prepared, RunPlan("simulated", None, ""))[name].common.telemetry_ticks

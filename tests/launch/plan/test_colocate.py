@@ -1,4 +1,4 @@
-"""`colocate: true`: what follows from it for links, rights, keys, placement and processes, and nothing else."""
+"""`colocate: true`: its effects on links, rights, keys, placement and processes, and on nothing else."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_coupling_of_several_devices_is_in_the_process_of_none() -> None:
     assert "expected couplings of one device each, or false" in str(caught.value)
 
 
-def test_nobody_may_do_more_than_before_and_what_is_not_sent_is_nobodys() -> None:
+def test_colocation_adds_no_right_and_unsent_signals_have_no_reader() -> None:
     """Sample and force fall away between the two; everything else that one may read or write stays."""
     apart, together = (set(Plan(session_of(colocate=flag)).access) for flag in (False, True))
     assert together < apart
@@ -56,7 +56,7 @@ def test_what_is_carried_goes_where_its_device_goes() -> None:
     assert placement(topology(session_of("example1-operator.yaml")), [0, 1]) == {}  # one device carries all
 
 
-def test_the_graph_says_who_is_in_whose_process() -> None:
+def test_the_graph_shows_the_process_of_each_node() -> None:
     plain = graph_object(Plan(session_of()))
     assert plain["nodes"]["cx"] == {"role": "coupling", "ports": ["dx"], "process": "dx"}
     assert plain["nodes"]["dx"] == {"role": "device", "ports": ["dx"]}

@@ -146,7 +146,7 @@ def test_a_node_more_gets_a_key_and_nobody_else(folder: Path) -> None:
     assert {name: new[name] for name in old} == old
 
 
-def test_a_node_less_is_told_and_left(folder: Path) -> None:
+def test_a_removed_node_is_reported_and_left(folder: Path) -> None:
     make_keys(TWO, folder)
     before = contents(folder)
     (folder / "private" / "notes.txt").write_text("not a key")
@@ -231,7 +231,7 @@ def test_a_first_run_that_is_interrupted_can_be_repeated(
     assert {name: keys.pair(name).public for name in NAMES} == dict(keys.public.keys)
 
 
-def test_an_addition_that_is_interrupted_leaves_the_public_keys_and_can_be_repeated(
+def test_an_interrupted_addition_keeps_the_public_keys_and_can_be_repeated(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_keys(ONE, folder)
@@ -246,16 +246,14 @@ def test_an_addition_that_is_interrupted_leaves_the_public_keys_and_can_be_repea
     assert load_folder(TWO, folder).pair("dy") == load_private(key(folder, "dy"), "s", "dy")
 
 
-def test_a_renewal_that_is_interrupted_is_told_and_can_be_repeated(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_renewal_is_reported_and_can_be_repeated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_keys(ONE, folder)
     with monkeypatch.context() as patch:
         failing_replace(patch, "public.json")
         with pytest.raises(OSError, match="Input/output"):
             make_keys(ONE, folder, ["dx"])
     said = refusal(ONE, folder)
-    assert "not the one of its public key in public.json" in said
+    assert "does not match its public key in public.json" in said
     assert "--renew dx" in said
     assert make_keys(ONE, folder, ["dx"]).renewed == ("dx",)
     load_folder(ONE, folder).pair("dx")
@@ -285,11 +283,9 @@ def test_two_runs_at_once_are_refused(folder: Path) -> None:
     assert make_keys(TWO, folder).new == ("dy", "cdy")
 
 
-def test_a_file_system_that_locks_no_folders_is_used_all_the_same(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_without_folder_locks_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locks(_descriptor: int, _how: int) -> None:
-        raise OSError(9, "Bad file descriptor")  # what NFS says to an exclusive lock of what is open for reading
+        raise OSError(9, "Bad file descriptor")  # the error of NFS for an exclusive lock on a file open for reading
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     assert make_keys(ONE, folder).new == NAMES
@@ -331,7 +327,7 @@ def test_a_private_key_that_is_a_link_is_refused(folder: Path, tmp_path: Path) -
     assert elsewhere.read_bytes() == before
 
 
-def test_a_private_folder_that_is_a_link_or_a_file_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_link_or_file_as_private_folder_is_refused(folder: Path, tmp_path: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private").rename(tmp_path / "elsewhere")
     (folder / "private").symlink_to(tmp_path / "elsewhere")
@@ -368,8 +364,8 @@ def test_a_public_key_that_does_not_belong_is_refused(folder: Path) -> None:
     make_keys(ONE, folder)
     public = PublicKeys.load(folder / "public.json")
     PublicKeys("s", {**public.keys, "dx": new_pair().public}).save(folder / "public.json")
-    assert "found a private key of 'dx' that is not the one of its public key" in refusal(ONE, folder)
-    with pytest.raises(KeyFileError, match="not the one of its public key"):
+    assert "found a private key of 'dx' that does not match its public key" in refusal(ONE, folder)
+    with pytest.raises(KeyFileError, match="not match its public key"):
         load_folder(ONE, folder).pair("dx")
 
 
@@ -399,14 +395,16 @@ def test_too_many_keys_are_refused_before_any_is_made(folder: Path, monkeypatch:
     make_keys(TWO, folder)
     monkeypatch.setattr("manyhands.launch.plan.keys.MAX_KEYS", 8)
     more = session_of(["dx", "dz"], ["watch"])
-    assert "found 7 keys, 2 of them of nobody in the session; expected at most 8" in refusal(more, folder)
+    assert "found 7 keys, 2 of them with names that the session does not have; expected at most 8" in refusal(
+        more, folder
+    )
 
 
 def test_keys_that_are_missing_are_named(folder: Path) -> None:
     with pytest.raises(KeyFileError, match=r"public\.json: found no file"):
         load_folder(ONE, folder)
     make_keys(ONE, folder)
-    with pytest.raises(KeyFileError, match="found no key of 'dy' and 1 more; expected one for everybody"):
+    with pytest.raises(KeyFileError, match="found no key of 'dy' and 1 more; expected one for every process"):
         load_folder(TWO, folder)
 
 
@@ -448,7 +446,7 @@ def test_keys_of_one_run(tmp_path: Path) -> None:
         keys.pair("dy")
 
 
-def test_a_node_is_given_the_file_where_its_key_is_kept_or_one_of_this_run(folder: Path, tmp_path: Path) -> None:
+def test_a_node_gets_its_kept_key_file_or_this_runs(folder: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir(mode=0o700)
     make_keys(ONE, folder)
@@ -462,7 +460,7 @@ def test_a_node_is_given_the_file_where_its_key_is_kept_or_one_of_this_run(folde
     assert load_private(run / "dx.key", "s", "dx") == keys.pair("dx")
 
 
-# --- told
+# --- reported
 
 
 def command(session: Session, folder: Path, *renew: str, as_json: bool = False) -> tuple[int, str, str]:
@@ -471,7 +469,7 @@ def command(session: Session, folder: Path, *renew: str, as_json: bool = False) 
     return (code, *(console.file.getvalue() for console in (out, err)))  # type: ignore[attr-defined]
 
 
-def test_the_command_tells_who_got_what(folder: Path) -> None:
+def test_the_command_prints_each_nodes_keys(folder: Path) -> None:
     folder = folder / "of [red] hands"  # what a terminal's markup would swallow
     code, out, err = command(TWO, folder)
     assert code == 0
@@ -485,8 +483,8 @@ def test_the_command_tells_who_got_what(folder: Path) -> None:
     _, out, err = command(ONE, folder, "dx")
     states = {row[1].strip(): row[3].strip() for row in (line.split("│") for line in out.splitlines()) if len(row) == 5}
     assert states == {"dx": "renewed", "cdx": "elsewhere", "environment": "kept", "supervisor": "kept", "watch": "kept"}
-    assert "cdx: its private key is not here: on its own machine, or lost" in err
-    assert "not in s any more, and left where they are: cdy, dy\n" in err
+    assert "cdx: its private key is not in this folder: it is on its own machine, or lost" in err
+    assert "no longer in s, and left in place: cdy, dy\n" in err
     key(folder, "cdx").unlink(missing_ok=True)
     assert "have changed" not in command(ONE, folder)[2]
 
@@ -507,7 +505,7 @@ def test_the_command_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -
     }  # fmt: skip
 
 
-def test_a_name_that_a_terminal_would_obey_is_not_told(folder: Path) -> None:
+def test_a_name_that_a_terminal_would_obey_is_not_printed(folder: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private" / "\x1b[2J.key").write_text("")
     assert make_keys(ONE, folder).stale == ()

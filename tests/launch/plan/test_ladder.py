@@ -1,4 +1,4 @@
-"""The ladder on its way from a session file to the bundles: which rungs there are, and who is given what of them."""
+"""The ladder from a session file to the bundles: which rungs there are, and which process gets what of them."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_nothing_is_held_ready_for_no_coupling() -> None:
 # --- what is prepared
 
 
-def test_without_the_key_a_ladder_is_designed_for_each_quarter_above_tau() -> None:
+def test_by_default_a_rung_is_designed_at_each_quarter_above_tau() -> None:
     ladder = prepare(example("design.tau=0.0003")).ladder
     assert ladder is not None
     assert ladder.taus == (0.0003, 0.0005, 0.001)
@@ -105,7 +105,7 @@ def test_a_certificate_from_a_file_is_given_the_same_ladder_anew(tmp_path: Path)
     assert [rung.id for rung in read.ladder.rungs] == [rung.id for rung in designed.ladder.rungs]
 
 
-def test_what_has_no_rung_is_told() -> None:
+def test_delays_without_a_rung_are_reported() -> None:
     """Nothing is lost of the session: it runs without a ladder."""
     late = load_session(
         SESSIONS / "example1.yaml",
@@ -164,7 +164,7 @@ def test_each_process_is_given_its_own_part_of_every_rung(prepared: Prepared, tm
 
 
 @pytest.mark.parametrize(("breach", "rung"), [("soften", -1), ("warn", 0), ("stop", 0)])
-def test_the_environment_is_given_the_longest_delay_that_the_session_can_cover(
+def test_the_environment_gets_the_longest_delay_the_session_can_cover(
     prepared: Prepared, tmp_path: Path, breach: str, rung: int
 ) -> None:
     assert prepared.ladder is not None

@@ -1,4 +1,4 @@
-"""A planned session: what follows from the structure is derived once, and is the same for whoever holds the plan."""
+"""A planned session: everything that follows from the structure is derived once and is equal for all users."""
 
 from __future__ import annotations
 

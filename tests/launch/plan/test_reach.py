@@ -1,4 +1,4 @@
-"""How a run's processes reach each other: what goes together, where is listened, and who gets which public keys."""
+"""How a run's processes reach each other: allowed combinations, addresses, and recipients of public keys."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def session() -> Session:
         ("0.0.0.0:7400", "found 0.0.0.0; expected the one address that others reach this machine at"),
     ],
 )
-def test_an_address_that_is_none_is_told(text: str, found: str) -> None:
+def test_an_invalid_address_is_reported(text: str, found: str) -> None:
     with pytest.raises(ReachError) as error:
         Listen.parse(text)
     assert str(error.value).startswith("--listen: ")
@@ -73,13 +73,13 @@ def test_keys_and_no_encryption_do_not_go_together(session: Session) -> None:
         reach(Plan(session), "tcp", insecure=True, keys=ephemeral(roster(session), session.name))
 
 
-def test_tcp_is_encrypted_unless_the_user_says_otherwise(session: Session) -> None:
+def test_tcp_is_encrypted_unless_the_user_opts_out(session: Session) -> None:
     assert reach(Plan(session), "tcp").ring() is not None
     assert reach(Plan(session), "tcp", insecure=True).ring() is None
     assert reach(Plan(session), "ipc").ring() is None
 
 
-def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
+def test_public_keys_go_to_nodes_that_share_a_channel(session: Session) -> None:
     ways = reach(Plan(session), "tcp")
     assert ways.keys is not None
     for name, allowed in Plan(session).peers.items():
@@ -89,7 +89,7 @@ def test_public_keys_go_to_those_who_share_a_channel(session: Session) -> None:
     assert ways.public("watch").keys() == {"watch", "supervisor"}
 
 
-def test_every_listener_has_a_port_of_its_own_and_only_what_is_remote_leaves_the_loopback(session: Session) -> None:
+def test_listeners_have_their_own_ports_and_local_links_stay_on_loopback(session: Session) -> None:
     graph = topology(session)
     listen = Listen("192.0.2.7", 7400)
     ways = reach(Plan(session), "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))

@@ -1,4 +1,4 @@
-"""A chain shares a processor; what all wait for, or a single chain, is left to the kernel."""
+"""A chain shares a processor; the kernel places the environment and a single chain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recording a session that runs already: what is done with each frame, when it is written, when it ends; no sockets."""
+"""Recording a session that already runs, without sockets: each frame's handling, the writes, and the end."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def core_of(duration: float | None = None) -> AttachedCore:
     return AttachedCore(RecorderCore(RECORDED, ATTACHED, STARTED), RECORDED, duration, Instant(0))
 
 
-class Frames:
+class BroadcastFrames:
     """A broadcast of which these frames are seen, each ``each`` after the one before; then nothing."""
 
     def __init__(self, clock: SimulatedClock, frames: Iterable[bytes | None], each: Duration) -> None:
@@ -76,7 +76,7 @@ def written(
 ) -> list[bytes]:
     pieces: list[bytes] = []
     clock = SimulatedClock()
-    visit = Frames(clock, shown, Duration(FLUSH_EVERY // 4))
+    visit = BroadcastFrames(clock, shown, Duration(FLUSH_EVERY // 4))
     write_down(core, visit, lambda: gone, pieces.append, lambda: interrupted, clock, lambda _core: None)
     return pieces
 
@@ -94,7 +94,7 @@ def test_it_begins_where_it_came_in(tmp_path: Path) -> None:
     assert x[15:, 0].tolist() == np.sin(np.arange(15.0, 30.0) + 1.0).tolist()
 
 
-def test_it_writes_at_least_once_a_second_and_what_is_written_can_be_read() -> None:
+def test_it_writes_at_least_once_a_second_in_readable_form() -> None:
     pieces = written(core_of(), [*frames(40, 5), condition(SessionPhase.OVER.value)])
     assert len(pieces) == len(list(frames(40, 5))) // 4 + 1
     assert all(pieces)
@@ -107,7 +107,7 @@ def test_nothing_is_written_while_nothing_comes() -> None:
     assert core.piece(Instant(2 * FLUSH_EVERY)) == b""
 
 
-def test_frames_that_were_lost_are_told_as_missing_ticks() -> None:
+def test_lost_frames_are_reported_as_missing_ticks() -> None:
     core = core_of()
     for tick in (105, 110, 125):
         core.take(observation("dx", tick, 5), STARTED)
@@ -122,7 +122,7 @@ def test_it_ends_when_it_is_as_long_as_was_asked_for() -> None:
     assert core.ending is Ending.DURATION
 
 
-def test_it_ends_when_the_supervisor_is_gone_and_has_what_came_before() -> None:
+def test_it_ends_with_the_supervisor_and_keeps_what_came_before() -> None:
     core = core_of()
     written(core, [observation("dx", 5, 5), None, observation("dx", 10, 5)])
     assert (core.ending, core.tick) == (Ending.GONE, 10)

@@ -1,4 +1,4 @@
-"""An audit agrees with every honest recording, and finds what was changed afterwards, at its tick and party."""
+"""An audit agrees with every honest recording, and reports later changes with their tick and party."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def test_what_was_changed_is_found_at_its_tick_and_party(what: str, recording: P
     assert min(ticks.values()) == min(expected.values())
 
 
-def test_what_was_recorded_and_what_should_be_are_told(recording: Path, tmp_path: Path) -> None:
+def test_the_recorded_and_the_expected_value_are_reported(recording: Path, tmp_path: Path) -> None:
     honest = read_run(recording).traces["dx", "ledger"].values[AT, 0]
     done = audited(forged(tmp_path / "forged.mcap", read_run(recording), one("dx", LEDGER, 1e-3)))
     first = found(done, "dx", "ledger").first
@@ -182,9 +182,7 @@ def test_what_was_recorded_and_what_should_be_are_told(recording: Path, tmp_path
     assert (first.tick, first.column, first.recorded, first.recomputed) == (AT, "E", honest + 1e-3, honest)
 
 
-def test_a_frozen_coupling_leaves_a_gap_that_is_told_and_the_rest_is_checked(
-    prepared: Prepared, tmp_path: Path
-) -> None:
+def test_a_frozen_couplings_gap_is_reported_and_the_rest_is_checked(prepared: Prepared, tmp_path: Path) -> None:
     rows = simulated(prepared, 600, [Silence("cx", 150, 220), Silence("cz", 260, 300)])
     path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
     done = audited(path)
@@ -340,7 +338,7 @@ def test_a_process_that_came_back_begins_at_rest(prepared: Prepared) -> None:
     assert again.gaps == []
 
 
-def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepared: Prepared) -> None:
+def test_a_device_left_behind_goes_on_from_its_position(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)
     played = played_device(bundle, [0.1] * 100 + [0.0] * 200, {100: 4})
@@ -351,7 +349,7 @@ def test_a_device_that_the_session_left_behind_goes_on_from_where_it_was(prepare
     np.testing.assert_array_equal(again.signal, x)
     np.testing.assert_array_equal(again.ledger, energy)
     lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
-    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event says why")]
+    assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event states why")]
 
 
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
@@ -373,7 +371,7 @@ def test_a_rung_beyond_the_ladder_is_no_rung(prepared: Prepared) -> None:
 def test_a_coupling_killed_before_it_could_report_is_not_called_forged(prepared: Prepared, tmp_path: Path) -> None:
     rows = simulated(prepared, 600, [Silence("cx", 250, 400)])
     for trace in ("p", "f_v", LEDGER):
-        rows["cx", trace][200:250] = np.nan  # its last ticks, which it never told of
+        rows["cx", trace][200:250] = np.nan  # its last ticks, without telemetry
     figures = {"frozen:cx@250": 1.0, "returned:cx@400": 1.0}
 
     def told(node: str, tick: int) -> Mapping[str, float]:
@@ -444,7 +442,7 @@ def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, t
     recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
     done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
     assert broken(done) == {("session", "certificate"): -1}
-    assert "which it says that its session ran under" in done.checks[0].told
+    assert "which its session ran under by its metadata" in done.checks[0].told
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:
@@ -502,7 +500,7 @@ def test_what_a_clutch_gives_up_at_last_is_within_the_tolerance(tmp_path: Path) 
 
 
 def test_a_device_that_has_let_go_did_as_it_should(prepared: Prepared, tmp_path: Path) -> None:
-    """What its couplings were told, and what it made of their forces, follows from its displacement."""
+    """Its messages to the couplings, and its use of their forces, follow from its displacement."""
     overrides = ["devices.dx.limits={speed: 0.01}", "devices.dy.limits={power: 0.001, energy: 0.002}"]
     session = load_session(SESSIONS / "example1.yaml", overrides)
     slow = dataclasses.replace(prepared, session=session)

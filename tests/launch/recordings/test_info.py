@@ -1,4 +1,4 @@
-"""What ``info`` says of a recording."""
+"""The contents of ``info`` for a recording."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def own_interrupt() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
+def test_it_describes_a_whole_recording(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(recording(ticks=20, each=5))
     info = read_info(path)
@@ -45,7 +45,7 @@ def test_it_tells_of_a_whole_recording(tmp_path: Path) -> None:
     assert len(channels) == 4 + 3 + 3 + 3 + 1
 
 
-def test_what_is_missing_is_told_by_device(tmp_path: Path) -> None:
+def test_missing_ticks_are_reported_by_device(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED)
     data = core.cut()
     for tick in (10, 20, 40):
@@ -73,7 +73,7 @@ def test_gaps_are_the_ticks_that_are_not_there(there: set[int], each: int) -> No
     assert missing_by_party({"a": ticks, "nobody": Coverage()}, 0, 70) == {"a": len(wider), "nobody": 70}
 
 
-def test_a_cut_one_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_cut_recording_is_described_up_to_its_cut(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(cut_recording(ticks=20, each=5))
     info = read_info(path)
@@ -89,7 +89,7 @@ def test_what_is_no_recording_is_refused(text: bytes, tmp_path: Path) -> None:
         read_info(path)
 
 
-def test_the_command_says_what_is_damaged_and_fails_only_when_it_is_asked_to_check(tmp_path: Path) -> None:
+def test_the_command_reports_damage_and_fails_only_with_check(tmp_path: Path) -> None:
     whole, path = recording(), tmp_path / "run.mcap"
     path.write_bytes(whole)
     runner = CliRunner()

@@ -1,4 +1,4 @@
-"""A recording in which anything was changed: it is found, and where."""
+"""Any change of a recording is found and located."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def test_nothing_is_wrong_with_a_recording_as_it_was_written(tmp_path: Path) -> 
     assert 0.0 <= parts[0] <= parts[-1] <= 1.0
 
 
-def test_nothing_is_wrong_with_one_of_a_session_of_which_nothing_was_heard(tmp_path: Path) -> None:
+def test_a_recording_without_any_telemetry_is_sound(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED, ATTACHED, STARTED)
     assert examined(tmp_path / "run.mcap", core.cut() + core.end()) == []
 
 
-def test_every_changed_byte_is_found_and_located_to_its_chunk_or_record(tmp_path: Path) -> None:
+def test_every_changed_byte_is_located_to_its_chunk_or_record(tmp_path: Path) -> None:
     whole, path = recording(ticks=4, each=2, recorded=ALONE), tmp_path / "run.mcap"
     draw = random.Random(20)
     kinds = {whole[begin] for begin, _ in records(whole)[1:-1]}
@@ -100,7 +100,7 @@ def test_what_follows_damage_is_not_called_damaged(tmp_path: Path) -> None:
             assert all(begin <= damage.begin and damage.end <= end for damage in found), found
 
 
-def test_two_changed_chunks_are_both_told(tmp_path: Path) -> None:
+def test_two_changed_chunks_are_both_reported(tmp_path: Path) -> None:
     whole, path = recording(ticks=40, each=5, chunks=4), tmp_path / "run.mcap"
     chunks = [(begin, end) for begin, end in records(whole)[1:-1] if whole[begin] == 6]
     data = bytearray(whole)
@@ -109,7 +109,7 @@ def test_two_changed_chunks_are_both_told(tmp_path: Path) -> None:
     assert [(damage.begin, damage.end) for damage in examined(path, bytes(data))] == chunks[1:3]
 
 
-def test_what_only_the_checksum_of_all_data_can_tell_is_told_of_the_whole_section(tmp_path: Path) -> None:
+def test_a_change_only_the_data_checksum_shows_names_the_whole_section(tmp_path: Path) -> None:
     whole, path = recording(), tmp_path / "run.mcap"
     data = bytearray(whole)
     at = whole.index(RECORDED.certificate.encode())
@@ -122,7 +122,7 @@ def test_what_only_the_checksum_of_all_data_can_tell_is_told_of_the_whole_sectio
 
 
 @pytest.mark.parametrize("less", [0, 1, 3])
-def test_a_file_that_was_cut_is_told_to_be_with_what_is_whole_of_it(less: int, tmp_path: Path) -> None:
+def test_a_cut_file_is_reported_with_its_whole_part(less: int, tmp_path: Path) -> None:
     whole, path = recording(ticks=20, each=5, chunks=3), tmp_path / "run.mcap"
     for begin, end in records(whole)[1:-2]:
         cut = max(end - less, begin + 1)
@@ -146,7 +146,7 @@ def test_no_bytes_make_it_raise(tmp_path_factory: pytest.TempPathFactory, data: 
     assert all(0 <= damage.begin <= damage.end <= len(text) for damage in found)
 
 
-def test_a_chunk_that_would_unpack_to_more_than_there_is_memory_for_is_refused_unread(tmp_path: Path) -> None:
+def test_a_chunk_that_unpacks_beyond_the_memory_is_refused_unread(tmp_path: Path) -> None:
     whole, path = recording(), tmp_path / "run.mcap"
     begin = next(b for b, _ in records(whole)[1:] if whole[b] == 6)
     data = bytearray(whole)

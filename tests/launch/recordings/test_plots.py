@@ -1,4 +1,4 @@
-"""Pictures of recordings: what stands in which panel, that no extreme is lost, and what is refused."""
+"""Pictures of recordings: the contents of each panel, every extreme kept, and the refusals."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ class TestPictures:
     def test_a_summary_of_incidents_is_no_incident(self) -> None:
         incidents = Incidents()
         for number in range(MOST_INCIDENTS + 3):
-            incidents.tell(f"incident {number}")
+            incidents.add(f"incident {number}")
         condition = Condition("running", 0.0, {}, (), (), incidents.sentences)
         assert len(marks_of([(0, condition)], PERIOD)) == MOST_INCIDENTS
 
@@ -285,7 +285,7 @@ class TestFigures:
         assert values.max() == 30.0
         assert time[values.argmax()] == pytest.approx(123.457)
 
-    def test_a_gap_is_a_gap_and_is_told(self) -> None:
+    def test_a_gap_is_drawn_and_reported(self) -> None:
         run = of_users(1, 50_000)
         run.traces["d-u0", "sample"].values[20_000:20_400] = np.nan
         axes = figure_of(picture_of_run(run)).axes[0]
@@ -343,7 +343,7 @@ class TestFigures:
         assert len(lines) == MOST_MARKS_LISTED + 1
         assert lines[-1] == "and 4 more"
 
-    def test_a_cut_file_says_so(self) -> None:
+    def test_a_cut_file_is_reported(self) -> None:
         figure = figure_of(picture_of_run(of_users(1, 50, cut="it ends at byte 5")))
         assert figure.get_supxlabel() == "This recording is cut: it ends at byte 5"
         assert figure.get_suptitle().endswith(", cut")

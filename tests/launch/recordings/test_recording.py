@@ -81,7 +81,7 @@ def test_collector_puts_parts_together_and_counts_a_gap() -> None:
     assert collector.missing == out.missing == {"a": 1, "b": 2}
 
 
-def test_who_tells_nothing_empties_nobody_elses_recording(tmp_path: Path) -> None:
+def test_a_silent_node_empties_no_others_recording(tmp_path: Path) -> None:
     """A guest whose telemetry never comes, and one whose telemetry ends early."""
     collector = Collector({"a": ("a",), "silent": ("s.x", "s.y"), "early": ("e",)})
     collector.add("a", 3, X[:, :1], -X[:, :1])

@@ -1,4 +1,4 @@
-"""A recorded session run again: identical to the last bit, or told where it is not."""
+"""A recorded session run again is identical to the last bit, or the first difference is reported."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_traces_are_what_the_recording_of_a_simulation_holds(prepared: Prepared)
     np.testing.assert_array_equal(Simulation(prepared).run(TICKS).x, recording.x)
 
 
-def test_a_silent_coupling_tells_nothing(prepared: Prepared) -> None:
+def test_a_silent_coupling_sends_nothing(prepared: Prepared) -> None:
     rows = simulated(prepared, TICKS, [Silence("cx", 100, 150)])
     told = np.isfinite(rows["cx", "p"]).all(axis=1)
     assert np.flatnonzero(~told).tolist() == list(range(100, 150))
@@ -118,7 +118,7 @@ def test_one_number_in_its_last_place_is_found(
     assert first.column == {"sample": "dx", "force": "dy", "ledger": "E", "reaction": "dy"}.get(topic, first.column)
 
 
-def test_ticks_that_are_not_there_are_told(prepared: Prepared, recording: Path, tmp_path: Path) -> None:
+def test_missing_ticks_are_reported(prepared: Prepared, recording: Path, tmp_path: Path) -> None:
     def change(rows: dict[tuple[str, str], np.ndarray]) -> None:
         for (node, _), values in rows.items():
             if node == "cx":
@@ -162,7 +162,7 @@ def invoke(*arguments: str | Path) -> tuple[int, str, str]:
     return found.exit_code, found.stdout, found.stderr
 
 
-def test_the_command_says_identical(recording: Path) -> None:
+def test_the_command_prints_identical(recording: Path) -> None:
     code, out, _ = invoke("replay", recording)
     assert (code, out.strip()) == (0, f"{recording}: identical: {23 * TICKS} numbers of {TICKS} ticks, bit for bit")
     code, out, _ = invoke("replay", recording, "--json")
@@ -170,7 +170,7 @@ def test_the_command_says_identical(recording: Path) -> None:
     assert (code, told["identical"], told["numbers"], told["damage"]) == (0, True, 23 * TICKS, [])
 
 
-def test_the_command_says_where_it_differs(recording: Path, tmp_path: Path) -> None:
+def test_the_command_prints_where_it_differs(recording: Path, tmp_path: Path) -> None:
     def change(rows: dict[tuple[str, str], np.ndarray]) -> None:
         rows["cz", "p"][301, 0] += 1e-9
         rows["dy", LEDGER][217, 0] += 1e-6
@@ -184,7 +184,7 @@ def test_the_command_says_where_it_differs(recording: Path, tmp_path: Path) -> N
     assert last.endswith(f"not identical: 2 of {23 * TICKS} numbers of {TICKS} ticks differ")
 
 
-def test_a_changed_byte_is_told_first(recording: Path, tmp_path: Path) -> None:
+def test_a_changed_byte_is_reported_first(recording: Path, tmp_path: Path) -> None:
     data = bytearray(recording.read_bytes())
     at = len(data) // 2
     data[at] ^= 0x10
@@ -222,7 +222,7 @@ def test_what_cannot_be_prepared_is_refused(prepared: Prepared, tmp_path: Path, 
     assert (code, out) == (2, "")
     assert words in err
     assert str(path) in err
-    assert "recorded-" not in err  # not the folder that nobody can see any more
+    assert "recorded-" not in err  # not the folder, which is gone by then
 
 
 def test_a_session_of_another_shape_is_refused(prepared: Prepared, tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ def test_a_session_of_another_shape_is_refused(prepared: Prepared, tmp_path: Pat
     path = written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 5))
     code, _, err = invoke("replay", path)
     assert code == 2
-    assert "found a session whose period" in err
+    assert "found a session with the period" in err
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A recording that was cut anywhere is readable to the last chunk that is whole, and says that it was cut."""
+"""A recording that was cut anywhere is readable to its last whole chunk and reports the cut."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_cut_around_every_border_of_a_chunk_and_anywhere_else(written: Written, 
     for length in sorted(at):
         path.write_bytes(data[:length])
         if length < written.borders[0]:
-            with pytest.raises(RecordingError, match="no word of what was recorded"):
+            with pytest.raises(RecordingError, match="no metadata of a session"):
                 read_recording(path)
             continue
         assert_readable(written, path, length)
@@ -108,9 +108,7 @@ def test_only_the_index_is_gone_where_the_data_is_whole(written: Written, tmp_pa
 
 
 @pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, struct.pack("<BQ", 6, 2**62), b"\x06" + b"\0" * 40])
-def test_what_a_power_failure_leaves_behind_the_last_chunk_is_no_chunk(
-    tail: bytes, written: Written, tmp_path: Path
-) -> None:
+def test_the_remains_of_a_power_failure_are_no_chunk(tail: bytes, written: Written, tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(written.data[: written.borders[3]] + tail)
     assert_readable(written, path, written.borders[3])
@@ -118,7 +116,7 @@ def test_what_a_power_failure_leaves_behind_the_last_chunk_is_no_chunk(
 
 
 def test_a_chunk_that_was_changed_is_found_out(written: Written, tmp_path: Path) -> None:
-    """One digit of a number, packed again: nothing but the checksum of what is in the chunk tells."""
+    """One digit of a number, packed again: only the checksum of the chunk's content shows it."""
     path, (before, after) = tmp_path / "r.mcap", written.borders[2:4]
     start = written.data.index(b"\x28\xb5\x2f\xfd", before)  # the magic number of a zstd frame
     packed = written.data[start:after] if after < len(written.data) else b""
@@ -144,7 +142,7 @@ def before_chunk(data: bytes, at: int) -> int:
     return at + 1
 
 
-def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(written: Written, tmp_path: Path) -> None:
+def test_a_chunk_larger_than_its_header_states_is_not_unpacked(written: Written, tmp_path: Path) -> None:
     """A gibibyte of zeros in some thirty kilobytes: reading it must not cost the gibibyte."""
     path, end = tmp_path / "r.mcap", written.borders[1]
     packing = zstandard.ZstdCompressor(level=1).compressobj()
@@ -162,7 +160,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(written: Writ
         assert "damaged" in str(read_recording(path).cut)
 
 
-def test_any_byte_may_be_wrong_and_nothing_but_a_recording_error_comes_of_it(written: Written, tmp_path: Path) -> None:
+def test_any_wrong_byte_raises_a_recording_error_or_nothing(written: Written, tmp_path: Path) -> None:
     path, chance = tmp_path / "r.mcap", random.Random(2)
     for _ in range(400):
         data = bytearray(written.data)
@@ -178,7 +176,7 @@ def test_any_byte_may_be_wrong_and_nothing_but_a_recording_error_comes_of_it(wri
         assert np.array_equal(found.x[known], NOISE[0, : len(found.x)][known])
 
 
-def test_ticks_that_were_lost_are_nan_and_counted_and_a_device_that_died_takes_nothing_from_others(
+def test_lost_ticks_are_nan_and_counted_for_their_device_alone(
     tmp_path: Path,
 ) -> None:
     core = RecorderCore(RECORDED)
@@ -239,7 +237,7 @@ def test_a_force_without_its_sample_is_no_tick(tmp_path: Path) -> None:
         b'{"tick": 1, "x": [1e999999999999]' + b"0" * 10,
     ],
 )
-def test_a_message_that_makes_no_sense_takes_nothing_from_those_around_it(text: bytes, tmp_path: Path) -> None:
+def test_a_nonsensical_message_leaves_its_neighbours_readable(text: bytes, tmp_path: Path) -> None:
     x, f_v = ([b'{"tick": %d, "%b": [%d.5]}' % (k, key, k) for k in range(3)] for key in (b"x", b"f_v"))
     written_by_another(tmp_path / "r.mcap", {"/s/a/sample": [x[0], text, x[2]], "/s/a/force": f_v})
     found = read_recording(tmp_path / "r.mcap")
@@ -290,7 +288,7 @@ def written_by_another(
 
 
 def test_a_recording_of_a_sessions_later_hours_begins_where_it_began(tmp_path: Path) -> None:
-    """As many ticks before it as nobody has memory for: they are left out, and who computes from tick 0 on is told."""
+    """More ticks precede it than fit in memory: they are left out, and a computation from tick 0 on reports this."""
     begin = 40_000_000
     core = RecorderCore(RECORDED)
     data = core.cut()

@@ -91,7 +91,7 @@ def test_every_number_comes_back_as_it_was(to: str, file: Path, tmp_path: Path) 
     assert parts[-1] == 1.0
 
 
-def test_the_csv_table_has_a_row_a_tick_and_its_columns_in_order(file: Path, tmp_path: Path) -> None:
+def test_the_csv_table_has_one_row_per_tick_and_ordered_columns(file: Path, tmp_path: Path) -> None:
     export(read_run(file), tmp_path / "out.csv", "csv")
     first, *rows = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()
     assert first == ",".join(["tick", "time_s", *NAMES])
@@ -139,14 +139,16 @@ def test_without_the_devices_forces_there_is_no_f_v(file: Path, tmp_path: Path) 
     assert not {"f_v", "dx.force[x]_N"} & found.keys()
 
 
-def test_a_pattern_that_means_nothing_is_refused_and_names_what_there_is(file: Path, tmp_path: Path) -> None:
+def test_a_pattern_without_match_is_refused_with_the_available_names(file: Path, tmp_path: Path) -> None:
     (tmp_path / "out.csv").write_text("an older table")
-    with pytest.raises(RecordingError, match=r"found 'dz'.*expected of dx/sample, dx/force"):
+    with pytest.raises(RecordingError, match=r"found 'dz'.*expected one of dx/sample, dx/force"):
         export(read_run(file), tmp_path / "out.csv", "csv", ["dz"])
     assert (tmp_path / "out.csv").read_text() == "an older table"
 
 
-def test_without_pyarrow_it_is_said_how_to_get_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_error_names_how_to_get_it(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     really = builtins.__import__
 
     def without(name: str, *more: Any) -> Any:
@@ -166,7 +168,7 @@ def test_the_command_writes_beside_the_recording(file: Path) -> None:
     assert [*from_csv(file.with_suffix(".csv"))] == ["tick", "time_s", *NAMES[:4], NAMES[8]]
 
 
-def test_the_command_tells_that_a_recording_was_cut(tmp_path: Path) -> None:
+def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(cut_recording(ticks=20, each=5))
     result = CliRunner().invoke(app, ["export", str(path), "-o", str(tmp_path / "out.npz")])

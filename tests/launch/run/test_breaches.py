@@ -1,4 +1,4 @@
-"""From what devices measure to what is done about it."""
+"""From the devices' measurements to softer couplings, notices or an end."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Measured:
         self._ticks: dict[str, int] = {}
 
     def tell(self, device: str, breaches: int, worst: float = 200.0, late_periods: int = 0) -> list[Decision]:
-        """One message of ``device``: in so many of its ticks the delay (us) was too long, or the period was not T."""
+        """Send one telemetry of ``device``: in so many ticks the delay (us) was too long, or the period was not T."""
         counts = self._counts.setdefault(device, {names.TAU_BREACHES: 0.0, names.PERIOD_BREACHES: 0.0})
         counts[names.TAU_BREACHES] += breaches
         counts[names.PERIOD_BREACHES] += late_periods
@@ -76,7 +76,7 @@ class Measured:
         return self._carry_out(self.policy.judge(device, self._ticks[device], figures, [tau * 1e-6 for tau in each]))
 
     def late(self, until: int, **ticks: range) -> list[Decision]:
-        """The environment tells in which ticks each coupling was late."""
+        """Send the environment's telemetry: the ticks in which each coupling was late."""
         return self._carry_out(self.policy.take_waits(until, ticks))
 
     def restart(self, device: str) -> None:
@@ -89,7 +89,7 @@ def shifts(decisions: list[Decision]) -> dict[str, int]:
     return {d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)}
 
 
-def test_the_first_breach_is_told_at_once_and_once() -> None:
+def test_the_first_breach_is_reported_at_once_and_once() -> None:
     m = Measured(Policy.SOFTEN, Rungs())
     (notice,) = m.tell("dx", 1)
     assert notice == Notice(
@@ -102,7 +102,7 @@ def test_the_first_breach_is_told_at_once_and_once() -> None:
 class Test_what_counts_as_a_breach:
     def test_more_than_a_hundredth_of_the_ticks_twice_in_a_row(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
-        m.tell("dx", 50)  # whatever was before the first message is nobody's window
+        m.tell("dx", 50)  # ticks before the first message belong to no window
         assert shifts(m.tell("dx", 2)) == {}
         assert shifts(m.tell("dx", 2)) == {"cx": 1}
 
@@ -169,7 +169,7 @@ class Test_softening:
         assert self.broken(m, "dy", 200.0, 200.0) == {"cy": 1}  # cx is softer already
         assert m.rungs == {"cx": 2, "cy": 1}
 
-    def test_without_a_ladder_it_is_told_how_to_get_one_and_once(self) -> None:
+    def test_without_a_ladder_one_notice_names_the_key_for_one(self) -> None:
         m = Measured(Policy.SOFTEN)
         assert self.broken(m, "dx", 200.0, 200.0) == {}
         assert m.notices["dx delay"].endswith("see design.ladder in the session file")
@@ -198,7 +198,7 @@ class Test_waiting_for_another_user:
             m.late(end, cz=range(end - TICKS, end))
             assert not any(isinstance(d, EndSession) for d in m.tell_taus("dx", (TICKS, 2300.0)))
 
-    def test_is_not_told_as_its_own(self) -> None:
+    def test_is_not_reported_as_its_own(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.late(TICKS, cz=range(TICKS - 50, TICKS))
         m.tell_taus("dx", (50, 50.0), (50, 2300.0))
@@ -227,14 +227,14 @@ class Test_waiting_for_another_user:
             decided |= shifts(m.tell_taus("dx", (TICKS, 2300.0)))
         assert decided == {"cx": 3}
 
-    def test_the_rest_is_judged_and_by_the_longest_delay_of_the_rest(self) -> None:
+    def test_the_remaining_ticks_are_judged_by_their_longest_delay(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         for end in range(TICKS, 4 * TICKS, TICKS):
             m.late(end, cz=range(end - TICKS, end - 50))
             m.tell_taus("dx", (50, 2300.0), (50, 200.0))
         assert m.rungs == {"cx": 1}
 
-    def test_a_message_is_held_until_the_environment_has_told_of_its_ticks(self) -> None:
+    def test_a_message_is_held_until_the_environment_reports_its_ticks(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.late(50)
         assert m.tell_taus("dx", (TICKS, 50.0)) == []
@@ -312,8 +312,8 @@ class Test_climbing:
         assert m.rungs == {"cx": 2, "cy": 2}
         for _ in range(3 * messages(CALM)):
             m.tell_taus("dy", (TICKS, 30.0))
-        assert m.rungs == {"cx": 2, "cy": 0}  # dx, which cx has as well, has not said anything
-        assert self.calm(m, "dx") == 1 + messages(CALM)  # whatever was before the first message is nobody's window
+        assert m.rungs == {"cx": 2, "cy": 0}  # dx, which cx has as well, has sent nothing
+        assert self.calm(m, "dx") == 1 + messages(CALM)  # ticks before the first message belong to no window
         assert m.rungs == {"cx": 1, "cy": 0}
 
     def test_all_together_where_only_that_is_certified(self) -> None:
@@ -322,7 +322,11 @@ class Test_climbing:
         for _ in range(messages(CALM)):
             for device in CHAINS:
                 assert shifts(m.tell_taus(device, (TICKS, 30.0))) == {}
-        together = {"cx": 1, "cy": 1, "cz": 1}  # dz, which has told before, has been calm for long enough already
+        together = {
+            "cx": 1,
+            "cy": 1,
+            "cz": 1,
+        }  # dz sent telemetry before and has been calm for long enough
         assert [shifts(m.tell_taus(device, (TICKS, 30.0))) for device in CHAINS] == [{}, together, {}]
 
     def test_who_was_made_to_wait_is_calm(self) -> None:
@@ -340,7 +344,7 @@ class Test_climbing:
             m.tell("dz", 0, worst=30.0)
         assert m.rungs == {"cz": 2}
 
-    def test_who_is_softened_again_after_a_climb_has_to_be_calm_for_twice_as_long(self) -> None:
+    def test_softening_after_a_climb_doubles_the_required_calm(self) -> None:
         m, waits = self.softened("dz"), []
         for _ in range(4):
             waits.append(self.calm(m, "dz"))
@@ -383,7 +387,7 @@ def test_a_wrong_period_is_no_matter_of_softness(policy: Policy) -> None:
         assert decisions == [Notice("dx period", text)]
 
 
-def test_to_stop_ends_the_session_and_to_warn_does_nothing_but_tell() -> None:
+def test_stop_ends_the_session_and_warn_only_reports() -> None:
     for policy in (Policy.STOP, Policy.WARN):
         m = Measured(policy, Rungs())
         m.tell("dx", 1)
@@ -405,7 +409,7 @@ counts = st.floats() | st.sampled_from([0.0, 1.0, 1e300, math.nan, math.inf, -1.
     st.booleans(),
     st.lists(st.tuples(st.sampled_from([*CHAINS, "cx", "stranger"]), st.integers(0, 300), counts, counts, counts)),
 )
-def test_without_the_delay_of_each_tick_couplings_only_get_softer_and_notices_are_few(
+def test_without_tick_delays_couplings_only_soften_and_notices_are_few(
     policy: Policy, independent: bool, messages: list[tuple[str, int, float, float, float]]
 ) -> None:
     m = Measured(policy, Rungs(independent=independent))

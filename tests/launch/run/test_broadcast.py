@@ -1,4 +1,4 @@
-"""What an observer is told: the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
+"""An observer receives the part of each node's telemetry that its session lists, bit for bit, and nothing else."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def test_only_what_may_be_read_is_visible(
     assert visible("n", telemetry, channels) == Observation("n", telemetry.tick, figures, traces)
 
 
-def test_nothing_is_said_where_nothing_may_be_read() -> None:
+def test_nothing_is_sent_where_nothing_may_be_read() -> None:
     assert visible("dx", OF_DEVICE, ()) is None
     assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
 
 
-def test_each_observer_gets_its_own_and_strangers_to_a_node_get_nothing() -> None:
+def test_each_observer_gets_its_own_topics_and_strangers_get_nothing() -> None:
     told = session("{watch: {reads: [telemetry]}, scope: {reads: [dx/sample]}, other: {reads: [dy/telemetry]}}")
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     links = {name: transport.connect_outlet(endpoint, "supervisor") for name, endpoint in endpoints.items()}
-    observer_broadcast.tell("dx", OF_DEVICE)
+    observer_broadcast.send("dx", OF_DEVICE)
     heard = {name: link.recv(Duration(0)) for name, link in links.items()}
     transport.close()
     assert heard.pop("other") is None
@@ -69,7 +69,7 @@ def test_nobody_waits_for_an_observer_that_is_not_there() -> None:
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     observer_broadcast.serve(transport, IPC, topology(told))
     for _ in range(3):
-        observer_broadcast.tell("dx", OF_DEVICE)
+        observer_broadcast.send("dx", OF_DEVICE)
     transport.close()
     assert observer_broadcast.missed == 3
 
@@ -93,9 +93,9 @@ def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
     observer_broadcast, transport = ObserverBroadcast(told), MemoryTransport()
     endpoints = observer_broadcast.serve(transport, IPC, topology(told))
     link = transport.connect_outlet(endpoints["watch"], "supervisor")
-    observer_broadcast.tell("dx", full)
+    observer_broadcast.send("dx", full)
     assert link.recv(Duration(0)) is None
     assert observer_broadcast.missed == 1
-    observer_broadcast.tell("dx", OF_DEVICE)
+    observer_broadcast.send("dx", OF_DEVICE)
     assert link.recv(Duration(0)) is not None
     transport.close()

@@ -1,4 +1,4 @@
-"""The supervisor's decisions, without a process: every event in, every instruction out."""
+"""The supervisor's decisions without a process: every event in, every instruction out."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def conductor(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = 
 def running(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = False) -> Conductor:
     c = conductor(*remote, ticks=ticks, restarts=restarts, together=together)
     for name in GRAPH.nodes:
-        c.hear(name, hello(name), 0)
+        c.receive(name, hello(name), 0)
     for name in GRAPH.nodes:
-        c.hear(name, Ready(), 0)
+        c.receive(name, Ready(), 0)
     assert c.phase is SessionPhase.RUNNING
     return c
 
@@ -64,15 +64,15 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
     c = conductor()
     names = list(GRAPH.nodes)
     for name in names[:-1]:
-        assert c.hear(name, hello(name), 0) == [Send(name, Welcome())]
-    last = c.hear(names[-1], hello(names[-1]), 0)
+        assert c.receive(name, hello(name), 0) == [Send(name, Welcome())]
+    last = c.receive(names[-1], hello(names[-1]), 0)
     connects = {i.node: i.message for i in last if isinstance(i, Send) and isinstance(i.message, Connect)}
     assert connects["dx"] == Connect({"cx": "ipc://cx-dx"})
     assert connects["cx"] == Connect({"environment": "ipc://environment-cx"})
     assert connects["environment"] == Connect({})
     for name in names[:-1]:
-        assert c.hear(name, Ready(), 1000) == []
-    starts = c.hear(names[-1], Ready(), 1000)
+        assert c.receive(name, Ready(), 1000) == []
+    starts = c.receive(names[-1], Ready(), 1000)
     assert {i.node for i in starts if isinstance(i, Send)} == set(names)
     first = starts[0]
     assert isinstance(first, Send)
@@ -80,8 +80,8 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
     assert first.message.epoch > 1000
     assert first.message.ticks == 5
     for name in names:
-        assert c.hear(name, Telemetry(1, {}, {}), 0) == []
-        assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
+        assert c.receive(name, Telemetry(1, {}, {}), 0) == []
+        assert c.receive(name, REPORT, 0) == [Send(name, Stop("reported"))]
         assert c.exited(name, 0, 0) == []
     assert c.phase is SessionPhase.OVER
     assert c.faults == []
@@ -102,7 +102,7 @@ def test_a_node_that_dies_ends_the_session(state: str, code: int, words: str) ->
     assert len(c.faults) == 1
 
 
-def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_0() -> None:
+def test_an_early_end_without_report_is_a_fault_despite_exit_0() -> None:
     c = running()
     assert c.exited("dx", 0, 0) == [Terminate()]
     assert "ended with exit code 0 while running" in c.faults[0]
@@ -122,9 +122,9 @@ def test_a_node_that_ends_early_without_a_report_is_a_fault_even_with_exit_code_
         ({"endpoints": {"dy": "ipc://b"}}, "found endpoints for dy; expected them for dx"),
     ],
 )
-def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, object], words: str) -> None:
+def test_a_foreign_node_is_refused_with_the_reason(changes: dict[str, object], words: str) -> None:
     c = conductor()
-    out = c.hear("cx", hello("cx", **changes), 0)
+    out = c.receive("cx", hello("cx", **changes), 0)
     first = out[0]
     assert isinstance(first, Send)
     assert isinstance(first.message, Refusal)
@@ -134,7 +134,7 @@ def test_a_node_that_does_not_belong_is_refused_and_told(changes: dict[str, obje
 
 def test_a_node_of_another_protocol_is_refused() -> None:
     c = conductor()
-    assert Terminate() in c.hear("cx", ForeignHello(7), 0)
+    assert Terminate() in c.receive("cx", ForeignHello(7), 0)
     assert f"found protocol version 7; expected {PROTOCOL_VERSION}" in c.faults[0]
 
 
@@ -148,14 +148,14 @@ def test_what_is_out_of_turn_is_counted_and_changes_nothing() -> None:
         ("stranger", REPORT),
         ("dx", Start(0, 1)),
     ):
-        assert c.hear(sender, message, 0) == []
+        assert c.receive(sender, message, 0) == []
     assert c.states == before
     assert c.ignored == 5
 
 
 def test_a_strangers_hello_is_refused_and_the_session_goes_on() -> None:
     c = conductor()
-    (out,) = c.hear("stranger", hello("dx", name="stranger"), 0)
+    (out,) = c.receive("stranger", hello("dx", name="stranger"), 0)
     assert isinstance(out, Send)
     assert isinstance(out.message, Refusal)
     assert c.faults == []
@@ -167,15 +167,15 @@ def test_ctrl_c_asks_all_to_end_and_a_second_one_kills() -> None:
     assert c.interrupt() == [Terminate()]
     assert c.interrupt() == [Kill()]  # asked twice
     for name in GRAPH.nodes:
-        assert c.hear(name, REPORT, 0) == [Send(name, Stop("reported"))]
+        assert c.receive(name, REPORT, 0) == [Send(name, Stop("reported"))]
         c.exited(name, 0, 0)
     assert c.phase is SessionPhase.OVER
     assert c.faults == []
 
 
-def test_a_start_up_that_takes_too_long_says_who_is_missing_and_a_stubborn_process_is_killed() -> None:
+def test_a_slow_start_names_missing_nodes_and_stubborn_processes_are_killed() -> None:
     c = conductor()
-    c.hear("dx", hello("dx"), 0)
+    c.receive("dx", hello("dx"), 0)
     assert c.too_late() == [Terminate()]
     assert "dx (connecting)" in c.faults[0]
     assert "environment (starting)" in c.faults[0]
@@ -183,28 +183,28 @@ def test_a_start_up_that_takes_too_long_says_who_is_missing_and_a_stubborn_proce
     assert running().too_late() == []
 
 
-def test_a_fault_is_heard_once_and_its_exit_is_no_second_one() -> None:
+def test_a_fault_and_the_exit_after_it_count_once() -> None:
     c = running()
-    assert c.hear("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("heard")), Terminate()]
+    assert c.receive("cx", Fault("cx: no more"), 0) == [Send("cx", Stop("received")), Terminate()]
     assert c.states["cx"] is NodeState.FAULTED
     assert c.exited("cx", 4, 0) == []
     assert c.faults == ["cx: no more"]
 
 
-def test_a_clock_may_be_asked_for_until_a_node_is_ready_and_while_it_runs() -> None:
+def test_the_clock_is_answered_until_a_node_is_ready_and_running() -> None:
     c = conductor("dx")
-    assert c.hear("dx", Probe(7), 100) == []  # a stranger as yet
+    assert c.receive("dx", Probe(7), 100) == []  # a stranger as yet
     for name in GRAPH.nodes:
-        c.hear(name, hello(name), 0)
-    assert c.hear("dx", Probe(7), 100) == [Send("dx", Echo(7, 100, 100))]
-    assert c.hear("dx", Probe(8), 200) == [Send("dx", Echo(8, 200, 200))]
-    c.hear("dx", Ready(), 0)
-    assert c.hear("dx", Probe(9), 300) == []
+        c.receive(name, hello(name), 0)
+    assert c.receive("dx", Probe(7), 100) == [Send("dx", Echo(7, 100, 100))]
+    assert c.receive("dx", Probe(8), 200) == [Send("dx", Echo(8, 200, 200))]
+    c.receive("dx", Ready(), 0)
+    assert c.receive("dx", Probe(9), 300) == []
     assert c.ignored == 2
     c = running("dx")
-    assert c.hear("dx", Probe(9), 300) == [Send("dx", Echo(9, 300, 300))]
-    c.hear("dx", REPORT, 0)
-    assert c.hear("dx", Probe(9), 300) == []
+    assert c.receive("dx", Probe(9), 300) == [Send("dx", Echo(9, 300, 300))]
+    c.receive("dx", REPORT, 0)
+    assert c.receive("dx", Probe(9), 300) == []
     assert c.ignored == 1
 
 
@@ -213,7 +213,7 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     """The others would wait for its next signal for ever."""
     c = running(ticks=ticks)
     report = Report(4, {}, {}, {})
-    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), Terminate()]
+    assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), Terminate()]
     assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
     for name in GRAPH.nodes:
@@ -224,60 +224,58 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
 
 
 @pytest.mark.parametrize("ticks", [5, 0])
-def test_a_guest_that_leaves_early_leaves_the_others_to_go_on_and_may_come_back(ticks: int) -> None:
+def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     c = running("dx", ticks=ticks, restarts=1)
     report = Report(4, {}, {}, {})
-    assert c.hear("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
+    assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
     assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
     assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
-    assert (c.left, c.reports) == ({"dx": report}, {})  # nobody waits for the others to be done, too
-    c.hear("cx", Offer("dx", "ipc://cx-dx.1"), 0)
-    assert c.hear("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
-    c.hear("dx", Ready(), 0)
+    assert (c.left, c.reports) == ({"dx": report}, {})  # the session does not wait for the others, too
+    c.receive("cx", Offer("dx", "ipc://cx-dx.1"), 0)
+    assert c.receive("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
+    c.receive("dx", Ready(), 0)
     assert c.states["dx"] is NodeState.RUNNING
-    c.hear("dx", report, 0)  # a second time is once too often
+    c.receive("dx", report, 0)  # a second time is once too often
     assert c.states["dx"] is NodeState.GONE
     assert c.phase is SessionPhase.RUNNING
     assert len(c.faults) == 1
 
 
 @pytest.mark.parametrize(("restarts", "together"), [(0, False), (3, True)])
-def test_a_guest_that_leaves_ends_a_session_that_is_to_stay_together_or_restarts_nobody(
-    restarts: int, together: bool
-) -> None:
+def test_a_leaving_guest_ends_sessions_that_stay_together_or_restart_nobody(restarts: int, together: bool) -> None:
     c = running("dx", restarts=restarts, together=together)
-    c.hear("dx", Report(4, {}, {}, {}), 0)
+    c.receive("dx", Report(4, {}, {}, {}), 0)
     assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
 
 
 def test_a_guest_that_ends_while_others_are_awaited_may_join_again() -> None:
     c = conductor("dx", "dy")
-    c.hear("dx", hello("dx"), 0)
+    c.receive("dx", hello("dx"), 0)
     assert c.awaited == ("dy",)
-    assert c.hear("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("heard")), ReleaseName("dx")]
+    assert c.receive("dx", Fault("dx: its user ended it"), 0) == [Send("dx", Stop("received")), ReleaseName("dx")]
     assert (c.phase, c.faults, c.awaited) == (SessionPhase.STARTING, [], ("dx", "dy"))
     assert c.incidents.sentences == ("dx: its user ended it; the session waits for dx again",)
     for name in GRAPH.nodes:
-        c.hear(name, hello(name), 0)
+        c.receive(name, hello(name), 0)
     assert set(c.states.values()) == {NodeState.CONNECTED}
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_but_not_where_its_peers_already_shake_hands_with_it_or_all_stay_together(together: bool) -> None:
+def test_a_guest_interrupted_in_its_handshakes_ends_the_session(together: bool) -> None:
     c = conductor("dx", together=together)
     for name in ["dx"] if together else GRAPH.nodes:
-        c.hear(name, hello(name), 0)
-    c.hear("dx", Fault("dx: its user ended it"), 0)
+        c.receive(name, hello(name), 0)
+    c.receive("dx", Fault("dx: its user ended it"), 0)
     assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx: its user ended it"]
 
 
-def test_a_node_that_leaves_early_once_the_session_ends_is_no_fault() -> None:
+def test_leaving_early_while_the_session_ends_is_no_fault() -> None:
     c = running(ticks=0)
     c.interrupt()
     for name in GRAPH.nodes:
-        assert c.hear(name, Report(3, {}, {}, {}), 0) == [Send(name, Stop("reported"))]
+        assert c.receive(name, Report(3, {}, {}, {}), 0) == [Send(name, Stop("reported"))]
     assert c.faults == []
 
 
@@ -288,16 +286,16 @@ def refused(instructions: list[object]) -> RefusalCode | None:
 
 
 class Test_nodes_that_are_started_elsewhere:
-    def test_one_is_awaited_until_it_has_said_hello(self) -> None:
+    def test_a_guest_is_awaited_until_its_hello(self) -> None:
         c = conductor("dx", "dz")
         assert c.awaited == ("dx", "dz")
-        c.hear("dx", hello("dx"), 0)
+        c.receive("dx", hello("dx"), 0)
         assert c.awaited == ("dz",)
 
     def test_its_last_word_is_all_that_is_seen_of_its_end(self) -> None:
         c = running("dx")
         for name in GRAPH.nodes:
-            c.hear(name, REPORT, 0)
+            c.receive(name, REPORT, 0)
             if name != "dx":
                 assert c.phase is SessionPhase.RUNNING
                 c.exited(name, 0, 0)
@@ -307,8 +305,8 @@ class Test_nodes_that_are_started_elsewhere:
 
     def test_its_fault_is_its_own_and_it_may_come_back(self) -> None:
         c = running("dx", restarts=1)
-        assert c.hear("dx", Fault("dx: broken"), 0) == [
-            Send("dx", Stop("heard")),
+        assert c.receive("dx", Fault("dx: broken"), 0) == [
+            Send("dx", Stop("received")),
             ReleaseName("dx"),
             Send("cx", Absent("dx")),
         ]
@@ -317,13 +315,13 @@ class Test_nodes_that_are_started_elsewhere:
 
     def test_its_fault_ends_a_session_that_is_to_stay_together(self) -> None:
         c = running("dx", restarts=3, together=True)
-        c.hear("dx", Fault("dx: broken"), 0)
+        c.receive("dx", Fault("dx: broken"), 0)
         assert (c.phase, c.faults) == (SessionPhase.ENDING, ["dx: broken"])
 
     def test_its_fault_ends_the_session_that_restarts_nobody(self) -> None:
         c = running("dx")
-        assert c.hear("dx", Fault("dx: broken"), 0) == [
-            Send("dx", Stop("heard")),
+        assert c.receive("dx", Fault("dx: broken"), 0) == [
+            Send("dx", Stop("received")),
             Terminate(),
             Send("dx", Stop("the session ends")),
         ]
@@ -346,11 +344,11 @@ class Test_nodes_that_are_started_elsewhere:
         c = running("dx")
         c.silent("dx", 0)
         for message in (Telemetry(1, {}, {}), REPORT, hello("dx"), Ready()):
-            assert c.hear("dx", message, 0) == []
+            assert c.receive("dx", message, 0) == []
         assert c.states["dx"] is NodeState.ENDED
         assert c.reports == {}
 
-    def test_an_end_is_told_to_those_who_hear_no_signal_of_ours(self) -> None:
+    def test_guests_receive_the_end_as_a_message(self) -> None:
         c = running("dx", "cy")
         assert c.interrupt() == [
             Terminate(),
@@ -358,11 +356,11 @@ class Test_nodes_that_are_started_elsewhere:
             Send("cy", Stop("the session ends")),
         ]
 
-    def test_those_who_never_came_are_not_waited_for_at_the_end(self) -> None:
+    def test_guests_that_never_came_are_not_awaited_at_the_end(self) -> None:
         c = conductor("dx")
         for name in GRAPH.nodes:
             if name != "dx":
-                c.hear(name, hello(name), 0)
+                c.receive(name, hello(name), 0)
         c.interrupt()
         for name in GRAPH.nodes:
             if name != "dx":
@@ -370,7 +368,7 @@ class Test_nodes_that_are_started_elsewhere:
                 c.exited(name, 0, 0)
         assert c.phase is SessionPhase.OVER
 
-    def test_those_who_do_not_end_in_time_are_given_up(self) -> None:
+    def test_nodes_that_do_not_end_in_time_are_given_up(self) -> None:
         c = running("dx")
         c.interrupt()
         for name in GRAPH.nodes:
@@ -384,7 +382,7 @@ class Test_nodes_that_are_started_elsewhere:
     def test_all_of_them_may_be_elsewhere(self) -> None:
         c = running(*GRAPH.nodes)
         for name in GRAPH.nodes:
-            c.hear(name, REPORT, 0)
+            c.receive(name, REPORT, 0)
         assert c.phase is SessionPhase.OVER
         never = conductor(*GRAPH.nodes)
         never.interrupt()
@@ -393,7 +391,7 @@ class Test_nodes_that_are_started_elsewhere:
     @pytest.mark.parametrize("changes", [{"certificate": "other"}, {"session": "else"}, {"version": 1}])
     def test_one_that_does_not_belong_is_refused_and_ends_the_session(self, changes: dict[str, object]) -> None:
         c = conductor("dx")
-        out = c.hear("dx", hello("dx", **changes), 0)
+        out = c.receive("dx", hello("dx", **changes), 0)
         assert refused(list(out)) is not None
         assert Terminate() in out
         assert len(c.faults) == 1
@@ -410,23 +408,23 @@ def vars_of(message: NodeHello) -> dict[str, object]:
 
 class Test_observers:
     @pytest.mark.parametrize("c", [conductor(), running(), running("dx")], ids=["starting", "running", "with a guest"])
-    def test_one_is_told_its_own_place_whenever_it_comes_and_changes_nothing(self, c: Conductor) -> None:
+    def test_an_observer_receives_its_endpoint_each_time_and_changes_nothing(self, c: Conductor) -> None:
         before = dict(c.states), c.phase
         for _ in range(3):
-            assert c.hear("watch", observer("watch"), 0) == [
+            assert c.receive("watch", observer("watch"), 0) == [
                 Send("watch", Welcome()),
                 Send("watch", Connect({"supervisor": "ipc:///s/watch"})),
                 ReleaseName("watch"),
             ]
-        assert c.hear("scope", observer("scope"), 0)[1] == Send("scope", Connect({"supervisor": "ipc:///s/scope"}))
+        assert c.receive("scope", observer("scope"), 0)[1] == Send("scope", Connect({"supervisor": "ipc:///s/scope"}))
         assert (dict(c.states), c.phase) == before
         assert (c.faults, c.ignored) == ([], 0)
 
-    def test_places_that_are_known_only_later_are_told_as_well(self) -> None:
+    def test_endpoints_known_only_later_are_sent_as_well(self) -> None:
         """The supervisor binds them after it has made its conductor."""
         c = Conductor(GRAPH, "c", "example-1", 5)
         c.observers = {"watch": "ipc:///late"}
-        assert c.hear("watch", observer("watch"), 0)[1] == Send("watch", Connect({"supervisor": "ipc:///late"}))
+        assert c.receive("watch", observer("watch"), 0)[1] == Send("watch", Connect({"supervisor": "ipc:///late"}))
 
     @pytest.mark.parametrize(
         ("changes", "code"),
@@ -440,28 +438,28 @@ class Test_observers:
             ({"endpoints": {"dx": "tcp://192.0.2.1:1"}}, RefusalCode.ENDPOINTS),
         ],
     )
-    def test_one_that_does_not_belong_is_refused_and_the_session_goes_on(
+    def test_a_foreign_observer_is_refused_and_the_session_goes_on(
         self, changes: dict[str, object], code: RefusalCode
     ) -> None:
         c = running()
-        out = c.hear("watch", observer("watch", **changes), 0)
+        out = c.receive("watch", observer("watch", **changes), 0)
         assert refused(list(out)) is code
         assert out[1:] == [ReleaseName("watch")]
         assert (c.phase, c.faults, c.ignored) == (SessionPhase.RUNNING, [], 1)
 
-    def test_whatever_else_it_says_is_counted_and_not_heard(self) -> None:
+    def test_any_other_message_is_counted_and_ignored(self) -> None:
         c = running()
-        c.hear("watch", observer("watch"), 0)
+        c.receive("watch", observer("watch"), 0)
         before = dict(c.states)
         said = (Ready(), REPORT, Fault("I end you"), Telemetry(1, {}, {}), Probe(1), Stop("now"), Malformed("junk"))
         for message in said:
-            assert c.hear("watch", message, 0) == []
+            assert c.receive("watch", message, 0) == []
         assert c.ignored == len(said)
         assert (dict(c.states), c.phase, c.faults, c.reports) == (before, SessionPhase.RUNNING, [], {})
 
     def test_a_name_that_is_no_observers_is_refused_as_a_stranger(self) -> None:
         c = running()
-        (out,) = c.hear("peeper", observer("peeper"), 0)
+        (out,) = c.receive("peeper", observer("peeper"), 0)
         assert isinstance(out, Send)
         assert isinstance(out.message, Refusal)
         assert c.ignored == 1

@@ -1,4 +1,4 @@
-"""The run's own directory, which goes, and the one that is kept."""
+"""The run's own directory, which is removed, and the kept one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_logs_that_are_kept_outlive_it(fails: bool, tmp_path: Path) -> None:
     assert [path.relative_to(kept.path).as_posix() for path in kept.path.rglob("*")] == ["log", "log/dx.jsonl"]
 
 
-def test_a_kept_directory_is_its_users_alone_whatever_the_umask_and_however_it_was_made(tmp_path: Path) -> None:
+def test_a_kept_directory_is_its_users_alone_whatever_the_umask(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
         (tmp_path / "made").mkdir(mode=0o755)
@@ -131,7 +131,7 @@ SWEEP += "from manyhands.launch.run.directory import sweep_directories; sweep_di
 
 
 def no_process() -> int:
-    """A process id that nobody has, as every process of another namespace looks from here."""
+    """An unused process id; every process of another namespace looks like this from here."""
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     return process.pid
@@ -153,8 +153,8 @@ def supervisor(temporary: Path, pid: int) -> Iterator[tuple[subprocess.Popen[str
             process.kill()
 
 
-def test_the_directory_of_a_supervisor_that_is_not_seen_here_is_not_swept(temporary: Path) -> None:
-    """Containers that share /tmp and a user: its process id is nobody's here, and its session goes on."""
+def test_the_directory_of_a_supervisor_unseen_here_is_not_swept(temporary: Path) -> None:
+    """Containers that share /tmp and a user: its process id is unused here, and its session goes on."""
     with supervisor(temporary, no_process()) as (process, directory):
         sweep_directories()
         assert directory.is_dir()
@@ -187,9 +187,7 @@ def test_what_bears_a_runs_name_and_is_none_is_left_alone(temporary: Path) -> No
     assert (elsewhere / "ours").read_text() == "precious"
 
 
-def test_a_directory_that_is_swept_before_it_is_locked_is_made_again(
-    temporary: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_directory_swept_before_its_lock_is_made_again(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Path] = []
     mkdtemp = tempfile.mkdtemp
 

@@ -1,4 +1,4 @@
-"""The report of a run: what nodes say at their end goes in, one JSON object comes out, whatever they say."""
+"""The report of a run: the nodes' final messages go in, one JSON object comes out, whatever they contain."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_a_tick_that_is_none_is_left_out(tick: float) -> None:
 
 def test_incidents_are_listed_where_there_were_any() -> None:
     incidents = Incidents()
-    incidents.tell("dx was killed by SIGKILL while running")
+    incidents.add("dx was killed by SIGKILL while running")
     incidents.restarts["dx"] += 1
     made = whole({"dx": HONEST}, incidents=incidents)
     assert made["incidents"] == ["dx was killed by SIGKILL while running"]
@@ -134,7 +134,7 @@ def test_incidents_are_listed_where_there_were_any() -> None:
 
 
 @given(reports)
-def test_whatever_a_node_says_there_is_a_report_that_can_be_written_and_shown(report: Report) -> None:
+def test_any_node_message_gives_a_report_that_can_be_shown(report: Report) -> None:
     received = decode(encode(report), MAX_CONTROL_BYTES)
     assert isinstance(received, Report)
     made = whole({"dx": received})

@@ -1,4 +1,4 @@
-"""The supervisor's end of a real recorder: kept supplied, never waited for, and its end told, however it ends."""
+"""The supervisor's end of a real recorder: it supplies frames, never waits, and reports how the recorder ended."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class ReadyRecorder:
             tick = self.told * ROWS
             x = np.arange(tick - ROWS, tick, dtype=np.float64).reshape(ROWS, 1)
             for device in ("dx", "dy", "dz"):
-                self.recorder.tell(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
+                self.recorder.take(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
 
     def attend(self) -> bool:
-        """Wait for whatever the recorder says; whether there may be more."""
+        """Wait for any message of the recorder; returns whether there may be more."""
         poll = select.poll()
         for fd in self.recorder.fds:
             poll.register(fd, select.POLLIN)
@@ -97,7 +97,7 @@ simulated = pytest.mark.parametrize("stage", ["simulated"], indirect=True)
 
 
 def assert_prefix(path: Path, least: int) -> int:
-    """The recording has the first ticks of what was told, at least so many; returns how many."""
+    """Check that the recording has the first ticks of the telemetry, at least so many; returns the number."""
     found = read_recording(path)
     whole = found.x[~np.isnan(found.x).any(axis=1)]
     np.testing.assert_array_equal(whole, np.arange(len(whole), dtype=np.float64)[:, None].repeat(3, axis=1))
@@ -106,7 +106,7 @@ def assert_prefix(path: Path, least: int) -> int:
     return len(whole)
 
 
-def test_all_that_is_told_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_every_frame_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(3)
     stage.finish()
     assert stage.incidents == []
@@ -118,9 +118,7 @@ def test_all_that_is_told_is_recorded(stage: ReadyRecorder, tmp_path: Path) -> N
     assert stage.recorder.fds == ()
 
 
-def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_has_one(
-    prepared: Prepared, tmp_path: Path
-) -> None:
+def test_the_recording_holds_the_session_as_run_and_its_certificate(prepared: Prepared, tmp_path: Path) -> None:
     certified = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dx.mass=0.3"]))
     for number, (one, names) in enumerate(
         ((prepared, ["session.yaml"]), (certified, ["session.yaml", "certificate.json"]))
@@ -143,14 +141,14 @@ def test_the_recording_has_the_session_as_it_is_run_and_its_certificate_if_it_ha
     assert load_session(folder / "s.yaml") == certified.session
 
 
-def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_its_file_and_is_reported_once(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(2 * FRAMES_A_CHUNK)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGKILL)
     while stage.attend():
         pass
-    stage.tell(1)  # nobody minds
+    stage.tell(1)  # this has no effect
     stage.finish()
     (incident,) = stage.incidents
     assert "the recorder was killed by SIGKILL" in incident
@@ -160,7 +158,7 @@ def test_a_killed_recorder_leaves_what_it_had_written_and_is_told_of_once(stage:
     assert stage.recorder.failure is None
 
 
-def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_at_a_reported_tick(stage: ReadyRecorder, tmp_path: Path) -> None:
     """The kernel refuses the recorder what would make its file longer; tests/system has a disk that is really full."""
     assert stage.recorder.pid is not None
     resource.prlimit(stage.recorder.pid, resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
@@ -179,7 +177,7 @@ def test_a_full_disk_ends_the_recording_at_a_tick_that_is_told(stage: ReadyRecor
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_ending_the_recorder_leaves_a_whole_file(stage: ReadyRecorder, tmp_path: Path) -> None:
     stage.tell(1)
     stage.attend_until_taken()
     assert stage.recorder.pid is not None
@@ -187,13 +185,13 @@ def test_somebody_who_ends_the_recorder_gets_a_whole_file(stage: ReadyRecorder, 
     while stage.attend():
         pass
     assert stage.incidents == [
-        f"recording ended at tick {ROWS}: somebody ended the recorder; {tmp_path / 'r.mcap'} is whole up to there"
+        f"recording ended at tick {ROWS}: a signal ended the recorder; {tmp_path / 'r.mcap'} is complete up to there"
     ]
     assert assert_prefix(tmp_path / "r.mcap", ROWS) == ROWS
     assert read_recording(tmp_path / "r.mcap").cut is None
 
 
-def test_in_real_time_a_recorder_that_does_not_keep_up_loses_and_counts(stage: ReadyRecorder, tmp_path: Path) -> None:
+def test_in_real_time_a_slow_recorder_loses_ticks_and_counts_them(stage: ReadyRecorder, tmp_path: Path) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGSTOP)
     while stage.recorder.lost == 0:
@@ -232,7 +230,7 @@ def test_under_the_simulated_clock_it_asks_for_time_and_loses_nothing(stage: Rea
 
 
 @simulated
-def test_under_the_simulated_clock_a_recording_that_is_not_whole_is_a_failure(stage: ReadyRecorder) -> None:
+def test_under_the_simulated_clock_an_incomplete_recording_is_a_failure(stage: ReadyRecorder) -> None:
     assert stage.recorder.pid is not None
     os.kill(stage.recorder.pid, signal.SIGKILL)
     while stage.attend():
@@ -251,14 +249,14 @@ def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: ReadyRecorder, t
 
 
 def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: ReadyRecorder) -> None:
-    stage.recorder.tell(
+    stage.recorder.take(
         observation_frame("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
     )
     assert stage.recorder.lost == 1
     stage.finish()
 
 
-def test_a_recording_that_cannot_be_begun_is_an_error_before_the_session(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_recording_that_cannot_begin_fails_before_the_session(prepared: Prepared, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir(mode=0o700)
     (tmp_path / "r.mcap").mkdir()
     recorder = RecorderProcess(prepared, "realtime", tmp_path / "r.mcap")
@@ -284,11 +282,11 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
     stage.close()
 
 
-def test_without_a_recording_nothing_is_asked_or_told(tmp_path: Path) -> None:
+def test_without_a_recording_no_message_is_exchanged(tmp_path: Path) -> None:
     nobody = Recorder()
     nobody.start(tmp_path)
-    nobody.tell(observation_frame("dx", Telemetry(1, {}, {})))
-    nobody.tell(None)
+    nobody.take(observation_frame("dx", Telemetry(1, {}, {})))
+    nobody.take(None)
     assert (nobody.fds, nobody.has_room, nobody.attend({1}), nobody.finish(0)) == ((), True, None, None)
     assert (nobody.missing, nobody.failure, nobody.as_plain()) == ({}, None, {})
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""A running session loses nodes and gets them back: whatever dies, and whenever, all are joined again in the end."""
+"""A running session loses nodes and gets them back: after any death at any time all join again in the end."""
 
 from __future__ import annotations
 
@@ -131,10 +131,10 @@ class Test_whoever_dies:
         assert s.conductor.phase is SessionPhase.RUNNING
         assert all(len(process.starts) == 1 for process in s.processes.values())
 
-    def test_those_who_return_go_on_where_the_session_is(self) -> None:
+    def test_returning_nodes_go_on_at_the_sessions_tick(self) -> None:
         s = session()
-        s.conductor.hear("environment", Telemetry(400, {}, {}), 0)
-        s.conductor.hear("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
+        s.conductor.receive("environment", Telemetry(400, {}, {}), 0)
+        s.conductor.receive("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
         (original,) = s.processes["dx"].starts
         assert original.tick == 0
         s.kill("dy")
@@ -149,21 +149,21 @@ class Test_whoever_dies:
 
 
 class Test_the_order:
-    """Who binds a link is there before who connects to it is started, or told where to connect."""
+    """The binding end of a link is there before the connecting end starts or receives the endpoint."""
 
     def test_of_one_death(self) -> None:
         c = session().conductor
         told = c.exited("cx", -9, 0)
         assert told == [Send("environment", Absent("cx")), Send("dx", Absent("cx"))]
-        told = c.hear("environment", Offer("cx", "ipc:///anew"), 0)
+        told = c.receive("environment", Offer("cx", "ipc:///anew"), 0)
         assert told == [ReleaseName("cx"), StartProcess("cx")]
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
             Send("cx", Connect({"environment": "ipc:///anew"})),
             Send("dx", Return("cx", "ipc:///cx-dx.anew")),
         ]
-        (first, *rest) = c.hear("cx", Ready(), 0)
+        (first, *rest) = c.receive("cx", Ready(), 0)
         assert first == Send("cx", Start(20_000_000, TICKS, 1))
         assert rest == []
 
@@ -171,25 +171,25 @@ class Test_the_order:
         c = session().conductor
         c.exited("dx", -9, 0)
         c.exited("cx", -9, 0)
-        assert c.hear("environment", Offer("cx", "ipc:///anew"), 0) == [ReleaseName("cx"), StartProcess("cx")]
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
+        assert c.receive("environment", Offer("cx", "ipc:///anew"), 0) == [ReleaseName("cx"), StartProcess("cx")]
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///cx-dx.anew"}), 0)
         assert told == [
             Send("cx", Welcome()),
             Send("cx", Absent("dx")),
             Send("cx", Connect({"environment": "ipc:///anew"})),
         ]
-        assert StartProcess("dx") not in c.hear("cx", Offer("dx", "ipc:///for-dx"), 0)
-        assert StartProcess("dx") in c.hear("cx", Ready(), 0)
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert StartProcess("dx") not in c.receive("cx", Offer("dx", "ipc:///for-dx"), 0)
+        assert StartProcess("dx") in c.receive("cx", Ready(), 0)
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc:///for-dx"}))]
 
-    def test_who_shakes_hands_with_one_that_dies_begins_again_at_no_charge(self) -> None:
+    def test_a_rejoining_node_restarts_free_when_its_peer_dies(self) -> None:
         s = session(restarts=1)
         s.kill("cx")
         s.see_end()
         s.read("environment")
         s.deliver()  # the offer: cx is started
-        s.deliver()  # its hello: it is told of the environment and of dx
+        s.deliver()  # its hello: it receives the endpoints of the environment and of dx
         assert s.conductor.states["cx"] is NodeState.CONNECTED
         s.kill("dx")
         s.see_end()
@@ -201,7 +201,7 @@ class Test_the_order:
 
 
 class Test_offers:
-    """Only who was asked may make one: nobody can have another node started or led astray."""
+    """Only the node asked may make an offer: no other can start or misdirect a node."""
 
     @pytest.mark.parametrize(
         ("sender", "peer"),
@@ -210,37 +210,37 @@ class Test_offers:
     def test_unasked_are_counted_and_change_nothing(self, sender: str, peer: str) -> None:
         c = session().conductor
         before = dict(c.states)
-        assert c.hear(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
+        assert c.receive(sender, Offer(peer, "ipc:///elsewhere"), 0) == []
         assert (c.states, c.ignored) == (before, 1)
 
-    def test_only_from_who_binds_only_while_it_is_owed_and_only_once(self) -> None:
+    def test_only_the_binding_peer_may_offer_once_while_it_is_due(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
         for sender in ("dx", "dy", "cy", "stranger"):
-            assert c.hear(sender, Offer("cx", "ipc:///elsewhere"), 0) == []
-        assert StartProcess("cx") in c.hear("environment", Offer("cx", "ipc:///anew"), 0)
-        assert c.hear("environment", Offer("cx", "ipc:///elsewhere"), 0) == []
+            assert c.receive(sender, Offer("cx", "ipc:///elsewhere"), 0) == []
+        assert StartProcess("cx") in c.receive("environment", Offer("cx", "ipc:///anew"), 0)
+        assert c.receive("environment", Offer("cx", "ipc:///elsewhere"), 0) == []
         assert c.ignored == 5
-        told = c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
+        told = c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0)
         assert Send("cx", Connect({"environment": "ipc:///anew"})) in told
 
-    def test_what_a_dead_process_had_said_does_not_keep_the_name_from_the_next(self) -> None:
+    def test_messages_of_a_dead_process_do_not_block_its_name(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
-        assert c.hear("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
+        assert c.receive("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
         # a local one is not there
-        assert c.hear("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
+        assert c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
-    def test_a_hello_of_a_former_process_is_not_taken_for_the_next_ones(self) -> None:
+    def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)
-        c.hear("cx", Offer("dx", "ipc:///anew"), 0)
+        c.receive("cx", Offer("dx", "ipc:///anew"), 0)
         c.started("dx", 77)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [ReleaseName("dx")]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}, 76), 0) == [ReleaseName("dx")]
         assert c.states["dx"] is NodeState.STARTING
-        assert Send("dx", Welcome()) in c.hear("dx", hello_of(GRAPH, "dx", {}, 77), 0)
+        assert Send("dx", Welcome()) in c.receive("dx", hello_of(GRAPH, "dx", {}, 77), 0)
 
 
 class Test_the_budget:
@@ -249,7 +249,7 @@ class Test_the_budget:
         assert c.exited("dx", -9, 0) == [Terminate()]
         assert c.faults == ["dx was killed by SIGKILL while running"]
 
-    def test_a_user_who_has_used_it_up_stays_frozen_and_the_rest_go_on(self) -> None:
+    def test_a_user_without_restarts_left_stays_frozen_and_others_go_on(self) -> None:
         s = session(restarts=2)
         for _ in range(3):
             s.kill("dx")
@@ -258,7 +258,7 @@ class Test_the_budget:
         assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
         assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
-        for victim in ("cx", "environment"):  # who are linked to it come back without it
+        for victim in ("cx", "environment"):  # its peers come back without it
             s.kill(victim)
             s.settle()
             assert s.conductor.states[victim] is NodeState.RUNNING
@@ -281,7 +281,7 @@ class Test_the_budget:
         s.settle()
         assert s.conductor.states["dx"] is NodeState.GONE
 
-    def test_deaths_on_the_way_back_count_and_the_long_run_before_does_not_excuse_them(self) -> None:
+    def test_deaths_while_rejoining_count_despite_a_long_run_before(self) -> None:
         s = session(restarts=2)
         s.now = 10 * WINDOW
         for _ in range(3):
@@ -313,21 +313,21 @@ class Test_the_budget:
         c.exited("dx", -9, 0)
         assert c.states["dx"] is NodeState.GONE
         c.exited("dy", -9, 0)
-        c.hear("cy", Offer("dy", "ipc:///anew"), 0)
+        c.receive("cy", Offer("dy", "ipc:///anew"), 0)
         assert c.not_started("dy", "Resource temporarily unavailable", 0) == []
         assert "dy could not be started (Resource temporarily unavailable)" in c.faults[1]
 
 
 class Test_returns_that_fail:
-    def test_a_fault_on_the_way_back_is_a_death_and_not_the_sessions_end(self) -> None:
+    def test_a_fault_while_rejoining_is_a_death_and_ends_no_session(self) -> None:
         s = session()
         s.kill("cx")
         s.see_end()
         s.read("environment")
         s.deliver()
-        assert s.conductor.hear("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("heard"))]
+        assert s.conductor.receive("cx", Fault("cx: no answer of dx"), 0) == [Send("cx", Stop("received"))]
         assert s.conductor.states["cx"] is NodeState.LEAVING
-        s.said.clear()  # it said nothing but that
+        s.said.clear()  # this was its only message
         s.kill("cx")
         s.settle()
         assert s.joined()
@@ -336,7 +336,7 @@ class Test_returns_that_fail:
     def test_a_fault_of_one_that_runs_ends_the_session(self) -> None:
         """A device beyond its limits is not started anew: it has decided to stop."""
         c = session().conductor
-        assert c.hear("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("heard")), Terminate()]
+        assert c.receive("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("received")), Terminate()]
         assert c.faults == ["dx: too fast"]
 
     def test_a_hello_that_is_refused(self) -> None:
@@ -347,7 +347,7 @@ class Test_returns_that_fail:
         s.deliver()
         c = s.conductor
         c.started("dx", 7)
-        (told,) = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "ipc:///d"}, 7), 0)
+        (told,) = c.receive("dx", hello_of(GRAPH, "dx", {"dy": "ipc:///d"}, 7), 0)
         assert isinstance(told, Send)
         assert isinstance(told.message, Refusal)
         assert c.states["dx"] is NodeState.LEAVING
@@ -357,7 +357,7 @@ class Test_returns_that_fail:
 
     @pytest.mark.parametrize("reads", [0, 1])
     def test_one_that_takes_too_long(self, reads: int) -> None:
-        """To say hello, or to shake hands."""
+        """Too long for its hello, or for its handshakes."""
         s = session()
         s.kill("dx")
         s.see_end()
@@ -367,7 +367,7 @@ class Test_returns_that_fail:
         c = s.conductor
         assert c.look(RETURN_TIME) == []
         s.said.clear()
-        s._obey(c.look(RETURN_TIME + 1))
+        s.obey(c.look(RETURN_TIME + 1))
         assert s.killed == ["dx"]
         assert c.look(RETURN_TIME + 1) == []
         s.settle()
@@ -386,7 +386,7 @@ class Test_returns_that_fail:
 class Test_the_end:
     def done(self, s: FakeSession, *nodes: str) -> None:
         for node in nodes:
-            s.conductor.hear(node, DONE, 0)
+            s.conductor.receive(node, DONE, 0)
             s.processes.pop(node, None)
             s.conductor.exited(node, 0, 0)
 
@@ -405,7 +405,7 @@ class Test_the_end:
         s.see_end()
         s.read("cx")
         s.deliver()
-        s._obey(s.conductor.hear("environment", DONE, 0))
+        s.obey(s.conductor.receive("environment", DONE, 0))
         assert s.killed == ["dx"]
         while s.see_end():
             pass
@@ -440,7 +440,7 @@ class Test_the_end:
         assert s.conductor.exited("dx", -9, 0) == []
         assert (s.conductor.phase, s.conductor.faults) == (SessionPhase.OVER, [])
 
-    def test_who_says_it_is_done_long_before_the_environment_ends_the_session(self) -> None:
+    def test_a_node_done_long_before_the_environment_ends_the_session(self) -> None:
         s = session()
         self.done(s, "dx")
         assert s.conductor.too_late() == [Terminate()]
@@ -481,76 +481,76 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.silent("dx", 0) == [ReleaseName("dx"), Send("cx", Absent("dx"))]
         assert c.states["dx"] is NodeState.LOST
         assert c.silent("dx", 0) == []
-        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == []  # nobody here starts it
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert c.receive("cx", Offer("dx", "tcp://anew"), 0) == []  # the supervisor does not start it
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "tcp://anew"}))]
-        assert c.hear("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
+        assert c.receive("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
         assert c.faults == []
 
     def test_it_may_be_back_before_there_is_a_place_for_it(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
-        assert c.hear("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.receive("cx", Offer("dx", "tcp://anew"), 0) == [Send("dx", Connect({"cx": "tcp://anew"}))]
 
-    def test_one_that_was_not_dead_is_told_to_join_again(self) -> None:
+    def test_a_living_lost_guest_is_asked_to_join_again(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        told = c.hear("dx", Telemetry(9, {}, {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        told = c.receive("dx", Telemetry(9, {}, {}), 0)
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
         assert c.ignored == 1
 
     def test_others_do_not_wait_for_it_to_come_back(self) -> None:
         """Its user may have gone home."""
         s = session(3, "cx")
         s.processes.pop("cx")
-        s._obey(s.conductor.silent("cx", 0))
+        s.obey(s.conductor.silent("cx", 0))
         s.kill("dx")
         s.kill("environment")
         s.settle()
         assert s.conductor.states["dx"] is NodeState.RUNNING
         assert s.conductor.states["environment"] is NodeState.RUNNING
-        s._start("cx")  # and then its user starts it again
+        s.start("cx")  # and then its user starts it again
         s.settle()
         assert s.joined()
 
-    def test_two_that_come_back_side_by_side_find_each_other_in_the_end(self) -> None:
-        """Each was told that the other is absent."""
+    def test_two_nodes_that_rejoin_side_by_side_meet_in_the_end(self) -> None:
+        """Each has received the other's absence."""
         c = session(3, "cx").conductor
         c.silent("cx", 0)
         c.exited("dx", -9, 0)
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0)[1:] == [Send("dx", Absent("cx")), Send("dx", Connect({}))]
-        c.hear("environment", Offer("cx", "tcp://anew"), 0)
-        assert Send("cx", Absent("dx")) in c.hear("cx", hello_of(GRAPH, "cx", {"dx": "tcp://cx-dx"}), 0)
-        assert c.hear("cx", Offer("dx", "tcp://cx-dx.anew"), 0) == []
-        c.hear("dx", Ready(), 0)
-        assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.hear("cx", Ready(), 0)
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0)[1:] == [Send("dx", Absent("cx")), Send("dx", Connect({}))]
+        c.receive("environment", Offer("cx", "tcp://anew"), 0)
+        assert Send("cx", Absent("dx")) in c.receive("cx", hello_of(GRAPH, "cx", {"dx": "tcp://cx-dx"}), 0)
+        assert c.receive("cx", Offer("dx", "tcp://cx-dx.anew"), 0) == []
+        c.receive("dx", Ready(), 0)
+        assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.receive("cx", Ready(), 0)
 
     def test_it_has_a_budget_too(self) -> None:
         c = session(1, "dx").conductor
         c.silent("dx", 0)
-        c.hear("cx", Offer("dx", "tcp://anew"), 0)
-        c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        c.hear("dx", Ready(), 0)
+        c.receive("cx", Offer("dx", "tcp://anew"), 0)
+        c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
+        c.receive("dx", Ready(), 0)
         c.silent("dx", 0)
         assert c.states["dx"] is NodeState.GONE
         assert len(c.faults) == 1
-        told = c.hear("dx", hello_of(GRAPH, "dx", {}), 0)
-        assert told == [Send("dx", Stop("you were taken for lost")), ReleaseName("dx")]
+        told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
+        assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
 
     def test_the_wrong_bundle_is_refused_and_the_right_one_may_follow(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        first, last = c.hear("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
+        first, last = c.receive("dx", hello_of(GRAPH, "dx", {"dy": "tcp://d"}), 0)
         assert isinstance(first, Send)
         assert isinstance(first.message, Refusal)
         assert last == ReleaseName("dx")
-        assert c.hear("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
+        assert c.receive("dx", hello_of(GRAPH, "dx", {}), 0) == [Send("dx", Welcome())]
         assert c.faults == []
 
 
 class Test_rungs:
-    def test_the_environment_is_told(self) -> None:
+    def test_the_environment_receives_the_shift(self) -> None:
         c = session().conductor
         assert c.shift("cx", 2) == [Send("environment", Shift("cx", 2))]
         assert c.rungs == {"cx": 2}
@@ -558,10 +558,10 @@ class Test_rungs:
     @pytest.mark.parametrize(
         ("victim", "told"), [("environment", {"cx", "cu"}), ("cx", {"cx"}), ("dz", {"cu"}), ("dy", set())]
     )
-    def test_and_told_again_when_somebody_comes_back_who_does_not_know(self, victim: str, told: set[str]) -> None:
+    def test_a_shift_is_sent_again_to_a_returning_node(self, victim: str, told: set[str]) -> None:
         s = session()
-        s._obey(s.conductor.shift("cx", 2))
-        s._obey(s.conductor.shift("cu", 1))
+        s.obey(s.conductor.shift("cx", 2))
+        s.obey(s.conductor.shift("cu", 1))
         s.settle()
         s.processes["environment"].shifts.clear()
         s.kill(victim)
@@ -582,9 +582,9 @@ def test_a_policy_may_end_the_session() -> None:
     assert c.faults == ["dx: too slow"]
 
 
-def test_a_link_that_is_joined_is_offered_and_joined_again_by_one_way_alone() -> None:
-    """A place is told once, and only after it was made."""
+def test_a_link_is_offered_and_joined_again_by_one_way_alone() -> None:
+    """An endpoint is sent once, and only after it exists."""
     into = {target: {event for (_, event), one in LINK_TRANSITIONS.items() if one is target} for target in LinkState}
-    assert into[LinkState.JOINED] == {LinkEvent.TOLD}
-    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.TOLD} == {LinkState.OFFERED}
+    assert into[LinkState.JOINED] == {LinkEvent.SENT}
+    assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.SENT} == {LinkState.OFFERED}
     assert {state for (state, event) in LINK_TRANSITIONS if event is LinkEvent.PLACE} == {LinkState.CUT}

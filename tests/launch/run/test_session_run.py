@@ -1,4 +1,4 @@
-"""The files of a run: one that cannot be written keeps no other from being written."""
+"""The files of a run: a file that cannot be written does not prevent the others."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OUTCOME = Outcome(
 )
 
 
-class Over:
+class EndedSession:
     """In place of the supervisor: a session that is over."""
 
     def __init__(self, *_: object, **__: object) -> None:
@@ -50,7 +50,7 @@ def write_files_of_a_run(record: Path, report: Path, kept: Path, console: Consol
 
 
 def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_run, "Supervisor", Over)
+    monkeypatch.setattr(session_run, "Supervisor", EndedSession)
     report, kept, shown = tmp_path / "report.json", tmp_path / "kept", StringIO()
     with pytest.raises(TargetError, match=r"r\.npz: found no folder"):
         write_files_of_a_run(tmp_path / "none" / "r.npz", report, kept, Console(file=shown))
@@ -60,7 +60,7 @@ def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, mon
 
 
 def test_every_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_run, "Supervisor", Over)
+    monkeypatch.setattr(session_run, "Supervisor", EndedSession)
     shown = StringIO()
     with pytest.raises(TargetError, match=r"r\.npz"):
         write_files_of_a_run(

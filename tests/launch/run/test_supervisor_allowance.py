@@ -1,4 +1,4 @@
-"""The supervisor's budget of frames: generous to members, bounded for floods, and rested in between."""
+"""The supervisor's budget of frames: generous to members, bounded in floods, with pauses between reads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_what_an_honest_session_sends_is_never_held_up() -> None:
     assert allowance.exhausted == 0
 
 
-def test_a_flood_is_read_at_the_stated_rate_and_in_few_sittings() -> None:
+def test_a_flood_is_read_at_the_stated_rate_in_few_calls() -> None:
     allowance, now, read, sittings = FrameAllowance(PER_SECOND, Instant(0)), 0, 0, 0
     while now < 10 * SECOND:
         sittings += 1
@@ -35,7 +35,7 @@ def test_a_flood_is_read_at_the_stated_rate_and_in_few_sittings() -> None:
     assert allowance.exhausted == sittings
 
 
-def test_what_was_dropped_in_one_go_has_to_be_made_up_for() -> None:
+def test_frames_dropped_at_once_are_charged_to_later_reads() -> None:
     allowance = FrameAllowance(PER_SECOND, Instant(0))
     allowance.spend(3 * PER_SECOND, Instant(0))
     assert allowance.pause(Instant(0)) == 2 * SECOND + SECOND // 10

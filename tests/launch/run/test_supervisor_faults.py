@@ -1,4 +1,4 @@
-"""The supervisor's hands in a faulty session: processes started anew, couplings softened, silence shown, all told."""
+"""The supervisor's actions in a faulty session: restarts, softened couplings, silence shown, incidents."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
-from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, Attention, Supervisor
+from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastHeard, Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
@@ -35,7 +35,7 @@ SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class FakeProcesses:
-    """Processes that are only said to be started."""
+    """Processes whose starts are noted, and nothing more."""
 
     def __init__(self) -> None:
         self.pids: dict[str, int] = {}
@@ -75,7 +75,7 @@ class Faulty:
         self.supervisor = Supervisor(prepared, clock=clock, reach=IPC, ticks=0, record=False)
         self.clock = StoppedClock()
         self.supervisor._clock = self.clock  # type: ignore[assignment]
-        self.conductor = self.supervisor._conductor
+        self.conductor = self.supervisor.conductor
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
         self.hub, endpoint = self.transport.bind_hub("control", [])
@@ -93,14 +93,14 @@ class Faulty:
         return NodeHello(PROTOCOL_VERSION, self.id, "example-1", name, self.graph.nodes[name], pid, binds)
 
     def say(self, sender: str, message: Message) -> None:
-        self.supervisor._hear(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor.receive(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
 
     def dies(self, node: str) -> None:
         told = self.conductor.exited(node, -9, self.clock.at)
-        self.supervisor._carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor.carry_out(told, self.hub, self.processes)  # type: ignore[arg-type]
 
     def told(self) -> list[object]:
-        """What the environment was told since it was last asked."""
+        """The messages to the environment since the last call."""
         out: list[object] = []
         while (frame := self.environment.recv(Duration(0))) is not None:
             out.append(decode(frame, MAX_CONTROL_BYTES))
@@ -111,10 +111,10 @@ class Faulty:
         for message in (1, 2, 3):
             figures = {names.TAU_BREACHES: 90.0 * message, names.TAU_WORST: 300.0}
             self.say(device, Telemetry(100 * message, figures, {}))
-            self.say("environment", Telemetry(100 * message, {}, {}))  # nobody was waited for
+            self.say("environment", Telemetry(100 * message, {}, {}))  # no wait occurred
 
     def progress(self) -> Progress:
-        return self.supervisor._progress(self.processes)  # type: ignore[arg-type]
+        return self.supervisor.progress(self.processes)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def faulty(prepared: Prepared) -> Iterator[Faulty]:
     made.transport.close()
 
 
-def test_a_process_is_started_anew_from_its_bundle_and_what_the_last_one_said_is_forgotten(faulty: Faulty) -> None:
+def test_a_process_restarts_from_its_bundle_without_its_predecessors_messages(faulty: Faulty) -> None:
     faulty.say("dx", Telemetry(100, {"speed": 0.5}, {}))
     assert "dx" in faulty.progress().telemetry
     faulty.dies("dx")
@@ -142,7 +142,7 @@ def test_a_process_is_started_anew_from_its_bundle_and_what_the_last_one_said_is
     faulty.say("dx", faulty.hello("dx", faulty.processes.pids["dx"]))
     faulty.say("dx", Ready())
     assert faulty.conductor.states["dx"] is NodeState.RUNNING
-    outcome = faulty.supervisor._outcome(None)
+    outcome = faulty.supervisor.outcome(None)
     assert outcome.code == 0
     assert [one.split("s: ")[1] for one in outcome.incidents] == [
         "dx was killed by SIGKILL while running",
@@ -157,7 +157,7 @@ def test_a_machine_without_processes_uses_up_the_budget_and_no_more(faulty: Faul
     faulty.say("cx", Offer("dx", "ipc:///s/anew"))
     assert faulty.conductor.states["dx"] is NodeState.GONE
     assert faulty.conductor.phase is SessionPhase.RUNNING
-    outcome = faulty.supervisor._outcome(None)
+    outcome = faulty.supervisor.outcome(None)
     assert outcome.code == 1
     assert "dx could not be started (Resource temporarily unavailable)" in outcome.faults[0]
 
@@ -166,7 +166,7 @@ def test_a_process_that_cannot_return_is_killed(faulty: Faulty) -> None:
     faulty.dies("dx")
     faulty.say("cx", Offer("dx", "ipc:///s/anew"))
     faulty.clock.at = 10**12
-    faulty.supervisor._carry_out(faulty.conductor.look(faulty.clock.at), faulty.hub, faulty.processes)  # type: ignore[arg-type]
+    faulty.supervisor.carry_out(faulty.conductor.look(faulty.clock.at), faulty.hub, faulty.processes)  # type: ignore[arg-type]
     assert faulty.processes.killed == ["dx"]
 
 
@@ -189,7 +189,7 @@ class Test_a_slow_device:
         stopped.breaches("dx")
         assert stopped.conductor.phase is SessionPhase.ENDING
         assert stopped.processes.sent == [signal.SIGTERM]
-        assert stopped.supervisor._outcome(None).code == 1
+        assert stopped.supervisor.outcome(None).code == 1
         stopped.transport.close()
 
     def test_is_not_slow_under_the_simulated_clock(self, prepared: Prepared) -> None:
@@ -212,7 +212,7 @@ class Test_silence:
         assert "cx" not in faulty.progress().silent
         assert faulty.conductor.incidents.total == 0  # nothing is done about it
 
-    def test_is_not_that_of_one_that_is_lost_or_has_just_come_back(self, faulty: Faulty) -> None:
+    def test_is_not_shown_for_a_lost_or_just_returned_node(self, faulty: Faulty) -> None:
         faulty.say("dx", Telemetry(1, {}, {}))
         faulty.dies("dx")
         faulty.clock.at = 10 * TELEMETRY_SILENCE
@@ -223,7 +223,7 @@ class Test_silence:
         assert "dx" not in faulty.progress().silent
 
 
-def test_the_table_shows_who_is_lost_who_is_silent_and_what_happened(faulty: Faulty) -> None:
+def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -> None:
     shown = StringIO()
     console = Console(file=shown, width=220, force_terminal=True)
     table = LiveTable(console, "t", faulty.graph, 0)
@@ -256,7 +256,7 @@ def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
 def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
     incidents = Incidents()
     for number in range(MOST_INCIDENTS + 5):
-        incidents.tell(f"number {number}")
+        incidents.add(f"number {number}")
     assert len(incidents.sentences) == MOST_INCIDENTS + 1
     assert incidents.sentences[0] == "5 earlier incidents"
     assert incidents.sentences[-1] == f"number {MOST_INCIDENTS + 4}"
@@ -264,15 +264,15 @@ def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
 
 
 def test_attention() -> None:
-    attention = Attention()
-    assert attention.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
-    attention.note("b", Instant(10))
-    assert attention.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
-    attention.forget("a")
-    assert attention.quiet(["a", "b"], Instant(20), Duration(10)) == []
+    last_heard = LastHeard()
+    assert last_heard.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
+    last_heard.note("b", Instant(10))
+    assert last_heard.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
+    last_heard.forget("a")
+    assert last_heard.quiet(["a", "b"], Instant(20), Duration(10)) == []
 
 
-def test_one_process_is_killed_and_its_log_goes_on_with_the_next(tmp_path: Path) -> None:
+def test_a_killed_processs_log_goes_on_with_the_next(tmp_path: Path) -> None:
     processes = Processes(tmp_path)
     try:
         for _ in range(2):
@@ -308,5 +308,5 @@ def test_what_a_killed_process_has_bound_is_free_for_the_next(tmp_path: Path) ->
 
 
 def _ends(processes: Processes) -> dict[str, int]:
-    """The ends of some processes; their descriptors tell of them."""
+    """The ends of some processes, which their descriptors announce."""
     return processes.reap(set(select.select(processes.fds, [], [], 60.0)[0]))

@@ -1,4 +1,4 @@
-"""Whatever nodes, observers and strangers say, the supervisor hears it, shows it and reports it without an error."""
+"""Any message of nodes, observers and strangers is read, shown and reported without an error."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC, Reach
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.display import LiveTable
+from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor, most_ticks
 from manyhands.launch.session import load_session
@@ -89,7 +90,7 @@ class Heard:
         self.transport = MemoryTransport()
         self.hub, _ = self.transport.bind_hub("control", [])
         observer_broadcast = self.supervisor._observer_broadcast
-        self.supervisor._conductor.observers = observer_broadcast.serve(self.transport, Reach("ipc"), self.graph)
+        self.supervisor.conductor.observers = observer_broadcast.serve(self.transport, Reach("ipc"), self.graph)
         self.processes = NoProcesses()
         if run:
             for name, role in self.graph.nodes.items():
@@ -97,11 +98,15 @@ class Heard:
                 self.say(name, NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, role, 1, binds))
             for name in self.graph.nodes:
                 self.say(name, Ready())
-            assert self.supervisor._conductor.phase is SessionPhase.RUNNING
+            assert self.supervisor.conductor.phase is SessionPhase.RUNNING
 
     def say(self, sender: str, what: Message | bytes) -> None:
         frame = what if isinstance(what, bytes) else encode(what)
-        self.supervisor._hear(sender, frame, self.hub, self.processes)  # type: ignore[arg-type]
+        self.supervisor.receive(sender, frame, self.hub, self.processes)  # type: ignore[arg-type]
+
+    def progress(self) -> Progress:
+        """How the session is."""
+        return self.supervisor.progress(self.processes)  # type: ignore[arg-type]
 
 
 @settings(max_examples=60)
@@ -109,22 +114,20 @@ class Heard:
     st.booleans(),
     st.lists(st.tuples(st.sampled_from(["dx", "cx", "environment", "watch", "stranger"]), said), max_size=12),
 )
-def test_nothing_that_is_said_is_an_error(
-    prepared: Prepared, run: bool, conversation: list[tuple[str, Message | bytes]]
-) -> None:
+def test_no_message_is_an_error(prepared: Prepared, run: bool, conversation: list[tuple[str, Message | bytes]]) -> None:
     heard = Heard(prepared, run)
     shown = StringIO()
     console = Console(file=shown, width=200, force_terminal=True)
     table = LiveTable(console, "t", heard.graph, 0)
     for sender, what in conversation:
         heard.say(sender, what)
-        table(heard.supervisor._progress(heard.processes))  # type: ignore[arg-type]
-        console.print(table._render(heard.supervisor._progress(heard.processes)))  # type: ignore[arg-type]
-    outcome = heard.supervisor._outcome(None)
+        table(heard.progress())
+        console.print(table._render(heard.progress()))
+    outcome = heard.supervisor.outcome(None)
     assert json.loads(json.dumps(outcome.report, allow_nan=False)) == outcome.report
     print_report(console, outcome.report)
     assert set(outcome.report["nodes"]) <= set(heard.graph.nodes)
-    assert set(heard.supervisor._telemetry) <= set(heard.graph.nodes)
+    assert set(heard.progress().telemetry) <= set(heard.graph.nodes)
     heard.transport.close()
 
 
@@ -133,7 +136,7 @@ def test_what_is_kept_of_strangers_does_not_grow(prepared: Prepared) -> None:
     heard = Heard(prepared, run=True)
 
     def kept() -> dict[str, int]:
-        inside: dict[str, Any] = {**vars(heard.supervisor), **vars(heard.supervisor._conductor)}
+        inside: dict[str, Any] = {**vars(heard.supervisor), **vars(heard.supervisor.conductor)}
         return {name: len(value) for name, value in inside.items() if hasattr(value, "__len__")}
 
     before = kept()
@@ -142,7 +145,7 @@ def test_what_is_kept_of_strangers_does_not_grow(prepared: Prepared) -> None:
         for what in (hello, Telemetry(1, {"speed": 0.5}, {}), Report(1, {}, {}, {}), Fault("f"), b"junk"):
             heard.say(f"stranger{number}", what)
     assert kept() == before
-    assert heard.supervisor._conductor.ignored == 1000
+    assert heard.supervisor.conductor.ignored == 1000
     assert heard.processes.sent == []
     heard.transport.close()
 
@@ -152,13 +155,13 @@ def test_telemetry_out_of_turn_is_not_taken(prepared: Prepared, sender: str) -> 
     """Before its session runs, and after its last word."""
     early = Heard(prepared, run=False)
     early.say(sender, Telemetry(1, {"speed": 0.5}, {}))
-    assert early.supervisor._telemetry == {}
-    assert early.supervisor._conductor.ignored == 1
+    assert early.progress().telemetry == {}
+    assert early.supervisor.conductor.ignored == 1
     late = Heard(prepared, run=True)
     late.say(sender, Telemetry(1, {"speed": 0.5}, {}))
     late.say(sender, Report(1, {}, {}, {}))
     late.say(sender, Telemetry(2, {"speed": 0.75}, {}))
-    assert late.supervisor._telemetry[sender].tick == 1
+    assert late.progress().telemetry[sender].tick == 1
     for heard in (early, late):
         heard.transport.close()
 
@@ -179,7 +182,7 @@ def test_the_most_ticks_that_can_have_run(elapsed: float, clock: str, ticks: int
     assert most_ticks(from_seconds(elapsed), 0.001, clock, ticks) == pytest.approx(most, abs=1)
 
 
-def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(prepared: Prepared) -> None:
+def test_an_impossible_tick_is_refused_counted_and_moves_nothing(prepared: Prepared) -> None:
     """One frame from one guest with a valid key; its tick is a hundred years of the session's time."""
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
@@ -191,9 +194,9 @@ def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(pr
     heard.say("dy", Report(10**11, {}, {}, {}))
     supervisor = heard.supervisor
     supervisor._tally(heard.hub, heard.transport)  # type: ignore[arg-type]
-    assert supervisor._refused["telemetry_that_does_not_fit"] == 4
-    assert supervisor._telemetry["dy"].tick == 10
-    outcome = supervisor._outcome(None)
+    assert heard.progress().refused["telemetry_that_does_not_fit"] == 4
+    assert heard.progress().telemetry["dy"].tick == 10
+    outcome = supervisor.outcome(None)
     assert outcome.recording is not None
     assert outcome.recording.x.shape == (10, 3)
     assert outcome.lost == {}
@@ -201,12 +204,12 @@ def test_a_tick_that_cannot_have_run_is_refused_and_counted_and_moves_nothing(pr
     heard.transport.close()
 
 
-def test_a_guest_without_telemetry_loses_its_own_rows_alone_and_that_is_reported(prepared: Prepared) -> None:
+def test_a_guest_without_telemetry_loses_its_rows_alone_as_reported(prepared: Prepared) -> None:
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
     for device in ("dx", "dz"):
         heard.say(device, Telemetry(10, {"speed": 0.5}, rows))
-    outcome = heard.supervisor._outcome(None)
+    outcome = heard.supervisor.outcome(None)
     assert outcome.recording is not None
     np.testing.assert_array_equal(outcome.recording.x, [[1.0, np.nan, 1.0]] * 10)
     assert outcome.lost == outcome.recording.missing == {"dy": 10}

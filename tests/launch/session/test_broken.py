@@ -1,4 +1,4 @@
-"""Broken session files: each is refused with one line that names the file, the line, the key, what and why."""
+"""Broken session files: one line each that names file, line, key, error and reason."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a session may ask of the design: orders, poles, objectives, weights, tau."""
+"""What a session may request from the design: orders, poles, objectives, weights, tau."""
 
 import math
 from pathlib import Path
@@ -84,7 +84,7 @@ def test_the_band_from_zero_is_a_low_pass() -> None:
     np.testing.assert_allclose([gain(weight, f) for f in (0.0, 20.0)], [1.0, math.sqrt(0.5)], rtol=1e-12)
 
 
-def test_the_band_between_two_edges_is_a_band_pass_of_unit_peak() -> None:
+def test_two_band_edges_give_a_band_pass_of_unit_peak() -> None:
     weight = example("example2", "design.weights.W2={emphasise: [5, 20]}").design.W2
     edges = [gain(weight, f) for f in (5.0, 20.0)]
     np.testing.assert_allclose(edges, [math.sqrt(0.5)] * 2, rtol=1e-12)
@@ -137,7 +137,7 @@ def test_a_polynomial_is_hurwitz_by_its_roots(roots: list[tuple[int, int]], gain
     assert is_hurwitz([0, *polynomial]) == all(a < 0 for a, _ in roots)
 
 
-def test_the_edge_of_a_band_may_be_half_the_rate_of_ticks() -> None:
+def test_a_bands_edge_may_be_half_the_tick_rate() -> None:
     example("example2", "design.weights.W1={emphasise: [0, 500]}")
     with pytest.raises(SessionError, match="at most 250 Hz"):
         example("example2", "design.weights.W1={emphasise: [0, 500]}", "period=0.002")

@@ -1,4 +1,4 @@
-"""What a session file says of the drivers of its devices: which keys each needs, and the motions that are read."""
+"""The drivers of a session's devices: the keys that each needs, and the motions that are read."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_a_table_of_another_program_is_read_by_its_columns(tmp_path: Path, suffi
     assert "names no devices" in refused(tmp_path, TWO_AXES.format(f"{{file: m{suffix}, device: dy}}")).found
 
 
-def test_a_device_that_ended_before_the_others_stays_and_a_gap_is_refused(tmp_path: Path) -> None:
+def test_an_early_ended_device_rests_and_a_gap_is_refused(tmp_path: Path) -> None:
     for hole, read in ((slice(4, 6), 4), (slice(2, 3), None)):
         x = RUN.x.copy()
         x[hole, 0] = np.nan
@@ -227,7 +227,7 @@ def test_motions_are_bounded_together(tmp_path: Path) -> None:
     assert error.found == f"recorded motions of {5 * rows} numbers in all"
 
 
-def test_a_session_that_is_kept_needs_no_other_file_and_reads_back_equal(tmp_path: Path) -> None:
+def test_a_kept_session_needs_no_other_file_and_reads_back_equal(tmp_path: Path) -> None:
     RUN.save(tmp_path / "run.npz")
     session = loaded(tmp_path, TRACED.format("{file: run.npz}"), TWO_AXES.format("{file: run.npz}"))
     assert Session.model_validate(session.as_plain()) == session
@@ -256,7 +256,7 @@ def prepared(tmp_path: Path) -> Prepared:
     return prepare(session, uncertified=True)
 
 
-def test_a_bundle_says_what_moves_its_device(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_bundle_names_its_devices_driver(prepared: Prepared, tmp_path: Path) -> None:
     bundles = cut(prepared, RunPlan("realtime", tmp_path, ""))
     for name, kind in (("dx", RecordedMotion), ("dy", BrowserHand)):
         bundle = bundles[name]

@@ -1,4 +1,4 @@
-"""Environments of every kind, intervals, and what a run takes of them."""
+"""Environments of every kind, intervals, and their use in a run."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The part of a session that says what follows a fault."""
+"""The part of a session that states the consequences of a fault."""
 
 from __future__ import annotations
 

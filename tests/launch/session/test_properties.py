@@ -1,4 +1,4 @@
-"""Properties: a session read back is the same session, and nothing but SessionError leaves a spoilt file."""
+"""Properties: a session read back is the same session, and a spoilt file raises nothing except SessionError."""
 
 import json
 import string

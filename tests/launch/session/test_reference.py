@@ -1,4 +1,4 @@
-"""The reference of the format keeps up with the models."""
+"""The reference of the format agrees with the models."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a loaded session holds, and what is derived from it."""
+"""The contents of a loaded session, and what is derived from it."""
 
 import copy
 from pathlib import Path
@@ -163,7 +163,7 @@ def test_ports_and_blocks_keep_their_order() -> None:
     assert by_device.blocks == (("c.x", "c.y", "a"), ("b.0", "b.1"))
 
 
-def test_a_named_axis_names_its_port_also_when_it_is_the_only_one() -> None:
+def test_a_single_named_axis_names_its_port() -> None:
     devices = {"a": {**PLAIN["devices"]["a"], "axes": ["0"]}}  # type: ignore[index]
     links = [{"between": ["a.0", "ground"], "damping": 1}]
     session = plain(

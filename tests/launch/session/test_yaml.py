@@ -1,4 +1,4 @@
-"""YAML to plain data with places, and overrides."""
+"""YAML to plain data with line numbers, and overrides."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a page is told and what the server answers, without a browser and without a session's processes."""
+"""The messages to a page and the server's answers, without a browser and without a session's processes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def picture(feed: Feed, cursor: Cursor) -> dict[str, Any]:
     return told
 
 
-def test_a_page_is_told_the_session_first() -> None:
+def test_a_page_receives_the_session_first() -> None:
     told = json.loads(fed().session())
     assert (told["type"], told["session"], told["grips"], told["bucket"]) == ("session", "pair", ["right"], 10)
     assert told["tracks"]["right/sample"]["columns"] == ["right.x", "right.y"]
@@ -76,10 +76,10 @@ def test_a_picture_has_what_is_new() -> None:
     assert "figures" not in again["nodes"]["left"]
     feed.take(moving(200), NOW)
     begin, [x] = picture(feed, cursor)["tracks"]["left/sample"]
-    assert (begin, len(x), x[-1]) == (9, 22, 0.199)  # the last that was told, and ten new ones
+    assert (begin, len(x), x[-1]) == (9, 22, 0.199)  # the last one sent, and ten new ones
 
 
-def test_a_page_that_did_not_read_is_told_what_is_kept_and_no_more() -> None:
+def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:
     feed, cursor = fed(moving(100)), Cursor()
     picture(feed, cursor)
     for tick in range(200, 100_100, 100):
@@ -89,7 +89,7 @@ def test_a_page_that_did_not_read_is_told_what_is_kept_and_no_more() -> None:
     assert x[-1] == 99.999
 
 
-def test_alarms_are_told_when_they_change_with_the_time_of_day() -> None:
+def test_alarms_are_sent_when_they_change_with_the_time_of_day() -> None:
     feed, cursor = fed(conditioned(faults=("vl was killed",))), Cursor()
     [alarm] = picture(feed, cursor)["alarms"]
     assert (alarm["text"], alarm["level"], alarm["since"], alarm["cleared"]) == (
@@ -100,7 +100,7 @@ def test_alarms_are_told_when_they_change_with_the_time_of_day() -> None:
     )
 
 
-def test_a_session_that_is_over_is_told_so_and_strange_frames_are_counted() -> None:
+def test_the_page_learns_the_end_and_strange_frames_are_counted() -> None:
     feed = fed(conditioned("over"), b"strange", observed("nobody", 1, {}))
     assert picture(feed, Cursor())["over"] is True
     assert feed.scene.malformed == 2
@@ -123,7 +123,7 @@ def client(watch: Watch) -> TestClient:
 
 
 def heard(page: WebSocketTestSession, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The first message for which that holds; others are the pictures before it."""
+    """The first message that ``wanted`` accepts; earlier ones are pictures."""
     while True:
         message: dict[str, Any] = json.loads(page.receive_text())
         if wanted(message):
@@ -203,7 +203,7 @@ def test_a_token_that_nobody_asked_for_is_no_mistake(client: TestClient) -> None
         assert "expected a device that can be held" in answer["why"]
 
 
-def test_a_page_that_says_too_much_is_closed(client: TestClient) -> None:
+def test_a_page_that_sends_too_much_is_closed(client: TestClient) -> None:
     with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
         for _ in range(3 * DEMANDS_AT_ONCE):
             page.send_text("?")
@@ -238,7 +238,7 @@ def test_a_token_opens_the_page(watch: Watch) -> None:
 
 
 @pytest.mark.parametrize("first", ['{"token": "0123456789abcdeg"}', '{"grasp": "right", "position": [0, 0]}', "{}"])
-def test_without_it_nothing_is_told(watch: Watch, monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+def test_without_it_nothing_is_sent(watch: Watch, monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     monkeypatch.setattr(served, "WRONG_TOKEN_COSTS", 0.0)
     client = client_of(watch, Token("0123456789abcdef"))
     with client.websocket_connect(SOCKET, headers=ORIGIN) as page:
@@ -286,7 +286,7 @@ def test_a_page_that_does_not_read_is_given_up(watch: Watch, monkeypatch: pytest
     assert (page.most, page.waiting, page.closed) == (1, 0, served.GIVEN_UP)
 
 
-def test_a_watch_takes_in_what_a_broadcast_shows_and_notices_its_end(tmp_path: Path) -> None:
+def test_a_watch_receives_what_a_broadcast_shows_and_its_end(tmp_path: Path) -> None:
     read, write = os.pipe()
     child = os.posix_spawnp(
         "cat", ["cat"], {}, file_actions=[(os.POSIX_SPAWN_DUP2, read, 0), (os.POSIX_SPAWN_CLOSE, write)]
@@ -328,7 +328,7 @@ def test_the_address_that_is_printed() -> None:
     assert "0.0.0.0" not in address_of(Doorstep("0.0.0.0", 80), None)
 
 
-def test_a_port_that_is_taken_is_said_so() -> None:
+def test_a_taken_port_is_reported() -> None:
     with listen("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ViewError, match=rf"--port {port}: cannot listen there: .*expected an address"):
@@ -336,14 +336,14 @@ def test_a_port_that_is_taken_is_said_so() -> None:
 
 
 @pytest.mark.parametrize("host", ["192.0.2.7", "a" * 300])
-def test_a_host_that_is_not_this_machine_is_said_so(host: str) -> None:
+def test_a_host_of_another_machine_is_reported(host: str) -> None:
     with pytest.raises(ViewError, match="cannot listen there"):
         listen(host, 0)
 
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
-    """What the command would serve."""
+    """The calls by which the command would serve its page."""
     served_: list[tuple[str, Token | None]] = []
 
     def serve(
@@ -375,8 +375,8 @@ def test_elsewhere_a_token_is_drawn_and_printed_once(told: list[tuple[str, Token
     done = CliRunner().invoke(app, ["view", "--host", "192.0.2.7"])
     [(_, token)] = told
     assert token is not None
-    assert done.output.count(token.told()) == 1
-    assert f"page: http://192.0.2.7:80/#token={token.told()}" in done.output
+    assert done.output.count(token.reveal()) == 1
+    assert f"page: http://192.0.2.7:80/#token={token.reveal()}" in done.output
     assert "without encryption" in done.output
 
 

@@ -1,4 +1,4 @@
-"""What a page may say, how often, and which page holds a device."""
+"""What a page may send, how often, and which page holds a device."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_position_ends_at_the_reach() -> None:
         (json.dumps({"release": "right" + " " * MAX_DEMAND_BYTES}), "found no message of a page"),
     ],
 )
-def test_what_is_wrong_is_said(text: str, words: str) -> None:
+def test_errors_are_reported(text: str, words: str) -> None:
     answer = demand_of(text, ABOUT)
     assert isinstance(answer, Wrong)
     assert words in answer.why
@@ -76,7 +76,7 @@ NEARLY = st.fixed_dictionaries({"grasp": st.just("right"), "position": JSON}) | 
 
 @settings(max_examples=40)
 @given(NEARLY.map(json.dumps) | st.text(max_size=200))
-def test_nothing_that_a_page_says_raises(text: str) -> None:
+def test_no_message_of_a_page_raises(text: str) -> None:
     answer = demand_of(text, ABOUT)
     assert isinstance(answer, Hold | LetGo | Wrong)
     if isinstance(answer, Hold):

@@ -1,4 +1,4 @@
-"""Who may open the page: names of the host, origins, tokens, and files that hold one."""
+"""Access to the page: names of the host, origins, tokens, and the files that hold tokens."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_outside_any_address_and_the_own_name_are_ours() -> None:
     assert not LOOPBACK.host_is_ours(host("192.0.2.7:8000"))
 
 
-def test_a_host_that_is_missing_or_said_twice_is_not_ours() -> None:
+def test_a_missing_or_repeated_host_is_refused() -> None:
     assert not LOOPBACK.host_is_ours([])
     assert not LOOPBACK.host_is_ours(host("localhost:8000") * 2)
 
@@ -78,10 +78,10 @@ def test_what_is_loopback() -> None:
 
 def test_a_token_fits_itself_alone_and_is_not_shown() -> None:
     token = new_token()
-    assert token.fits(token.told())
-    assert not any(map(token.fits, (token.told() + "x", "", None, 7, "é", [token.told()])))
-    assert token.told() not in repr(token)
-    assert new_token().told() != token.told()
+    assert token.fits(token.reveal())
+    assert not any(map(token.fits, (token.reveal() + "x", "", None, 7, "é", [token.reveal()])))
+    assert token.reveal() not in repr(token)
+    assert new_token().reveal() != token.reveal()
 
 
 def token_file(folder: Path, text: str, mode: int = 0o600) -> Path:
@@ -94,12 +94,12 @@ def token_file(folder: Path, text: str, mode: int = 0o600) -> Path:
 def test_a_token_is_read_from_a_file(tmp_path: Path) -> None:
     token = read_token(token_file(tmp_path, "0123456789abcdef\n"))
     assert isinstance(token, Token)
-    assert token.told() == "0123456789abcdef"
+    assert token.reveal() == "0123456789abcdef"
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o620])
 def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
-    with pytest.raises(ViewError, match=r"found mode 06.*expected a file of yours"):
+    with pytest.raises(ViewError, match=r"found mode 06.*expected a file that you own"):
         read_token(token_file(tmp_path, "0123456789abcdef", mode))
 
 

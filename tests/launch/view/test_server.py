@@ -1,4 +1,4 @@
-"""The page's server among clients that say nothing, too little or no text: others are served as before."""
+"""The page's server with clients that send nothing, too little or no text: others are served as before."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from manyhands.launch.view.server import (
     application,
     config_of,
     listen,
-    until_told,
+    run_until_stopped,
     without_tracebacks,
 )
 from manyhands.protocol.clock import Instant, RealtimeClock
@@ -121,7 +121,7 @@ class Later(RealtimeClock):
 
 
 class Served:
-    """A page that is served, and who comes to it."""
+    """A page that is served, and its clients."""
 
     def __init__(self, port: int, refused: Counter[str], clock: Later) -> None:
         self.port, self.refused, self.clock = port, refused, clock
@@ -178,7 +178,7 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
             port = listening.getsockname()[1]
             app = application(watch, Doorstep(host, port), token, connections)
             server = uvicorn.Server(config_of(app, connections, clock))
-            task = asyncio.create_task(until_told(server, watch, connections, listening))
+            task = asyncio.create_task(run_until_stopped(server, watch, connections, listening))
             made = Served(port, refused, clock)
             try:
                 yield made
@@ -199,7 +199,7 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
     return run
 
 
-def test_a_crowd_that_says_nothing_keeps_nobody_out(serving: Callable[..., None]) -> None:
+def test_a_silent_crowd_keeps_no_page_out(serving: Callable[..., None]) -> None:
     async def do(served: Served) -> None:
         for _ in range(CROWD):
             await served.connect()
@@ -231,14 +231,14 @@ def test_pages_that_never_say_their_token_keep_nobody_out(serving: Callable[...,
         kind, told = await frame_of(page)
         assert kind == 1
         assert b'"session"' in told
-        served.clock.ahead += ANSWERED_WITHIN + 10**9  # and a page stays, whatever it says
+        served.clock.ahead += ANSWERED_WITHIN + 10**9  # and a page stays, whatever it sends
         for _ in range(30):
             assert (await frame_of(page))[0] == 1
 
     serving(do, Token(TOKEN))
 
 
-def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
+def test_a_page_on_every_address_needs_token_and_numeric_host(
     serving: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(application_module, "WRONG_TOKEN_COSTS", 0.0)
@@ -248,7 +248,7 @@ def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
         for said in wrong:
             page = await served.page()
             page[1].write(framed(said))
-            kind, why = await frame_of(page)  # the first thing that is told
+            kind, why = await frame_of(page)  # the first frame
             assert (kind, why[:2]) == (8, application_module.NOT_ADMITTED.to_bytes(2, "big"))
         assert served.refused == {"wrong_token": len(wrong)}
         page = await served.page()
@@ -263,7 +263,7 @@ def test_a_page_on_every_address_needs_its_token_and_answers_to_addresses_alone(
 @pytest.mark.parametrize(
     "host", ["0.0.0.0", "::", "", "0", "127.1", "::ffff:192.0.2.7", "192.0.2.7", "localhost.example"]
 )
-def test_a_host_that_is_not_known_to_be_the_loopback_asks_for_a_token(host: str) -> None:
+def test_a_host_not_known_as_loopback_needs_a_token(host: str) -> None:
     assert not is_loopback(host)
 
 

@@ -1,4 +1,4 @@
-"""One block of V towards the environment: what it says, what it makes of the answer, and how it changes its rung."""
+"""One block of V towards the environment: the signals it sends, its use of the answer, and its changes of rung."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: MessageLink,
     assert block.report().counts["saturated"] == 1
 
 
-def test_zero_force_of_a_later_tick_is_the_order_to_go_on_there(block: Block, world: MessageLink) -> None:
+def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: MessageLink) -> None:
     step(block, world, 0, 0.001, 1.5)
     block.say(np.array([0.001]), 1, 0)
     world.say(force(7, 0.0))
@@ -112,7 +112,7 @@ def test_any_other_force_of_another_tick_is_none(block: Block, world: MessageLin
     assert block.applied == [0.25]
 
 
-def test_what_was_said_is_said_again_with_its_stamp(block: Block, world: MessageLink) -> None:
+def test_a_signal_is_sent_again_with_its_stamp(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     block.say_again(3)
     block.say_again(5)  # the session has gone on
@@ -129,7 +129,7 @@ def shift(block: Block, world: MessageLink, tick: int, rung: int) -> int | None:
     return climbed
 
 
-def test_it_changes_its_rung_at_rest_and_goes_on_with_its_account(
+def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
     block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
     step(block, world, 0, 0.001, 5 * LIMIT)
@@ -159,7 +159,7 @@ def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
     assert block.environment.gate.dropped["wrong_kind"] == 0
 
 
-def test_an_absence_said_the_wrong_way_is_no_word_to_a_block(block: Block, world: MessageLink) -> None:
+def test_a_block_ignores_a_misdirected_absence(block: Block, world: MessageLink) -> None:
     world.say(Absent("dx"), force(0, 0.5))
     block.say(np.zeros(1), 0, 0)
     assert block.hear(0, NOW) is Received.SIGNAL
@@ -178,15 +178,15 @@ def meet_environment(block: Block, tick: int) -> MessageLink:
     return fresh
 
 
-def test_an_environment_that_is_back_is_told_where_the_block_is(block: Block, world: MessageLink) -> None:
+def test_a_returned_environment_receives_the_blocks_tick(block: Block, world: MessageLink) -> None:
     block.say(np.array([0.5]), 3, 77)
     fresh = meet_environment(block, 3)
     assert fresh.said[-1] == Tool(3, 77, [0.5])
     assert len(world.said) == 1
 
 
-def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
-    """Of which it was told D_V at the handshake: it knows of no other before it is told to shift."""
+def test_a_returned_environment_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
+    """The handshake gave it D_V of that rung; it knows no other before a shift."""
     assert shift(block, world, 0, 2) == 2
     block.say(np.zeros(1), 1, 0)
     fresh = meet_environment(block, 1)
@@ -195,7 +195,7 @@ def test_an_environment_that_is_back_finds_the_block_at_the_first_rung(block: Bl
     assert block.climb(1) == 0
     block.settle(1)
     block.say(np.zeros(1), 2, 0)
-    fresh.say(Rung(2), force(2, 0.0))  # it was told, and shifts
+    fresh.say(Rung(2), force(2, 0.0))  # it receives the shift, and shifts
     block.hear(2, NOW)
     assert block.climb(2) == 2
 
@@ -211,7 +211,7 @@ def test_a_flood_ends_the_node(block: Block, world: MessageLink, new_life: Calla
 def test_rows_follow_each_other(
     bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
 ) -> None:
-    """The first are fewer, so that not all nodes tell in the same tick."""
+    """The first telemetry has fewer rows, so that not all nodes send theirs in the same tick."""
     line, first, rows = new_line(), bundle.common.telemetry_first, bundle.common.telemetry_ticks
     assert 0 < first < rows
     for tick in range(first + rows + 3):
@@ -227,7 +227,7 @@ def test_rows_follow_each_other(
     assert line.telemetry[-1].figures["rung"] == 0.0
 
 
-def test_a_block_that_has_promised_nothing_tells_of_no_ledger(
+def test_a_block_without_a_promise_reports_no_ledger(
     bundle: CouplingBundle, block: Block, world: MessageLink, new_line: Callable[[], Any]
 ) -> None:
     block, line = Block(dataclasses.replace(bundle, level=None), block.environment), new_line()

@@ -1,4 +1,4 @@
-"""Couplings in their device's process: the same numbers to the last bit, with two messages less a tick."""
+"""Couplings in their device's process give the same numbers to the last bit, with two messages less in each tick."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_numbers_are_the_simulations(file: str, new_life: Callable[[], Any])
 
 
 def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life: Callable[[], Any]) -> None:
-    """And no link between them: a coupling tells of itself as if it were alone."""
+    """No link leads from one to the other, and a coupling sends its telemetry as if it were alone."""
     with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
         assert {plan.connector for plan in stage.graph.links} == {"cx", "cy", "cz"}
         stage.reports()
@@ -68,7 +68,7 @@ def test_a_process_has_a_line_for_each_of_its_nodes(prepared: Prepared, new_life
         np.testing.assert_array_equal(stage.lines[coupling].trace("f_v"), stage.lines[device].trace("f_v"))
 
 
-def test_what_was_said_of_a_tick_is_said_again_and_not_anew(prepared: Prepared) -> None:
+def test_a_ticks_signal_is_sent_again_and_not_computed_anew(prepared: Prepared) -> None:
     """The environment may have reckoned with the first already; and a block is asked for one p(k) a tick."""
     bundles = cut(prepared, RunPlan("simulated", None, ""))
     device, coupling = bundles["dx"], bundles["cx"]

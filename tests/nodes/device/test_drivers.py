@@ -1,4 +1,4 @@
-"""What every driver must do, and what those around a simulated device do besides."""
+"""Conformance of every driver, and what surrounds a simulated device."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def trace() -> TraceDriver:
 
 
 class Said:
-    """An inlet where the same is said over and over."""
+    """An inlet that repeats one message."""
 
     malformed = 0
 
@@ -68,7 +68,7 @@ def dragged() -> BrowserDriver:
 
 
 Make = Callable[[], Driver]
-BARE: list[Make] = [simulated, browser]  # that nobody holds
+BARE: list[Make] = [simulated, browser]  # without a hand
 DRIVERS: list[Make] = [*BARE, trace, dragged]
 
 
@@ -148,7 +148,7 @@ def test_idle_is_a_favour_not_a_duty(make: Make) -> None:
     assert any(lazy.sample(50))
 
 
-def test_what_is_told_is_named_and_finite_and_closing_can_be_done_again(driver: Driver) -> None:
+def test_its_report_is_named_and_finite_and_closing_is_repeatable(driver: Driver) -> None:
     driver.sample(0)
     driver.idle()
     assert all(type(name) is str and np.isfinite(value) for name, value in driver.figures().items())

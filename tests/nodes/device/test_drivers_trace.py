@@ -1,4 +1,4 @@
-"""The driver of a recorded motion: it is that motion, and its ledger is that of a hand that does not yield."""
+"""The driver of a recorded motion replays it exactly, and its ledger is that of a hand that does not yield."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_between_its_samples_it_is_linear_and_afterwards_it_stays() -> None:
 
 
 @given(forces, positions)
-def test_without_a_delay_its_ledger_is_that_of_a_device_at_rest_in_its_frame(
+def test_without_delay_its_ledger_equals_a_resting_devices_in_its_frame(
     force: list[tuple[float, float]], x: list[tuple[float, float]]
 ) -> None:
     K = T / 2.0 * np.linalg.inv(DELTA)

@@ -1,4 +1,4 @@
-"""Intended forces and motions: what a formula may say, what it evaluates to, and traces."""
+"""Intended forces and motions: which formulas are allowed, their values, and traces."""
 
 import math
 from typing import Any
@@ -109,7 +109,7 @@ def test_formulas_that_are_not_allowed(text: str, problem: str, position: int | 
     if position is not None:
         assert error.position == position
         assert f"at position {position}" in str(error)
-    assert "pulse(t, a, b)" in str(error)  # what is allowed is told with every error
+    assert "pulse(t, a, b)" in str(error)  # every error lists what is allowed
 
 
 def test_formulas_are_bounded() -> None:

@@ -1,4 +1,4 @@
-"""A device whose force does not come: it lets go in time, goes on sampling and guarding, and hears again."""
+"""A device without its force lets go in time, goes on with samples and its guard, and hears again later."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from manyhands.protocol.messages import Force, Sample, Start
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 PERIOD = 1_000_000  # ns
-SILENT = 5  # the tick from which on the coupling says nothing
+SILENT = 5  # the tick from which on the coupling is silent
 REACH = 0.25  # m
 
 
-class Time:
+class SteppedTime:
     """Time that passes where something waits."""
 
     def __init__(self) -> None:
@@ -42,9 +42,9 @@ class Time:
 
 
 class Coupling:
-    """The other end of the device's link: it answers at once, until it is silent, and again when ``later`` says so."""
+    """The other end of the device's link: it answers at once, then falls silent, then answers by ``later``."""
 
-    def __init__(self, time: Time, later: Callable[[int], Force | None]) -> None:
+    def __init__(self, time: SteppedTime, later: Callable[[int], Force | None]) -> None:
         self._time, self._later = time, later
         self._coming: deque[bytes] = deque()
         self.samples: list[Sample] = []
@@ -68,12 +68,12 @@ class Coupling:
         pass
 
 
-class Hand:
+class MovingDriver:
     """A driver that moves a little every period, notes when force is applied, and ends the session at last."""
 
     axes = 1
 
-    def __init__(self, time: Time, life: Any, periods: int, speed: float = 0.01) -> None:
+    def __init__(self, time: SteppedTime, life: Any, periods: int, speed: float = 0.01) -> None:
         self._time, self._life, self._periods, self._speed = time, life, periods, speed
         self.sampled: list[int] = []
         self.exerted: list[tuple[int, float]] = []
@@ -110,13 +110,12 @@ class Alone:
     ) -> None:
         bundle = cut(prepared, RunPlan(REALTIME, None, ""))["dx"]
         assert isinstance(bundle, DeviceBundle)
-        self.time, self.line, self.life = Time(), line, life
-        self.hand, self.coupling = Hand(self.time, life, **hand), Coupling(self.time, later)
-        node = self.node = DeviceNode(bundle, self.hand)  # type: ignore[arg-type]
-        node._realtime = node._clock = self.time  # type: ignore[assignment]
+        self.time, self.line, self.life = SteppedTime(), line, life
+        self.hand, self.coupling = MovingDriver(self.time, life, **hand), Coupling(self.time, later)
+        node = self.node = DeviceNode(bundle, self.hand, self.time)  # type: ignore[arg-type]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
-        node._peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node.peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
         node.loop(Start(0, 0), life, line)
 
 
@@ -185,7 +184,7 @@ def test_it_hears_again_and_goes_on_where_the_session_is(alone: Callable[..., Al
     assert len(second.traces["x"]) == report.ticks - 77  # the tick that was over is its first
 
 
-def test_a_force_of_a_later_tick_that_is_not_zero_is_not_followed(alone: Callable[..., Alone]) -> None:
+def test_a_nonzero_force_of_a_later_tick_is_not_followed(alone: Callable[..., Alone]) -> None:
     one = alone(lambda _tick: Force(77, 0, np.array([0.5])), periods=40)
     assert one.node.report().counts["jumps"] == 0
     assert one.node.report().ticks == SILENT

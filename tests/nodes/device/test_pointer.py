@@ -1,4 +1,4 @@
-"""A device at the pointer of a person's browser: held, let go, forgotten, told nonsense; its promise all the while."""
+"""A device at the pointer of a browser, held, released, forgotten or sent nonsense, keeps its promise."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def at(*position: float) -> Grasp:
     return Grasp(np.array(position))
 
 
-class Told:
-    """An inlet of a test's."""
+class FedInlet:
+    """An inlet that a test feeds."""
 
     malformed = 0
 
@@ -55,11 +55,11 @@ class Told:
         """Nothing is open."""
 
 
-class Device:
+class HeldDevice:
     """A driver with its ledger, at a given force."""
 
     def __init__(self) -> None:
-        self.inlet = Told()
+        self.inlet = FedInlet()
         self.driver = BrowserDriver(HAND, LIMITS, T, self.inlet)  # type: ignore[arg-type]
         self.core = DeviceCore(np.array([[1.37]]), np.array([[T / 2.0 / 1.37]]), T)
         self.ticks = 0
@@ -83,8 +83,8 @@ class Device:
         return self.driver.figures()[names.GRASPED] == 1.0
 
 
-def test_held_it_goes_where_the_pointer_is_and_pushes_back_as_its_hand_does() -> None:
-    device = Device()
+def test_held_it_follows_the_pointer_and_pushes_back_like_its_hand() -> None:
+    device = HeldDevice()
     assert device.go(100) == 0.0
     assert not device.grasped
     assert device.go(1500, at(0.06)) == pytest.approx(0.06, rel=1e-3)
@@ -94,13 +94,13 @@ def test_held_it_goes_where_the_pointer_is_and_pushes_back_as_its_hand_does() ->
 
 
 def test_let_go_it_is_a_mass_with_its_damping() -> None:
-    device = Device()
+    device = HeldDevice()
     device.go(1500, at(0.06), force=2.0)
     device.go(1, Release(), force=0.0)
     assert not device.grasped
     resting = device.go(2000)
     assert resting == pytest.approx(0.07, rel=1e-3)  # nothing draws it back to the pointer
-    free = Device()
+    free = HeldDevice()
     free.go(1)
     moved = np.array(device.x)
     device.go(50, force=1.0)
@@ -111,7 +111,7 @@ def test_let_go_it_is_a_mass_with_its_damping() -> None:
 
 
 def test_caught_again_it_is_drawn_from_where_it_is() -> None:
-    device = Device()
+    device = HeldDevice()
     device.go(1000, at(0.06))
     device.go(1000, Release())
     begin = device.x[-1]
@@ -120,8 +120,8 @@ def test_caught_again_it_is_drawn_from_where_it_is() -> None:
     assert device.go(1500, at(-0.06)) == pytest.approx(-0.06, rel=1e-3)
 
 
-def test_a_hand_that_falls_silent_is_open_after_two_seconds_of_ticks() -> None:
-    device = Device()
+def test_a_silent_hand_opens_after_two_seconds_of_ticks() -> None:
+    device = HeldDevice()
     device.go(1, at(0.01))
     device.go(round(PATIENCE / T) - 1)
     assert device.grasped
@@ -130,7 +130,7 @@ def test_a_hand_that_falls_silent_is_open_after_two_seconds_of_ticks() -> None:
     assert device.driver.figures()[names.GRASPS_LAPSED] == 1.0
     device.go(1, at(0.02))
     device.go(1500)
-    device.go(1500, at(0.02))  # said again in time
+    device.go(1500, at(0.02))  # repeated in time
     assert device.grasped
 
 
@@ -156,23 +156,23 @@ said = st.none() | st.just(Release()) | st.floats(-0.3, 0.3).map(at) | st.just(a
 
 @given(st.lists(st.tuples(said, st.integers(1, 40), st.floats(-5.0, 5.0)), min_size=1, max_size=12))
 def test_the_promise_is_kept_whoever_holds_it_when(acts: list[tuple[Grasp | Release | None, int, float]]) -> None:
-    device = Device()
+    device = HeldDevice()
     for word, ticks, force in acts:
         device.go(ticks, word, force)
     assert device.core.ledger.minimum >= -1e-15
     assert np.all(np.isfinite(device.x))
 
 
-def test_a_hand_that_kept_its_tension_when_it_closed_would_break_it() -> None:
+def test_keeping_the_tension_at_closing_would_break_the_level() -> None:
     """What the check above is able to see: a spring that is tense from the beginning is energy from nowhere."""
-    device = Device()
+    device = HeldDevice()
     device.driver._held.holding = lambda x, v: [*x, *v, 0.0, 0.05]  # type: ignore[method-assign]
     device.go(300, at(0.0), force=0.2)
     assert device.core.ledger.minimum < -1e-4
 
 
 def test_a_wild_pointer_does_not_take_it_out_of_its_limits() -> None:
-    device = Device()
+    device = HeldDevice()
     for tick in range(400):
         device.go(10, at(1e300 * (-1) ** (tick // 20)))
     x = np.array(device.x)
@@ -225,7 +225,7 @@ def test_nobody_can_hold_it_in_another_time_or_place(
 
 def test_a_drag_moves_the_other_user_and_every_promise_is_kept(prepared: Prepared) -> None:
     simulation = Simulation(prepared)
-    inlet = Told()
+    inlet = FedInlet()
     left = simulation._drivers[0]
     assert isinstance(left, BrowserDriver)
     left._inlet = inlet  # type: ignore[assignment]

@@ -1,4 +1,4 @@
-"""The follower of a pointer: within its bounds whatever the pointer does, and there in the end without overshoot."""
+"""The follower of a pointer stays within its bounds for any motion, and arrives without overshoot."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_axes_are_apart() -> None:
     assert both.position == [alone[0].position[0], alone[1].position[0]]
 
 
-def test_a_follower_that_may_go_faster_than_it_can_brake_would_overshoot() -> None:
+def test_a_follower_faster_than_it_can_brake_would_overshoot() -> None:
     """Why the speed is bounded by the acceleration: what the check above is able to see."""
     one = follower(1e-3, reach=10.0)
     one._most = [5.0 * 1e-3]

@@ -1,4 +1,4 @@
-"""What a device keeps of its ticks: rows that follow each other, breaches, and what is told when the session jumps."""
+"""A device's record of its ticks: rows in order, breaches, and the telemetry of a session that jumps."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)
 GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
 
 
-class Device:
-    """An account, and a session that it is told of tick by tick."""
+class TelemetryDevice:
+    """A device's telemetry, and a session that feeds it tick by tick."""
 
     def __init__(self, line: Any) -> None:
         self.account, self.line, self.at = DeviceTelemetry(COMMON, TAU), line, 0
@@ -53,14 +53,14 @@ class Device:
 
 
 @pytest.fixture
-def device(new_line: Callable[[], Any]) -> Device:
-    return Device(new_line())
+def device(new_line: Callable[[], Any]) -> TelemetryDevice:
+    return TelemetryDevice(new_line())
 
 
 @given(steps=st.lists(st.one_of(st.integers(1, 25), st.just(0), st.integers(-40, -1)), max_size=30))
 def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Callable[[], Any]) -> None:
     """Positive: so many ticks; 0: a period without a force; negative: the session is so many ticks further on."""
-    device, tick, done = Device(new_line()), 0, []
+    device, tick, done = TelemetryDevice(new_line()), 0, []
     jumps = released = 0
     for step in steps:
         if step < 0:
@@ -88,7 +88,7 @@ def test_rows_are_those_up_to_tick_without_a_gap(steps: list[int], new_line: Cal
     assert told == done
 
 
-def test_telemetry_is_told_when_it_is_time_and_nothing_is_told_twice(device: Device) -> None:
+def test_telemetry_is_sent_when_due_and_nothing_twice(device: TelemetryDevice) -> None:
     for tick in range(2 * ROWS):
         device.tick(tick)
     assert [telemetry.tick for telemetry in device.line.telemetry] == [ROWS, 2 * ROWS]
@@ -96,7 +96,7 @@ def test_telemetry_is_told_when_it_is_time_and_nothing_is_told_twice(device: Dev
     assert len(device.line.telemetry) == 2
 
 
-def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(device: Device) -> None:
+def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(device: TelemetryDevice) -> None:
     for tick, tau in enumerate([TAU, TAU + 1, 3 * TAU]):
         device.tick(tick, tau=tau)
     assert device.end()["tau_breaches"] == 2
@@ -106,7 +106,7 @@ def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(devic
     assert device.end()["tau_breaches"] == 3
 
 
-def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> None:
+def test_the_worst_delay_is_that_since_the_last_telemetry(device: TelemetryDevice) -> None:
     for tick in range(2 * ROWS):
         device.tick(tick, tau=5000 if tick == 1 else 1000)
     assert [telemetry.figures["tau_worst_us"] for telemetry in device.line.telemetry] == [5.0, 1.0]
@@ -115,7 +115,7 @@ def test_the_worst_delay_is_that_since_the_last_telemetry(device: Device) -> Non
     assert second == [1.0] * ROWS
 
 
-def test_telemetry_tells_the_percentiles_of_the_true_period_since_the_start(device: Device) -> None:
+def test_telemetry_has_percentiles_of_the_true_period_since_the_start(device: TelemetryDevice) -> None:
     for tick in range(2 * ROWS):
         device.tick(tick, after=3 * MS if tick == 15 else MS)
     first, second = (telemetry.figures for telemetry in device.line.telemetry)
@@ -134,13 +134,13 @@ def test_telemetry_tells_the_percentiles_of_the_true_period_since_the_start(devi
         (round(MS * (1 - PERIOD_TOLERANCE)) - 1, 1),
     ],
 )
-def test_periods_that_are_none_are_counted(device: Device, after: int, breaches: int) -> None:
+def test_periods_that_are_none_are_counted(device: TelemetryDevice, after: int, breaches: int) -> None:
     device.tick(0)
     device.tick(1, after=after)
     assert device.end()["period_breaches"] == breaches
 
 
-def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) -> None:
+def test_periods_without_force_or_with_a_jump_are_not_judged(device: TelemetryDevice) -> None:
     device.tick(0)
     device.account.release(1)
     device.tick(1, after=7 * MS)
@@ -149,7 +149,7 @@ def test_a_period_without_force_or_a_jump_is_no_period_to_judge(device: Device) 
     assert device.end()["period_breaches"] == 0
 
 
-def test_a_tick_is_late_when_its_force_comes_after_the_next_was_due(device: Device) -> None:
+def test_a_force_after_the_next_due_time_makes_its_tick_late(device: TelemetryDevice) -> None:
     device.tick(0, tau=MS)
     device.tick(1, tau=MS + 1)
     counts = device.end()

@@ -66,7 +66,7 @@ def test_each_late_tick_is_counted_once_and_no_other(ticks: list[tuple[int, ...]
     assert set(lateness.figures()) == {"late_own", "late_descheduled", "late_partner"}
 
 
-def test_a_tick_that_ends_when_the_next_is_due_is_in_time() -> None:
+def test_a_tick_ending_when_the_next_is_due_is_in_time() -> None:
     lateness = LatenessCounter(T)
     due = Instant(0)
     assert lateness.judge(due, due, due, due, due, Instant(T)) is None

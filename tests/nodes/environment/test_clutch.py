@@ -1,4 +1,4 @@
-"""Clutches in the environment's core: lossless at every tick, without a step, and the whole loop's forces."""
+"""Clutches in the environment's core: lossless at every tick, free of steps, and equal to the whole loop's forces."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Oracle:
         f_e = -np.linalg.solve(np.eye(m) + self.E.D @ D, self.E.C @ self.eta + self.E.D @ r)
         f_c = S * f_e
         x_e, x_c = r + D @ f_e, p + self.D_V @ f_c
-        moved = np.where(S > 0.0, x_c - self.x_c, 0.0)  # who is frozen or joins is not followed
+        moved = np.where(S > 0.0, x_c - self.x_c, 0.0)  # a frozen or joining block is not followed
         out_of, into = f_c * moved, f_e * (x_e - self.x_e)
         self.given_up = float(np.sum(into) - np.sum(out_of))
         self.rounding = 64.0 * EPS * float(np.sum(np.abs(f_e) * (np.abs(x_e) + np.abs(x_c) + np.abs(self.x_c))))
@@ -100,7 +100,7 @@ def tools(core: EnvironmentCore) -> np.ndarray:
     """x_e(k), m, of the tick that is decided."""
     later = copy.deepcopy(core)
     later.settle()
-    return np.array(later._x_e)
+    return np.array(later.tools)
 
 
 def states(core: EnvironmentCore, count: int) -> list[tuple[float, bool]]:
@@ -114,7 +114,7 @@ deeds = st.lists(st.tuples(st.integers(0, 25), st.integers(0, 9), st.sampled_fro
 # --- the phases
 
 
-def test_every_phase_knows_what_it_can_be_told() -> None:
+def test_every_phase_has_its_allowed_events() -> None:
     told = (ClutchEvent.FREEZE, ClutchEvent.ENGAGE, ClutchEvent.DISENGAGE)
     own = {(ClutchPhase.LEAVING, ClutchEvent.FALLEN), (ClutchPhase.JOINING, ClutchEvent.REFERRED)}
     assert set(NEXT) == {(phase, event) for phase in ClutchPhase for event in told} | own
@@ -129,7 +129,7 @@ def test_every_phase_knows_what_it_can_be_told() -> None:
 
 
 @pytest.mark.parametrize("ramp", [1, 7, RAMP])
-def test_a_ramp_rises_and_falls_in_its_ticks_and_never_faster_than_it_may(ramp: int) -> None:
+def test_a_ramp_takes_its_ticks_and_keeps_its_greatest_rate(ramp: int) -> None:
     world = ClutchedLoop(1, [[0], [1]], ramp)
     core, p = world.core, np.zeros(2)
     core.clutches.freeze(0)
@@ -165,7 +165,7 @@ def test_who_leaves_may_turn_round() -> None:
     assert turned < core.clutches.ratio(0) <= turned + math.pi / 40.0
 
 
-def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
+def test_freezing_begins_with_the_next_react() -> None:
     """Between react and settle the tick is decided: the tool rests where this tick has left it."""
     world = ClutchedLoop(3, [[0], [1]])
     core, other = world.core, copy.deepcopy(world.core)
@@ -200,7 +200,7 @@ def test_it_is_frozen_from_the_word_on_and_not_before_the_next_react() -> None:
 def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
     seed: int, blocks: list[list[int]], plan: list[tuple[int, int, Deed]], pause: int, budget: float
 ) -> None:
-    """Whatever freezes, leaves and joins, and whoever is held to an energy budget."""
+    """For any freezing, leaving and joining, and with any party held to an energy budget."""
     world = ClutchedLoop(seed, blocks, budget=budget)
     core, oracle, rng = world.core, Oracle(world), world.rng
     at: dict[int, list[tuple[int, Deed]]] = {}
@@ -226,7 +226,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         scale = max(scale, float(np.max(np.abs(expected))))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * scale + 1e-12)
         core.settle()
-        np.testing.assert_allclose(core._x_e, oracle.x_e, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(core.tools, oracle.x_e, rtol=0, atol=1e-12)
         given_up += oracle.given_up
         newly = [i for i in range(len(blocks)) if core.clutches.settled(i) and not before[i][1]]
         assert len(newly) <= 1
@@ -289,7 +289,7 @@ def test_all_may_be_frozen_and_come_back() -> None:
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), blocks=st.sampled_from([[[0], [1], [2]], [[0, 2], [1]], [[3, 1], [0, 4], [2]]]))
-def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: int, blocks: list[list[int]]) -> None:
+def test_others_feel_at_most_one_ticks_motion_of_the_frozen_tool(seed: int, blocks: list[list[int]]) -> None:
     """At the freezing tick, at the engaging one, and at the first of the ramp, whatever the forces were.
 
     With the same history, f_j differs from what it were else by (I + D_jj D_V,j)^-1 D_ji times the difference of the
@@ -306,7 +306,7 @@ def test_the_others_feel_no_more_than_one_ticks_motion_of_the_frozen_tool(seed: 
     def compare(deed: Callable[[EnvironmentCore], None]) -> float:
         """The tick with and without ``deed``: how much the others' forces differ; and how much they may."""
         without = copy.deepcopy(core)
-        rest = np.array(core._x_e)[frozen]
+        rest = np.array(core.tools)[frozen]
         deed(core)
         found, expected = react(core, p).copy(), react(without, p).copy()
         moved = [tools(which)[frozen] - rest for which in (core, without)]
@@ -414,7 +414,7 @@ def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
     assert np.max(after) <= 1.5 * after[0]
 
 
-def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> None:
+def test_an_offset_of_several_axes_shrinks_by_motion_in_all() -> None:
     world = ClutchedLoop(12, [[0, 2, 1]])
 
     def hand(k: int) -> np.ndarray:
@@ -426,8 +426,8 @@ def test_an_offset_of_several_axes_is_worked_off_by_motion_in_all_of_them() -> N
     assert 0.0 < np.linalg.norm(offsets[-2]) <= LET_GO
 
 
-def test_an_offset_is_not_let_go_under_a_force_that_has_turned() -> None:
-    """The force of the tick itself decides, by trial; that of the tick before only says whether to try."""
+def test_an_offset_is_kept_under_a_force_that_has_turned() -> None:
+    """The force of the tick itself decides, by trial; the force of the tick before only shows whether to try."""
     k, o = 1000.0, 5e-7
     core = EnvironmentCore(StateSpace.static([[k]]), np.zeros((1, 1)), None, T, None, 1)
     core.clutches.freeze(0)
@@ -502,7 +502,7 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
     assert core.clutches.ratio(0) > 0.99 * SLOWEST
 
 
-def test_a_feedthrough_that_is_exchanged_within_a_tick_is_that_of_the_next() -> None:
+def test_a_feedthrough_exchanged_within_a_tick_acts_in_the_next() -> None:
     """Forces are found, then a block changes its rung, then the tick ends: as it would have without that."""
     within, behind = ClutchedLoop(23, [[0, 2], [1]]), ClutchedLoop(23, [[0, 2], [1]])
     fresh = within.feedthrough(2)

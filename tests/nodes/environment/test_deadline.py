@@ -37,8 +37,8 @@ def decide(deadline: Deadline, now: float, *facts: str) -> Decision:
 @pytest.mark.parametrize(
     ("seen", "due", "given_up"),
     [
-        # when somebody was found there, when the devices sampled, when the missing one is given up; ms after BEGAN
-        (0.2, 0.0, 3.2),  # the one who is there waits since it was found
+        # first member found there, sampling of the devices, giving up of the missing one; ms after BEGAN
+        (0.2, 0.0, 3.2),  # the present member waits since it was found
         (1.0, 0.0, 4.0),
         (2.5, 0.0, 4.0),  # found later than a period after the tick before: it came after a period at the earliest
         (0.2, 0.8, 3.8),  # and not before the devices sample
@@ -78,8 +78,8 @@ def test_forgets_beyond_stale_and_pardons_while_nobody_is_there(
     ("facts", "listened"),
     [
         (("present", "missing"), False),  # the node was away itself
-        (("present",), True),  # nobody is missing
-        (("missing",), True),  # nobody waits
+        (("present",), True),  # no member is missing
+        (("missing",), True),  # no member waits
         (("missing", "later"), True),
     ],
 )

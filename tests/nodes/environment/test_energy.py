@@ -1,4 +1,4 @@
-"""The energy accounts of the environment's parties, and what their budgets let through."""
+"""The energy accounts of the environment's parties, and what their budgets admit."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def test_a_party_within_its_budget_is_never_scaled(power: float, size: float, pa
     parts=st.lists(st.tuples(st.floats(0.0, 1.0), joules, joules), min_size=1, max_size=60),
     known=st.booleans(),
 )
-def test_who_puts_in_half_a_bucket_is_not_scaled_whatever_the_others_do(
+def test_a_party_below_half_its_bucket_is_never_scaled(
     size: float, parts: list[tuple[float, float, float]], known: bool
 ) -> None:
     energy = accounts(
@@ -191,7 +191,7 @@ def test_who_puts_in_half_a_bucket_is_not_scaled_whatever_the_others_do(
         assert energy.ratio(0) == 1.0
 
 
-def test_a_party_that_is_stopped_goes_on_once_half_its_bucket_is_free() -> None:
+def test_a_stopped_party_goes_on_once_half_its_bucket_is_free() -> None:
     energy = accounts(2, [EnergyBudget(1.0, 1.0, STORE), EnergyBudget(1.0, 1.0, STORE)])
     energy.supply([0.97, -0.97])
     assert energy.ratio(0) == 0.0
@@ -213,7 +213,7 @@ def test_ports_of_a_block_count_together() -> None:
     assert energy.moved == [[0.0, pytest.approx(POSTING * 0.4)], [0.0, 0.0]]
 
 
-def test_a_tick_that_is_worth_an_eighth_of_a_bucket_is_posted_at_once() -> None:
+def test_a_tick_worth_an_eighth_of_a_bucket_is_posted_immediately() -> None:
     energy = accounts(2, [EnergyBudget(1e-6, 1.0, STORE), EnergyBudget(1.0, 4.0, STORE)], known=True)
     for put, ratio in ((0.1, 1.0), (0.1, 1.0), (0.35, pytest.approx(0.9))):  # only the third makes a posting
         energy.enter([-put, 0.0], [1.0, 1.0], [0.0, 0.0])

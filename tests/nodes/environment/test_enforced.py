@@ -27,7 +27,7 @@ D_V = np.array([[1 / 700, 0, 1e-4], [0, 1 / 900, 0], [2e-4, 0, 1 / 1000]])  # m/
 
 
 class Model:
-    """A model that answers what a function of the tool positions and the tick says."""
+    """A model whose answer is a function of the tool positions and the tick."""
 
     def __init__(self, answer: Callable[[np.ndarray, int], Any]) -> None:
         self._answer = answer
@@ -196,7 +196,7 @@ def test_as_a_safety_net_it_never_acts_and_changes_nothing(
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_block_that_leaves_is_held_to_it_at_the_hands_side_too(seed: int) -> None:
+def test_a_leaving_block_is_held_to_it_at_its_hands_side(seed: int) -> None:
     """No force of a tick but what (p, D_V) answer to: an account of the ports as the couplings see them."""
     rng = np.random.default_rng(seed)
     core = core_of(adversary("noise", rng), np.zeros((3, 3)), ramp=150)
@@ -255,7 +255,7 @@ def test_a_frozen_port_feels_nothing_of_the_model() -> None:
     core.exchange(0, 1e-3 * np.eye(2))
 
 
-def test_a_level_is_needed_to_enforce_one_and_a_coupling_that_gives_way() -> None:
+def test_enforcing_needs_a_level_and_a_compliant_coupling() -> None:
     with pytest.raises(ValueError, match="no level to enforce"):
         core_of(lambda x_e, k: x_e, None)
     law = BlackBox(AskedModel("some:model", Model(lambda x_e, k: x_e), PORTS))
@@ -263,7 +263,7 @@ def test_a_level_is_needed_to_enforce_one_and_a_coupling_that_gives_way() -> Non
         EnforcedCore(law, np.zeros((3, 3)), np.eye(3), T, True)
 
 
-def test_the_model_is_asked_ahead_of_the_tick_and_its_arrays_are_its_own() -> None:
+def test_the_model_is_called_ahead_and_keeps_its_own_arrays() -> None:
     seen: list[tuple[int, np.ndarray]] = []
     returned = np.zeros(3)
 
@@ -354,7 +354,7 @@ def importable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
-def test_a_factory_is_told_ports_period_and_parameters(importable: str) -> None:
+def test_a_factory_receives_ports_period_and_parameters(importable: str) -> None:
     parameters: Mapping[str, Any] = {"stiffness": 3.0}
     model = make_model(ModelName(f"{importable}:Spring", parameters), PORTS, T)
     assert model.told == (PORTS, T, parameters)  # type: ignore[attr-defined]

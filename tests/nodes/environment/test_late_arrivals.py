@@ -1,4 +1,4 @@
-"""Who is charged for making others wait, and when that is a reason to freeze."""
+"""Which party is charged for the time that the others waited, and when it is frozen for it."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def judged(*arrivals: tuple[float, int], crossed: bool = False) -> dict[int, flo
         ([(0.1, 0), (0.12, 1), (2.3, 2)], {2: 2.18}),  # the last is charged what it adds
         ([(0.1, 0), (0.6, 1)], {}),  # within the allowance
         ([(0.1, 0), (0.61, 1)], {1: 0.51}),
-        ([(2.2, 0), (2.21, 1), (2.22, 2)], {}),  # all late alike: nobody waited for anybody
-        ([(2.2, 0)], {}),  # nobody else is there
+        ([(2.2, 0), (2.21, 1), (2.22, 2)], {}),  # all late alike: no member waited for any other
+        ([(2.2, 0)], {}),  # no other member is there
         ([(0.1, 0), (2.2, 1), (2.21, 2)], {1: 2.1}),  # read at once after a late one: it was there
         ([(0.1, 0), (1.0, 1), (2.2, 2)], {1: 0.9, 2: 1.2}),  # two together: each what it adds
         ([(0.1, 0), (0.5, 1), (0.9, 2)], {2: 0.4}),  # small steps do not hide the sum
-        ([(-0.9, 0), (0.15, 1)], {}),  # who speaks before the tick is due makes nobody late
+        ([(-0.9, 0), (0.15, 1)], {}),  # a signal before the tick is due makes no other late
         ([(-0.9, 0), (0.6, 1)], {1: 0.6}),  # and waits from when it is due on
     ],
 )
@@ -58,7 +58,7 @@ def test_who_is_charged_how_much(arrivals: list[tuple[float, int]], charged: dic
     ("at", "crossed", "charged"),
     [(1.1, True, {}), (1.1, False, {1: 1.0}), (0.9, True, {1: 0.8}), (1.6, True, {1: 1.5}), (2.1, True, {1: 2.0})],
 )
-def test_forces_that_leave_at_the_end_of_a_period_may_miss_the_next_sample(
+def test_forces_sent_late_in_a_period_may_miss_the_next_sample(
     at: float, crossed: bool, charged: dict[int, float]
 ) -> None:
     assert judged((0.1, 0), (at, 1), crossed=crossed) == pytest.approx(charged)
@@ -75,7 +75,7 @@ def test_a_burst_is_no_reason_to_freeze_and_one_more_is() -> None:
     assert late_for_ever(late, range(BURST, BURST + 3))[0] == BURST
 
 
-def test_after_a_burst_a_share_is_allowed_and_the_next_burst_only_when_the_last_has_lapsed() -> None:
+def test_after_a_burst_only_a_share_is_allowed_until_it_lapses() -> None:
     late = LateArrivals(2, T, HALF)
     assert late_for_ever(late, range(BURST)) == []
     every = round(1 / SHARE)
@@ -85,7 +85,7 @@ def test_after_a_burst_a_share_is_allowed_and_the_next_burst_only_when_the_last_
     assert late_for_ever(late, range(rested, rested + BURST)) == []
 
 
-def test_who_was_frozen_is_frozen_again_at_the_first_late_tick_however_long_it_was_away() -> None:
+def test_a_frozen_member_is_frozen_again_at_its_first_late_tick() -> None:
     late = LateArrivals(2, T, HALF)
     (*_, frozen) = late_for_ever(late, range(BURST + 2))
     back = frozen + 10_000
@@ -101,7 +101,7 @@ def test_however_often_it_was_frozen_the_same_time_lets_it_lapse() -> None:
     assert late_for_ever(late, range(rested, rested + BURST)) == []
 
 
-def test_on_a_slow_machine_where_all_are_late_in_turns_nobody_is_frozen() -> None:
+def test_on_a_slow_machine_members_late_in_turns_stay_active() -> None:
     late = LateArrivals(3, T, HALF)
     for tick in range(20_000):
         slow = tick % 3
@@ -111,7 +111,7 @@ def test_on_a_slow_machine_where_all_are_late_in_turns_nobody_is_frozen() -> Non
 
 
 def test_who_is_never_late_spares_nobody() -> None:
-    """Two in turns, and one that is on time: what the two have in common is not everybody's."""
+    """Two in turns, and one that is on time: the delay that the two share is not common to all."""
     late = LateArrivals(3, T, HALF)
     frozen = set()
     for tick in range(3 * BURST):
@@ -147,7 +147,7 @@ arrivals = st.lists(st.integers(-T, 3 * T), min_size=1, max_size=4).map(sorted)
 
 
 @given(ats=arrivals, crossed=st.booleans())
-def test_charges_never_exceed_what_was_waited_and_the_first_is_never_charged(ats: list[int], crossed: bool) -> None:
+def test_charges_never_exceed_the_wait_and_the_first_pays_nothing(ats: list[int], crossed: bool) -> None:
     late = LateArrivals(len(ats), T, HALF)
     late.judge(0, DUE, crossed, [(DUE + at, index) for index, at in enumerate(ats)])
     base = max(ats[0], 0)
@@ -161,14 +161,14 @@ def test_charges_never_exceed_what_was_waited_and_the_first_is_never_charged(ats
 
 @given(ats=arrivals)
 def test_whenever_somebody_exceeds_the_allowance_somebody_is_charged(ats: list[int]) -> None:
-    """But for steps so small that a signal may have been there: one for each coupling at most."""
+    """Steps so small that a signal may have been there are excepted: at most one for each coupling."""
     late = LateArrivals(len(ats), T, HALF)
     late.judge(0, DUE, False, [(DUE + at, index) for index, at in enumerate(ats)])
     if ats[-1] - max(ats[0], 0) > HALF + len(ats) * AT_ONCE * T:
         assert any(late.ticks)
 
 
-def test_a_wait_for_who_is_gone_is_told_and_charged_to_nobody() -> None:
+def test_a_wait_for_a_gone_member_is_charged_to_nobody() -> None:
     late = LateArrivals(2, T, HALF)
     late.gone(5, [1])
     assert late.lately == [[], [5]]

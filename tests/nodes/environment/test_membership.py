@@ -1,6 +1,6 @@
-"""The couplings around an environment: frozen, expected, let in again, and changed to other rungs, by what is heard.
+"""The couplings around an environment: frozen, expected, active again, and changed to other rungs.
 
-With a real core; links, line and time are the test's.
+The core is real; the test provides links, line and time.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class TwoCouplings:
         return self.members.hear(member, self.p, self.tick, NOW)
 
     def say(self, name: str, tick: int | None = None, value: float = 0.01) -> None:
-        """A coupling says its p(k), m: of this tick by default."""
+        """Send a coupling's p(k), m, by default of this tick."""
         self.ends[name].say(Tool(self.tick if tick is None else tick, 0, np.array([value])))
 
     def finish(self) -> np.ndarray:
@@ -91,7 +91,7 @@ class TwoCouplings:
         return f
 
     def together(self, ticks: int = 1, *, but: str = "") -> None:
-        """Everybody else but one speaks, is heard and answered."""
+        """Run ticks in which all couplings except ``but`` send, are received and are answered."""
         for _ in range(ticks):
             for member in self.members.all:
                 if member.peer_link.peer.name != but:
@@ -100,7 +100,7 @@ class TwoCouplings:
             self.finish()
 
     def forces(self, name: str) -> dict[int, float]:
-        """What it was told, by tick."""
+        """The forces that it received, by tick."""
         return {told.tick: told.values[0] for told in self.ends[name].said if isinstance(told, Reaction)}
 
     def lose(self, name: str) -> None:
@@ -158,7 +158,7 @@ def frozen_for(world: TwoCouplings, ticks: int) -> int:
     return behind
 
 
-def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(world: TwoCouplings) -> None:
+def test_a_member_behind_receives_its_due_tick_and_is_awaited_there(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     assert world.hear(world.cy) is Received.NOTHING
@@ -166,12 +166,12 @@ def test_who_is_behind_is_told_where_the_session_will_be_and_waited_for_there(wo
     assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
     assert world.forces("cy")[due - 1] == 0.0
     while world.tick < due:
-        assert not world.cy.missing(world.tick)  # nobody waits in the meantime
+        assert not world.cy.missing(world.tick)  # no member waits in the meantime
         world.together(but="cy")
     assert world.cy.missing(due)
 
 
-def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> None:
+def test_it_rejoins_by_a_ramp_from_zero_force(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -187,7 +187,7 @@ def test_it_is_let_in_by_a_ramp_that_begins_at_no_force(world: TwoCouplings) -> 
     assert world.core.clutches.ratio(1) == 1.0
 
 
-def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: TwoCouplings) -> None:
+def test_the_signal_of_its_due_tick_may_come_early(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -204,7 +204,7 @@ def test_its_signal_of_the_tick_at_which_it_is_due_may_come_early(world: TwoCoup
 
 
 def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
-    """It was told to go on there, and frozen again, or by the environment before."""
+    """It received that tick and was frozen again, or an earlier environment sent it there."""
     frozen_for(world, 20)
     due = world.tick + LEAD
     world.say("cy", due, 0.02)
@@ -220,7 +220,7 @@ def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
     assert (world.p[1], world.cy.membership.state) == (0.03, Membership.ACTIVE)
 
 
-def test_a_signal_sent_before_it_knew_its_due_tick_does_not_activate_it(world: TwoCouplings) -> None:
+def test_a_signal_from_before_its_due_tick_was_known_activates_nobody(world: TwoCouplings) -> None:
     """It is on its way to that tick, and would be waited for in between."""
     behind = frozen_for(world, 20)
     world.say("cy", behind)
@@ -236,7 +236,7 @@ def test_a_signal_sent_before_it_knew_its_due_tick_does_not_activate_it(world: T
     assert world.members.all_active
 
 
-def test_where_nobody_is_active_the_session_goes_on_at_the_tick_of_who_is_ahead(world: TwoCouplings) -> None:
+def test_with_nobody_active_the_session_continues_at_the_furthest_tick(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.ends["cx"].say(Absent("dx"))
     world.hear(world.cx)
@@ -255,7 +255,7 @@ def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: TwoCouplings, ahead: int
     assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
-def test_a_signal_of_a_later_tick_from_an_active_member_is_a_stray(world: TwoCouplings) -> None:
+def test_an_active_members_signal_of_a_later_tick_is_a_stray(world: TwoCouplings) -> None:
     world.together(3)
     world.say("cy", world.tick + 1)
     assert world.hear(world.cy) is Received.NOTHING
@@ -263,8 +263,8 @@ def test_a_signal_of_a_later_tick_from_an_active_member_is_a_stray(world: TwoCou
     assert world.cy.peer_link.gate.dropped["future_tick"] == 1
 
 
-def test_who_has_lost_a_device_is_answered_what_it_has_said_early(world: TwoCouplings) -> None:
-    """It would wait for that and say nothing more, and whoever waits for its device's return would wait for it."""
+def test_a_coupling_without_its_device_is_answered_at_its_early_tick(world: TwoCouplings) -> None:
+    """Without the answer it would wait in silence, and peers that wait for its device's return would wait for it."""
     frozen_for(world, 20)
     ahead = world.tick + LEAD
     world.say("cy", ahead)
@@ -289,7 +289,7 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: TwoCou
     assert world.core.clutches.frozen(1)
 
 
-def test_who_does_not_come_when_it_is_due_is_left_alone_for_a_while(world: TwoCouplings) -> None:
+def test_a_member_absent_when_due_gets_a_pause(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
     world.say("cy", behind)
     world.hear(world.cy)
@@ -318,7 +318,7 @@ def test_a_signal_that_was_answered_is_answered_again_as_before(world: TwoCoupli
     assert world.hear(world.cy) is Received.NOTHING
     assert said[-1] == last
     assert len(said) == 4
-    world.say("cy", world.tick - 2)  # nobody asks so late
+    world.say("cy", world.tick - 2)  # no peer asks so late
     world.hear(world.cy)
     assert len(said) == 4
     assert world.members.all_active
@@ -337,7 +337,7 @@ def test_a_coupling_that_has_lost_a_device_is_frozen_at_once(world: TwoCouplings
 
 @pytest.mark.parametrize("left", range(1, LEAD + 1))
 def test_near_the_end_one_is_invited_to_the_last_tick(world: TwoCouplings, left: int) -> None:
-    """Not beyond it: who is active may wait for a device of several blocks, and that one for this block's force."""
+    """Not beyond it: an active block may wait for a device of several blocks, and the device for this block's force."""
     behind = frozen_for(world, 20)
     world.members.last = world.tick + left
     world.say("cy", behind)
@@ -354,7 +354,7 @@ def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
     assert world.life.failure.startswith("environment: cy sent 513 stray frames")
 
 
-def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: TwoCouplings) -> None:
+def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> None:
     world.together(3)
     world.members.let_go(world.tick)
     first = world.tick
@@ -365,7 +365,7 @@ def test_who_has_waited_in_vain_for_the_environment_is_let_in_by_a_ramp(world: T
 
 
 class Test_a_coupling_that_was_lost:
-    def test_is_welcomed_told_the_tick_and_let_in(self, world: TwoCouplings) -> None:
+    def test_is_welcomed_receives_the_tick_and_rejoins(self, world: TwoCouplings) -> None:
         world.together(200)
         world.lose("cy")
         assert world.cy.membership.state is Membership.GONE
@@ -386,7 +386,7 @@ class Test_a_coupling_that_was_lost:
         world.together(3, but="cy")
         assert world.core.clutches.frozen(1)
 
-    def test_is_at_the_first_rung_and_changed_again_before_it_is_let_in(self, world: TwoCouplings) -> None:
+    def test_is_at_the_first_rung_and_shifted_again_before_it_rejoins(self, world: TwoCouplings) -> None:
         world.together(200)
         world.members.obey(Shift("cy", 2), world.line, world.tick)  # type: ignore[arg-type]
         world.together(2 * RAMP)
@@ -405,7 +405,7 @@ class Test_a_coupling_that_was_lost:
 
 
 class Test_a_change_of_rung:
-    def test_is_said_at_no_force_and_before_it(self, world: TwoCouplings) -> None:
+    def test_is_sent_at_zero_force_and_before_it(self, world: TwoCouplings) -> None:
         world.together(200)
         world.members.obey(Shift("cy", 1), world.line, world.tick)  # type: ignore[arg-type]
         world.ends["cy"].said.clear()
@@ -459,7 +459,7 @@ class Test_a_change_of_rung:
         world.together(RAMP + 1)
         assert [world.core.clutches.ratio(block) for block in (0, 1)] == [1.0, 1.0]
 
-    def test_where_no_mixture_is_certified_waits_for_nobody_who_is_frozen(self, new_life: Callable[[], Any]) -> None:
+    def test_without_certified_mixture_waits_for_no_frozen_member(self, new_life: Callable[[], Any]) -> None:
         world = TwoCouplings(new_life(), independent=False)
         frozen_for(world, 20)
         for name in NAMES:
@@ -495,7 +495,7 @@ class Test_an_environment_that_comes_back:
         assert back.members.active == []
         assert all(back.core.clutches.frozen(block) for block in (0, 1))
 
-    def test_takes_the_greatest_tick_and_tells_the_others(self, back: TwoCouplings) -> None:
+    def test_takes_the_greatest_tick_and_sends_it_to_others(self, back: TwoCouplings) -> None:
         back.say("cx", 430)
         assert back.hear(back.cx) is Received.DECLINED
         assert back.members.ahead == 430
@@ -509,7 +509,7 @@ class Test_an_environment_that_comes_back:
         assert back.hear(back.cx) is Received.SIGNAL
         assert back.cx.membership.state is Membership.ACTIVE
 
-    def test_is_not_led_astray_by_nonsense(self, back: TwoCouplings) -> None:
+    def test_ignores_nonsense(self, back: TwoCouplings) -> None:
         back.say("cx", 2**62)
         assert back.hear(back.cx) is Received.NOTHING
         assert back.members.ahead == 0
@@ -520,10 +520,10 @@ class Test_an_environment_that_comes_back:
         assert back.hear(back.cx) is Received.DECLINED
         assert (back.members.ahead, back.cx.due) == (0, 430)
 
-    def test_tells_who_was_ahead_of_it_but_behind_another(self, back: TwoCouplings) -> None:
+    def test_answers_members_ahead_of_it_but_behind_others(self, back: TwoCouplings) -> None:
         back.say("cx", 429)
         assert back.hear(back.cx) is Received.DECLINED
-        back.tick = 430  # as cy has told
+        back.tick = 430  # as reported by cy
         assert back.hear(back.cx) is Received.NOTHING
         assert back.forces("cx") == {429: 0.0}
         assert back.cx.missing(430)
@@ -555,7 +555,7 @@ events = st.one_of(
     ]
 )
 def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Callable[[], Any]) -> None:
-    """Who is active is answered, who is not is frozen, and rungs change without force alone."""
+    """Active members are answered, others are frozen, and rungs change only at zero force."""
     world = TwoCouplings(new_life())
     rungs = dict.fromkeys(NAMES, 0)
     absences = 0
@@ -629,7 +629,7 @@ class Ticking:
         return Instant(self.looks * 10**6)
 
 
-def test_who_is_excluded_for_being_late_is_not_active_before_its_pause_is_over(world: TwoCouplings) -> None:
+def test_a_member_excluded_for_lateness_stays_inactive_for_its_pause(world: TwoCouplings) -> None:
     for member in world.members.all:
         world.say(member.peer_link.peer.name)
         assert world.hear(member) is Received.SIGNAL
@@ -650,7 +650,7 @@ def test_who_is_excluded_for_being_late_is_not_active_before_its_pause_is_over(w
 
 
 class Silence:
-    """A line to a supervisor who says nothing."""
+    """A line to a silent supervisor."""
 
     def listen(self, _timeouts: Duration = NOW) -> None:
         return None
@@ -670,7 +670,7 @@ def waiting(world: TwoCouplings) -> int:
     return tick
 
 
-def test_who_is_ahead_does_not_wait_for_ever_for_who_is_silent(world: TwoCouplings) -> None:
+def test_members_ahead_wait_only_for_a_bounded_time_for_silent_ones(world: TwoCouplings) -> None:
     frozen_for(world, 20)
     world.say("cy", world.tick + 2)
     assert waiting(world) == world.tick + 2
@@ -724,9 +724,9 @@ def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, 
     assert world.cy.membership.state is Membership.ACTIVE
 
 
-def test_at_the_end_who_is_frozen_is_told_so_for_a_bounded_time(world: TwoCouplings) -> None:
+def test_at_the_end_frozen_members_are_answered_for_a_bounded_time(world: TwoCouplings) -> None:
     behind = frozen_for(world, 20)
-    world.lose("cx")  # nobody to talk to
+    world.lose("cx")  # its link is gone
     end = world.members.last = world.tick
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]

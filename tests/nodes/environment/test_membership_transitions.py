@@ -35,7 +35,7 @@ def standing(state: Membership, tick: int = 0) -> MembershipRecord:
     return membership
 
 
-def test_every_event_in_every_state_leads_where_the_table_says_or_nowhere() -> None:
+def test_every_event_follows_the_transition_table_or_changes_nothing() -> None:
     for state, event in product(Membership, MembershipEvent):
         membership = standing(state)
         expected = TRANSITIONS.get((state, event), state)
@@ -43,8 +43,8 @@ def test_every_event_in_every_state_leads_where_the_table_says_or_nowhere() -> N
         assert membership.state is expected, (state, event)
 
 
-def test_only_active_or_awaited_members_can_be_missed_and_only_gone_ones_come_back() -> None:
-    """What the table leaves out is what nobody can hear of a coupling that stands so."""
+def test_only_active_or_awaited_members_are_missed_only_gone_ones_return() -> None:
+    """The table leaves out the events that cannot happen in a state."""
     out = {pair for pair in product(Membership, MembershipEvent) if pair not in TRANSITIONS}
     assert out == {
         (Membership.ACTIVE, MembershipEvent.RECONNECTED),
@@ -79,7 +79,7 @@ def test_whatever_happens_a_pause_ends_and_absences_are_counted_once(
         if before is Membership.ACTIVE and changed:
             absences += 1
         assert membership.absences == absences
-    if membership.state is Membership.FROZEN:  # nobody is kept out for longer
+    if membership.state is Membership.FROZEN:  # no member is kept out for longer
         assert membership.on(MembershipEvent.BEHIND, tick + LONGEST_PAUSE)
         assert membership.state is Membership.REJOINING
 
@@ -100,7 +100,7 @@ def pause_after(membership: MembershipRecord, tick: int) -> int:
     return pause
 
 
-def test_who_is_waited_for_in_vain_again_and_again_is_expected_after_a_pause_that_doubles() -> None:
+def test_repeated_waits_in_vain_double_the_pause() -> None:
     membership, tick, pauses = MembershipRecord(), FORGIVEN, []
     for _ in range(9):
         membership.on(MembershipEvent.SILENT, tick)
@@ -111,7 +111,7 @@ def test_who_is_waited_for_in_vain_again_and_again_is_expected_after_a_pause_tha
 
 
 @pytest.mark.parametrize("event", [MembershipEvent.BEHIND, MembershipEvent.AHEAD, MembershipEvent.SIGNAL])
-def test_whatever_it_says_in_its_pause_it_is_not_expected(event: MembershipEvent) -> None:
+def test_messages_in_its_pause_do_not_make_it_expected(event: MembershipEvent) -> None:
     membership = MembershipRecord()
     membership.on(MembershipEvent.LATE, FORGIVEN)
     assert not any(membership.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))
@@ -119,7 +119,7 @@ def test_whatever_it_says_in_its_pause_it_is_not_expected(event: MembershipEvent
     assert membership.on(event, FORGIVEN + FIRST_PAUSE)
 
 
-def test_who_is_late_again_and_again_pauses_from_the_first_time_on() -> None:
+def test_repeated_lateness_pauses_from_the_first_time_on() -> None:
     membership, tick, pauses = MembershipRecord(), FORGIVEN, []
     for _ in range(8):
         membership.on(MembershipEvent.LATE, tick)
@@ -140,7 +140,7 @@ def test_absences_are_forgiven_after_a_while_of_membership(stays: int, pause: in
     assert pause_after(membership, tick + stays) == pause
 
 
-def test_a_coupling_that_says_itself_why_it_pauses_is_expected_at_once() -> None:
+def test_a_coupling_that_explains_its_pause_is_expected_at_once() -> None:
     membership = MembershipRecord()
     for tick in range(0, 50, 5):  # it loses its device again and again
         assert membership.on(MembershipEvent.PAUSES, tick)

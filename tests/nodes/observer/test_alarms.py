@@ -1,4 +1,4 @@
-"""Alarms: what raises each, since when, that it is cleared, and that what comes and goes is one alarm."""
+"""Alarms: the cause of each, its first time, its end; an intermittent cause raises one alarm."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_session_that_is_well_has_none() -> None:
         (conditioned(notices=("left: a delay",)), AlarmLevel.WARNING, "left: a delay"),
         (conditioned(incidents=("vl came back",)), AlarmLevel.NOTE, "vl came back"),
         (conditioned(faults=("vl was killed",)), AlarmLevel.FAULT, "vl was killed"),
-        (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: it has sent nothing"),
+        (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: no telemetry has come"),
         (conditioned(lost=("left",)), AlarmLevel.FAULT, "left: lost"),
         (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), AlarmLevel.FAULT, "vl: its ledger fell to -0.25 J"),
         (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
@@ -70,7 +70,7 @@ def test_what_raises_an_alarm(frame: bytes, level: AlarmLevel, words: str) -> No
 
 
 @pytest.mark.parametrize("frozen", [0.0, -1.0, np.inf, np.nan])
-def test_who_was_late_now_and_then_and_not_frozen_for_it_is_not_named(frozen: float) -> None:
+def test_a_member_late_now_and_then_but_never_frozen_is_unnamed(frozen: float) -> None:
     late = {"waited_ticks_vl": 3.0, "waited_us_vl": 900.0, "frozen_late_vl": frozen}
     assert looked(observed("environment", 100, NO_TRACE, **late))[1].listed() == []
 
@@ -95,7 +95,7 @@ def test_a_softer_coupling_covers_a_longer_delay() -> None:
     assert (covered_tau(scene, "left"), covered_tau(scene, "right")) == (0.0005, 0.0003)
 
 
-def test_an_alarm_is_cleared_when_its_cause_has_been_away_for_a_while() -> None:
+def test_an_alarm_clears_once_its_cause_is_absent_long_enough() -> None:
     scene, alarms = looked(conditioned(silent=("vr",)))
     scene.take(conditioned(), at(0.1))
     alarms.look(scene, Instant(START + HOLD))
@@ -130,7 +130,7 @@ def test_what_has_happened_is_not_cleared() -> None:
     assert only(alarms).cleared is None
 
 
-def test_a_session_of_which_nothing_is_heard_raises_one_until_it_is_over() -> None:
+def test_a_silent_session_raises_an_alarm_until_it_ends() -> None:
     scene, alarms = looked(conditioned(), observed("left", 100, NO_TRACE))
     alarms.look(scene, Instant(START + UNHEARD + 1))
     assert only(alarms).key == "unheard"

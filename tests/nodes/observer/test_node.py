@@ -1,4 +1,4 @@
-"""What an observer prints: a line of JSON for each observation, and nothing for anything else."""
+"""An observer prints one line of JSON for each observation, and nothing for other frames."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def plain(value: float) -> float | None:
 
 
 @given(observations)
-def test_a_line_says_all_of_an_observation(observation: Observation) -> None:
+def test_a_line_holds_the_whole_observation(observation: Observation) -> None:
     core = ObserverCore()
     line = core.line(encode(observation))
     assert line is not None
@@ -65,7 +65,7 @@ def test_a_line_says_all_of_an_observation(observation: Observation) -> None:
     st.binary(max_size=80)
     | st.builds(lambda plain: msgpack.packb([35, *plain]), st.lists(st.integers(0, 2**63), max_size=5))
 )
-def test_anything_else_is_counted_and_said_nothing_of(frame: bytes) -> None:
+def test_anything_else_is_counted_and_not_printed(frame: bytes) -> None:
     core = ObserverCore()
     if not isinstance(decode(frame, MAX_CONTROL_BYTES), Observation):
         assert core.line(frame) is None
@@ -149,7 +149,7 @@ class Test_its_process:
             os.close(descriptor)
             transport.close()
 
-    def test_a_refusal_is_told(self, transport: ZmqTransport, tmp_path: Path) -> None:
+    def test_a_refusal_is_reported(self, transport: ZmqTransport, tmp_path: Path) -> None:
         hub, endpoint = transport.bind_hub("control", ["watch"])
         process = self.started(tmp_path, endpoint, stdout=subprocess.PIPE)
         descriptor = os.pidfd_open(process.pid)

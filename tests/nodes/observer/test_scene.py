@@ -1,4 +1,4 @@
-"""What is known of a running session from what it shows: rates and healths, frame by frame."""
+"""The scene built from a running session's broadcast: rates and health, frame by frame."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Seen:
             self.tell(node, number * ticks, late=float(number * late))
 
 
-def test_the_rate_is_that_of_ticks_between_looks_of_half_a_second() -> None:
+def test_the_rate_counts_ticks_between_looks_half_a_second_apart() -> None:
     seen = Seen()
     seen.tell("d", 100)
     assert seen.scene.nodes["d"].rate is None
@@ -105,7 +105,7 @@ def test_how_a_node_is(state: str, silent: bool, late: int, health: Health) -> N
     seen.condition(silent=("d",) if silent else (), d=state)
     assert seen.scene.nodes["d"].health is health
     rated = seen.scene.nodes["d"].rate is not None
-    assert rated == (state == "running" and not silent)  # who is away, or says nothing, has no rate
+    assert rated == (state == "running" and not silent)  # a lost or silent node has no rate
 
 
 def test_before_anything_is_heard_all_wait() -> None:
@@ -115,7 +115,7 @@ def test_before_anything_is_heard_all_wait() -> None:
     assert scene.link_health(scene.about.links[0]) is Health.WAITING
 
 
-def test_a_link_is_as_the_worse_of_its_ends_and_a_session_as_its_worst_node() -> None:
+def test_links_show_their_worse_end_and_sessions_their_worst_node() -> None:
     seen = Seen()
     seen.condition(silent=("c",), d="lost")
     inner, outer = (seen.scene.link_health(link) for link in seen.scene.about.links)

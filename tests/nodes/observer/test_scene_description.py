@@ -1,4 +1,4 @@
-"""What a session says of itself in its directory: read back as it was written, or one error."""
+"""A session's description in its directory is read back as it was written, or gives one error."""
 
 from __future__ import annotations
 

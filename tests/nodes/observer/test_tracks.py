@@ -84,7 +84,7 @@ def test_velocity_is_of_every_tick() -> None:
     assert track_of(tracks, "left/velocity").since(0).values[1, :, 0].tolist() == pytest.approx([1.0, -1.0])
 
 
-def test_velocity_goes_on_from_piece_to_piece_but_not_over_a_gap() -> None:
+def test_velocity_continues_across_pieces_but_not_across_a_gap() -> None:
     tracks = Tracks(ABOUT, window=0.01, buckets=10)  # a tick a bucket
     tracks.take(of_left(2, np.array([0.0, 0.001])))
     tracks.take(of_left(4, np.array([0.003, 0.003])))
@@ -103,7 +103,7 @@ def test_a_trace_of_another_shape_is_counted_and_left_out() -> None:
     assert all(track.end == 0 for _, track in tracks.items())
 
 
-def test_there_is_a_track_for_every_row_of_the_table_and_for_velocities() -> None:
+def test_every_row_of_the_table_and_every_velocity_has_a_track() -> None:
     names = {key.name for key in Tracks(ABOUT).columns}
     assert {"left/sample", "left/velocity", "vl/tool", "environment/tools", "environment/masses"} <= names
     assert "left/ledger" in names

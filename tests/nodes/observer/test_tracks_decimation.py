@@ -1,4 +1,4 @@
-"""Decimation: no extreme of any bucket is lost, however the trace is cut into pieces, and time keeps its order."""
+"""Decimation keeps every extreme of each bucket, however the trace is cut, and time keeps its order."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_what_is_not_a_number_is_no_extreme() -> None:
     assert np.isnan(drawn[1]).all()
 
 
-def test_a_gap_cuts_a_bucket_and_both_of_its_parts_are_told() -> None:
+def test_a_gap_splits_a_bucket_and_both_parts_are_shown() -> None:
     decimator = Decimator(10, 1)
     assert decimator.take(0, np.array([[1.0], [2.0]])) == []
     cut, whole = decimator.take(8, np.array([[7.0], [5.0]]))

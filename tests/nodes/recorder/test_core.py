@@ -1,4 +1,4 @@
-"""What a recorder writes: the file's layout, what it takes in and refuses, and a disk that fails."""
+"""The recorder's core: the file's layout, the frames that it accepts or refuses, and a disk that fails."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Test_rows:
         assert ones == [row[0] for row in found]
 
     @given(st.integers(0, 2**40), st.integers(1, 5), st.sampled_from([0.001, 1 / 3000, 2e-4, 0.0125]))
-    def test_the_time_of_a_tick_is_told_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
+    def test_the_time_of_a_tick_is_exact_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
         told = replace(RECORDED, period=period)
         ticks = Ticks.of(first, count, 10**18, told.tick_ns)
         for k, (begin, time) in enumerate(zip(ticks.beginnings, ticks.times.tolist(), strict=True), first):
@@ -151,7 +151,7 @@ class Test_core:
         path.write_bytes(data)
         return data
 
-    def test_what_it_is_told_is_in_the_file(self, tmp_path: Path) -> None:
+    def test_the_file_holds_every_accepted_frame(self, tmp_path: Path) -> None:
         core = RecorderCore(RECORDED)
         for tick in (10, 20):
             core.take(encode(observation("a", tick, 10, 1, late=1.0)), 5)
@@ -194,13 +194,13 @@ class Test_core:
         self.written(core, tmp_path / "r.mcap")
         assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
 
-    def test_ticks_that_were_told_are_not_told_again_and_those_that_never_were_are_counted(self) -> None:
+    def test_repeated_ticks_are_refused_and_missing_ticks_are_counted(self) -> None:
         core = RecorderCore(RECORDED)
         for tick, rows in ((10, 10), (10, 10), (15, 10), (30, 10)):
             core.take(encode(observation("a", tick, rows, 1)), 5)
         assert core.refused == 2
         assert (core.coverage["a"].missing, core.coverage["b"].missing) == (10, 0)
-        assert core.missing_in_all == {"a": 10, "b": 30}  # b never told anything, and that is missing, too
+        assert core.missing_in_all == {"a": 10, "b": 30}  # b never sent telemetry; its ticks are missing, too
 
     def test_a_chunk_is_full_by_its_bytes_and_empty_when_cut(self) -> None:
         core = RecorderCore(RECORDED)
@@ -227,7 +227,7 @@ def files_no_longer_than(length: int) -> Iterator[None]:
 
 
 class Test_file:
-    def test_it_takes_the_place_of_an_older_one_when_it_has_its_beginning(self, tmp_path: Path) -> None:
+    def test_it_replaces_an_older_file_once_its_beginning_is_written(self, tmp_path: Path) -> None:
         path = tmp_path / "r.mcap"
         path.write_bytes(b"an older run")
         with files_no_longer_than(3), pytest.raises(OSError, match="too large"):
@@ -295,7 +295,7 @@ def test_a_plan_round_trips_and_is_its_owners_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"file": 1}', '{"file": "f", "directory": "d", "recorded": {}}'])
-def test_what_is_no_plan_is_told(text: str, tmp_path: Path) -> None:
+def test_an_invalid_plan_is_reported(text: str, tmp_path: Path) -> None:
     (tmp_path / "p").write_text(text)
     with pytest.raises(PlanError, match="not a recorder's plan"):
         Plan.load(tmp_path / "p")
@@ -307,7 +307,7 @@ def test_a_file_of_somebody_else_is_no_recording(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     path = tmp_path / "r.mcap"
-    for data, why in ((b"", "begin"), (b"PK" * 20, "begin"), (b"\x89MCAP0\r\n", "no word of what was recorded")):
+    for data, why in ((b"", "begin"), (b"PK" * 20, "begin"), (b"\x89MCAP0\r\n", "no metadata of a session")):
         path.write_bytes(data)
         with pytest.raises(RecordingError, match=why):
             read_recording(path)

@@ -1,4 +1,4 @@
-"""A recording as others read it: by the readers of the ``mcap`` package, and by the letter of the specification."""
+"""A recording read by others: by the ``mcap`` package, and by the letter of the specification."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_figures_and_conditions_stand_at_their_ticks() -> None:
 
 
 def fits(schema: dict[str, Any], value: Any) -> bool:
-    """Whether a value is as a schema says, of those words that ours use."""
+    """Whether a value conforms to a schema, for the keywords that our schemas use."""
     match schema["type"]:
         case "integer":
             return type(value) is int
@@ -150,7 +150,7 @@ def fits(schema: dict[str, Any], value: Any) -> bool:
             return False
 
 
-def test_every_message_is_as_its_schema_says_in_words_that_viewers_know() -> None:
+def test_every_message_matches_its_schema_in_words_viewers_know() -> None:
     for schema, _, message in READERS["seeking"]():
         assert schema.encoding == "jsonschema"
         told = json.loads(schema.data)
@@ -175,7 +175,7 @@ def test_channels_say_what_they_are() -> None:
     assert channels["/s/supervisor/condition"].metadata == {"node": "supervisor", "role": "supervisor"}
 
 
-def test_the_statistics_are_true_and_every_chunk_is_found_by_its_index() -> None:
+def test_the_statistics_hold_and_the_index_finds_every_chunk() -> None:
     found, told = summary(), by_topic(READERS["not seeking"]())
     assert found.statistics is not None
     counts = {found.channels[number].topic: count for number, count in found.statistics.channel_message_counts.items()}
@@ -287,7 +287,7 @@ def test_what_is_in_one_observation_is_in_one_chunk() -> None:
 
 
 def _ticks_of(chunk: Chunk) -> dict[int, list[int]]:
-    """The ticks in a chunk, by channel, of those that tell of one."""
+    """The ticks in a chunk, by channel, for channels with ticks."""
     stream, size = get_chunk_data_stream(chunk)
     data, at = stream.read(size), 0
     out: dict[int, list[int]] = {}

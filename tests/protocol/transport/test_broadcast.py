@@ -1,4 +1,4 @@
-"""The broadcast: one speaks, any number listen, and nobody waits for them."""
+"""The broadcast: one process sends, any number receive, and the sender waits for none of them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def visitor(tmp_path: Path, broadcast: Broadcast) -> Iterator[Visit]:
 
 
 def enter(directory: Path, broadcast: Broadcast) -> Visit:
-    """A visit that is sure to hear what is shown from now on."""
+    """Join so that every later frame arrives."""
     visit = Visit(directory)
     greet(broadcast, visit)
     return visit
 
 
 def greet(broadcast: Broadcast, visit: Visit) -> None:
-    """Show something again and again until it is heard, and then clear away what is left of it."""
+    """Broadcast a frame repeatedly until it is received, and then discard the remaining copies."""
     for _ in range(60_000):
         broadcast.show(b"hello")
         if visit.recv(from_seconds(0.001)) is not None:
@@ -88,7 +88,7 @@ def test_who_leaves_is_not_missed(tmp_path: Path, broadcast: Broadcast, visitor:
         pass
     broadcast.show(b"still here")
     heard = visitor.recv(LONG)
-    while heard in (b"hello", b"that is all"):  # what was said to the other one
+    while heard in (b"hello", b"that is all"):  # frames for the other receiver
         heard = visitor.recv(LONG)
     assert heard == b"still here"
 

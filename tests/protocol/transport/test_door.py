@@ -1,4 +1,4 @@
-"""Who is let in, who is not, how both are counted, and doors that are shut when too many crowd before them."""
+"""The door: which peers are admitted, how both kinds are counted, and when a crowd shuts it."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def house() -> Iterator[House]:
 
 @pytest.fixture
 def outside() -> Iterator[ExitStack]:
-    """Whoever comes from outside leaves before the house is closed."""
+    """Connections from outside, closed before the house is."""
     with ExitStack() as stack:
         yield stack
 
@@ -143,7 +143,7 @@ def outside() -> Iterator[ExitStack]:
 def visitor(
     outside: ExitStack, port: int, who: str, kind: int = zmq.DEALER, *, server: str = "cx", shows: str | None = None
 ) -> zmq.Socket[bytes]:
-    """Somebody who speaks ZeroMQ, has the keys of ``who``, and ``shows`` a public key; without another try."""
+    """A ZeroMQ peer with the keys of ``who`` that ``shows`` a public key and does not retry."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     outside.callback(context.term)
     made: zmq.Socket[bytes] = context.socket(kind)
@@ -170,7 +170,7 @@ def crowd(outside: ExitStack, port: int, size: int) -> list[socket.socket]:
         ("stranger", "cx", Refused.UNKNOWN_KEY),
         ("dy", "cx", Refused.WRONG_KEY),
         (None, "cx", Refused.NO_KEY),
-        ("dx", "stranger", Refused.NOT_PROVED),  # takes us for somebody else
+        ("dx", "stranger", Refused.NOT_PROVED),  # expects a different server
     ],
 )
 def test_each_kind_of_stranger_is_counted_once(
@@ -198,16 +198,14 @@ def test_what_comes_to_nothing_is_unfinished(house: House, outside: ExitStack) -
     assert house.attend_until(lambda refused: refused.get("unfinished") == 3) == {"unfinished": 3}
 
 
-def test_what_was_told_is_counted_without_a_look_of_its_own(house: House, outside: ExitStack) -> None:
+def test_reported_events_are_counted_without_a_separate_look(house: House, outside: ExitStack) -> None:
     house.keeper.attend()
     raw_client(outside, house.port)
     assert house.keeper._doors[0].monitor.poll(LONG_MS)
     assert house.keeper.refused() == {"unfinished": 1}
 
 
-def test_the_right_peer_may_leave_and_come_back_and_a_second_beside_it_is_counted(
-    house: House, outside: ExitStack
-) -> None:
+def test_the_right_peer_may_return_and_a_second_one_is_counted(house: House, outside: ExitStack) -> None:
     for visit in range(3):
         with ExitStack() as stay:
             dx = visitor(stay, house.port, "dx", zmq.PAIR)
@@ -234,7 +232,7 @@ def test_members_of_a_hub_may_come_more_than_once(house: House, outside: ExitSta
 
 
 def exchange(house: House, dx: zmq.Socket[bytes], word: bytes) -> None:
-    """A frame each way over a connection that exists; nobody attends to the door meanwhile."""
+    """Send a frame each way over an existing connection, without attending to the door."""
     dx.send(word)
     assert house.link.poll(LONG_MS)
     assert house.link.recv() == word
@@ -281,7 +279,7 @@ def test_a_crowd_shuts_the_door_and_those_inside_go_on(
     assert refused == {"unfinished": DOOR_BURST + 2, "shut": 1}
 
 
-def test_as_many_as_are_allowed_do_not_shut_it_and_windows_are_counted_apart(house: House, outside: ExitStack) -> None:
+def test_allowed_failures_keep_it_open_and_windows_count_apart(house: House, outside: ExitStack) -> None:
     with ExitStack() as leaving:
         crowd(leaving, house.port, DOOR_BURST)
         house.attend_until(lambda refused: refused.get("unfinished") == DOOR_BURST)
@@ -291,13 +289,13 @@ def test_as_many_as_are_allowed_do_not_shut_it_and_windows_are_counted_apart(hou
 
 
 def fail(house: House, so_far: int) -> None:
-    """One more handshake with a key that nobody knows, seen to its end."""
+    """Make one more handshake with an unknown key and wait for its end."""
     with ExitStack() as leaving:
         visitor(leaving, house.port, "stranger", zmq.PAIR)
         house.attend_until(lambda refused: {**refused, "shut": 1} == {"unknown_key": so_far + 1, "shut": 1})
 
 
-def test_those_who_fail_again_and_again_shut_it_before_they_are_a_crowd(house: House) -> None:
+def test_repeated_failures_shut_it_before_they_are_a_crowd(house: House) -> None:
     for count in range(DOOR_FAILURES + 1):
         assert not house.keeper.shut
         fail(house, count)
@@ -322,7 +320,7 @@ def test_a_crowd_before_one_door_leaves_the_other_open(house: House, outside: Ex
         house.keeper.attend()
 
 
-def test_slow_ones_that_hold_connections_open_shut_it_too_until_they_are_gone(house: House, outside: ExitStack) -> None:
+def test_slow_connections_shut_it_until_they_are_gone(house: House, outside: ExitStack) -> None:
     """Few at a time, but none of them leaves: they are descriptors of this process."""
     with ExitStack() as leaving:
         for done in range(0, ROOM + 2, DOOR_BURST):
@@ -367,11 +365,11 @@ def test_a_process_without_a_descriptor_left_still_shuts_its_door(house: House, 
 
 
 def test_a_door_whose_socket_is_closed_is_left_alone(house: House, outside: ExitStack) -> None:
-    """Its descriptor may be somebody else's by now, whom a filter would cut off."""
+    """Another socket may have its descriptor by now, and a filter would cut that off."""
     door = house.keeper._doors[0]
     house.keeper.attend()
     crowd(outside, house.port, DOOR_BURST + 2)
-    while door._came <= DOOR_BURST:  # all is told, and nothing done about it yet
+    while door._came <= DOOR_BURST:  # the door reads every event, and acts on none yet
         assert door.monitor.poll(LONG_MS)
         door._listen_to_monitor()
     house.link.close()
@@ -402,7 +400,7 @@ def test_closing_in_either_order_and_twice(order: tuple[str, str]) -> None:
     house.context.term()
 
 
-def test_somebody_of_whom_there_is_no_key_cannot_be_admitted_nor_introduced(house: House) -> None:
+def test_a_name_without_a_key_is_neither_admitted_nor_introduced(house: House) -> None:
     made: zmq.Socket[bytes] = house.context.socket(zmq.PAIR)
     with pytest.raises(KeyError, match="dz"):
         house.keeper.guard(made, "cx-dz", ("dz",))
@@ -465,10 +463,10 @@ class Test_what_a_node_is_told_of_its_line:
     def few_attempts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(monitor, "BROKEN_OFF_IN_A_ROW", 3)
 
-    def test_a_host_that_is_too_busy_to_admit_anybody_is_waited_for(
+    def test_a_host_too_busy_to_admit_anybody_is_awaited(
         self, outside: ExitStack, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """It answers nobody until connections have timed out; that says nothing about its key."""
+        """It answers no peer until connections have timed out; that proves nothing about a key."""
         monkeypatch.setattr(monitor, "BROKEN_OFF_IN_A_ROW", 20)
         monkeypatch.setattr(doorkeeper_module, "HANDSHAKE_MS", 50)
         supervisor, node = ZmqTransport.tcp(ring("supervisor", "dx")), ZmqTransport.tcp(ring("dx", "supervisor"))
@@ -540,7 +538,7 @@ def test_the_longest_frame_passes_encrypted_too() -> None:
         cx.close()
 
 
-def test_a_name_at_a_hub_stays_with_its_first_connection_until_it_is_forgotten(outside: ExitStack) -> None:
+def test_a_hubs_name_stays_with_its_first_connection_until_forgotten(outside: ExitStack) -> None:
     supervisor = ZmqTransport.tcp(ring("supervisor", "dx"))
     outside.callback(supervisor.close)
     hub, endpoint = supervisor.bind_hub("control", ["dx"])
@@ -570,7 +568,7 @@ def test_a_name_at_a_hub_stays_with_its_first_connection_until_it_is_forgotten(o
     assert other.recv(LONG) == b"to the second"
 
 
-def test_whoever_knocks_on_and_on_does_not_hold_up_a_hub_that_waits(
+def test_endless_connection_attempts_do_not_delay_a_waiting_hub(
     outside: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = ZmqTransport.tcp(ring("supervisor", "dx"))

@@ -1,4 +1,4 @@
-"""What is the in-memory transport's own: no descriptor stays, and a second peer is an error."""
+"""Properties of the in-memory transport alone: no descriptor stays open, and a second peer is an error."""
 
 import os
 

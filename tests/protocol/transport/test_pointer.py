@@ -1,4 +1,4 @@
-"""The way of a person's hand to a device: the latest word counts, and nobody waits."""
+"""The channel from a person's pointer to a device: the latest message counts, and no side waits."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_in_its_place_something_else(tmp_path: Path, outlet: PointerOutlet) -> N
         PointerInlet(tmp_path, "dx")
 
 
-def test_a_closed_end_says_nothing(tmp_path: Path, inlet: PointerInlet) -> None:
+def test_a_closed_end_sends_nothing(tmp_path: Path, inlet: PointerInlet) -> None:
     outlet = PointerOutlet(tmp_path, "dx")
     outlet.close()
     outlet.close()

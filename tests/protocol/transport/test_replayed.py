@@ -1,4 +1,4 @@
-"""What somebody on the wire has recorded of a keyed connection is of no use: neither at once, nor after a restart."""
+"""A recording of a keyed connection is useless to an attacker: at once, and after a restart."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SAID = [b"push", b"pull", b"let go"]
 
 
 class Tap:
-    """A relay between one client and its server, who keeps what the client sends, piece by piece.
+    """A relay between one client and its server that keeps what the client sends, piece by piece.
 
     Attributes:
         address: where the client connects to.

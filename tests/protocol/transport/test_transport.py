@@ -1,4 +1,4 @@
-"""What every transport must do, whichever it is: the interfaces' promises, one by one."""
+"""Conformance of every transport with the promises of the interfaces, one by one."""
 
 import os
 import signal
@@ -255,7 +255,7 @@ def test_a_hub_may_wait_for_everything_but_frames(joined: tuple[Hub, Link, Link]
         os.close(writer)
 
 
-def test_a_hub_says_how_much_it_has_read(joined: tuple[Hub, Link, Link]) -> None:
+def test_a_hub_counts_the_frames_it_has_read(joined: tuple[Hub, Link, Link]) -> None:
     hub, dx, _ = joined
     before = hub.handled
     assert hub.recv() is None
@@ -266,7 +266,7 @@ def test_a_hub_says_how_much_it_has_read(joined: tuple[Hub, Link, Link]) -> None
         assert hub.handled == before + done
 
 
-def test_a_name_that_was_forgotten_is_free_for_the_next_and_the_first_may_stay(ends: "Ends") -> None:
+def test_a_forgotten_name_is_free_and_its_first_owner_may_stay(ends: "Ends") -> None:
     """An observer's visits: each joins anew, and the one before may still be about to leave."""
     hub, endpoint = ends.binder.bind_hub("supervisor", ("dx", "dy"))
     first = ends.join(endpoint, "dy")
@@ -274,7 +274,7 @@ def test_a_name_that_was_forgotten_is_free_for_the_next_and_the_first_may_stay(e
     assert receive(hub) == ("dy", b"first")
     hub.forget("dy")
     hub.forget("nobody")
-    if ends.scheme not in {"memory", "tcp with keys"}:  # ZeroMQ leaves a routing id to whoever has it
+    if ends.scheme not in {"memory", "tcp with keys"}:  # ZeroMQ leaves a routing id to its first owner
         ends.others.pop().close()
         while hub.send("dy", b"still there?"):
             hub.wait(Duration(MS))
@@ -288,7 +288,7 @@ def test_a_name_that_was_forgotten_is_free_for_the_next_and_the_first_may_stay(e
 
 
 def test_a_settled_process_admits_when_it_attends(ends: "Ends") -> None:
-    """Before, receiving is enough; afterwards a loop attends in its slack, and who is inside need not wait for it."""
+    """Before, receiving is enough. Afterwards a loop attends in its slack, and admitted peers need not wait for it."""
     first, first_endpoint = ends.binder.bind("cx", "dx")
     late, late_endpoint = ends.binder.bind("cy", "dx")
     connected = ends.connector.connect(first_endpoint, "supervisor")
@@ -330,7 +330,7 @@ def outlet(ends: "Ends") -> tuple[Link, str]:
 
 
 def hear(ends: "Ends", outlet: Link, endpoint: str, frame: bytes) -> Link:
-    """Come, and be told ``frame``, which is offered until somebody takes it."""
+    """Join, and receive ``frame``, which is sent until it arrives."""
     link = ends.connector.connect_outlet(endpoint, "supervisor")
     while (heard := link.recv(Duration(MS))) is None:
         ends.binder.attend()
@@ -339,7 +339,7 @@ def hear(ends: "Ends", outlet: Link, endpoint: str, frame: bytes) -> Link:
     return link
 
 
-def test_an_outlet_is_heard_by_one_who_comes_and_goes(ends: "Ends", outlet: tuple[Link, str]) -> None:
+def test_an_outlet_reaches_a_peer_that_comes_and_goes(ends: "Ends", outlet: tuple[Link, str]) -> None:
     bound, endpoint = outlet
     assert bound.send(b"anybody?") is False
     for visit in range(3):

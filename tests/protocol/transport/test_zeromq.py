@@ -1,4 +1,4 @@
-"""What is ZeroMQ's own: socket files, paths, descriptors, and peers that are not of this program."""
+"""Properties of ZeroMQ alone: socket files, paths, descriptors, and peers of other programs."""
 
 import os
 import struct
@@ -33,7 +33,7 @@ def transport(make: Callable[[], ZmqTransport]) -> Iterator[ZmqTransport]:
     made.close()
 
 
-class Stranger:
+class ForeignProgram:
     """A program that speaks ZeroMQ, and not our protocol."""
 
     def __init__(self) -> None:
@@ -58,8 +58,8 @@ class Stranger:
 
 
 @pytest.fixture
-def stranger() -> Iterator[Stranger]:
-    outside = Stranger()
+def stranger() -> Iterator[ForeignProgram]:
+    outside = ForeignProgram()
     yield outside
     outside.leave()
 
@@ -144,7 +144,7 @@ def test_an_ipc_endpoint_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyP
         transport.close()
 
 
-def test_the_longest_socket_path_binds_and_a_longer_one_is_told_clearly(tmp_path: Path) -> None:
+def test_the_longest_socket_path_binds_and_longer_ones_fail_clearly(tmp_path: Path) -> None:
     directory = tmp_path / ("d" * (MAX_SOCKET_PATH - len(bytes(tmp_path)) - 1 - 5))
     directory.mkdir()
     transport = ZmqTransport.ipc(directory)
@@ -157,7 +157,7 @@ def test_the_longest_socket_path_binds_and_a_longer_one_is_told_clearly(tmp_path
         transport.close()
 
 
-def test_a_missing_directory_is_told(tmp_path: Path) -> None:
+def test_a_missing_directory_is_reported(tmp_path: Path) -> None:
     transport = ZmqTransport.ipc(tmp_path / "missing")
     try:
         with pytest.raises(TransportError, match=r"cannot bind ipc://.*missing/cx: No such file"):
@@ -177,7 +177,7 @@ def test_a_file_in_the_way_is_not_taken_away(tmp_path: Path) -> None:
     assert (tmp_path / "cx").read_text() == "somebody's"
 
 
-def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
+def test_an_endpoint_that_zeromq_cannot_read_is_reported() -> None:
     transport = ZmqTransport.tcp()
     try:
         with pytest.raises(TransportError, match="cannot connect to 'tcp://nowhere'"):
@@ -187,7 +187,7 @@ def test_an_endpoint_that_zeromq_cannot_read_is_told() -> None:
 
 
 def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
-    transport: ZmqTransport, stranger: Stranger
+    transport: ZmqTransport, stranger: ForeignProgram
 ) -> None:
     hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     node = transport.join(endpoint, "dx")
@@ -201,7 +201,7 @@ def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
     assert hub.recv() == ("dx", b"still here")
 
 
-def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: Stranger) -> None:
+def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: ForeignProgram) -> None:
     bound, endpoint = transport.bind("cx", "dx")
     connected = transport.connect(endpoint, "supervisor")
     assert connected.send(b"first")
@@ -215,8 +215,8 @@ def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger:
     assert bound.recv(LONG) == b"second"
 
 
-def test_a_hub_drops_and_counts_what_is_not_one_frame_of_a_named_node(
-    transport: ZmqTransport, stranger: Stranger
+def test_a_hub_counts_and_drops_anything_except_named_nodes_single_frames(
+    transport: ZmqTransport, stranger: ForeignProgram
 ) -> None:
     hub, endpoint = transport.bind_hub("supervisor", ("dx", "dy"))
     assert isinstance(hub, ZmqHub)

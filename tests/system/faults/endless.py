@@ -1,4 +1,4 @@
-"""A model of the environment that one day does not return."""
+"""A model of the environment whose step, from some tick on, never returns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A device's process whose driver keeps a log of what was asked of it.
+"""A device's process whose driver logs every call.
 
     python -m faults.logged_device BUNDLE SUPERVISOR_PID LOG
 

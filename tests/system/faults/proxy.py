@@ -22,7 +22,7 @@ class Cable:
     """
 
     def __init__(self, endpoint: str) -> None:
-        """Lay a cable to ``endpoint``, ``tcp://HOST:PORT``."""
+        """Forward connections to ``endpoint``, ``tcp://HOST:PORT``."""
         host, _, port = endpoint.removeprefix("tcp://").rpartition(":")
         self._target = (host, int(port))
         self._port = 0  # any, at first
@@ -37,11 +37,11 @@ class Cable:
         self._thread.start()
 
     def cut(self) -> None:
-        """From now on nothing comes through, and nobody can connect."""
+        """From now on no byte passes, and no process can connect."""
         self._ring(b"c")
 
     def mend(self) -> None:
-        """From now on there can be connections again, at the same place."""
+        """From now on connections are possible again, at the same endpoint."""
         self._ring(b"m")
 
     def remove(self) -> None:
@@ -95,7 +95,7 @@ class Cable:
         near, _ = self._listener.accept()
         try:
             far = socket.create_connection(self._target)
-        except OSError:  # nobody is there; who connected is told so
+        except OSError:  # no listener is there; the connecting side sees it
             near.close()
             return
         self.carried += 1

@@ -1,7 +1,7 @@
-"""A session of two users to which something happens, step by step, and what must hold of it whatever that was.
+"""A session of two users with scripted faults, and the invariants that must hold whatever happened.
 
-Real processes over real sockets. A step is taken when the supervisor tells of a progress that it waits for; nothing
-waits for time to pass, and a step that never comes fails the test.
+Real processes over real sockets. A step is taken when the supervisor reports the progress that the step waits for.
+Nothing waits for time to pass, and a step that never comes fails the test.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ def simulated(ticks: int, *faults: Silence) -> NDArray[np.float64]:
 
 @cache
 def largest_steps() -> tuple[Mapping[str, float], Mapping[str, float]]:
-    """The largest steps of a user's force, N: when the other one is away and returns; when that user itself returns.
+    """The largest steps of a user's force, N: while the other user is away and returns; when that user itself returns.
 
-    At several phases of what the hands do, and for long enough that the hand which is free has moved far.
+    At several phases of the hands' motion, and for long enough that the free hand has moved far.
     """
     of_others, own = dict.fromkeys(PORTS, 0.0), dict.fromkeys(PORTS, 0.0)
     for away in PORTS:
@@ -87,12 +87,12 @@ def largest_step(f: NDArray[np.float64]) -> float:
 
 @dataclass
 class Script:
-    """Steps that are taken one after the other, then the session is interrupted.
+    """Steps in sequence; after the last one the session is interrupted.
 
     Attributes:
-        steps: when, and what then.
-        taken: how many were.
-        late: whether the next one was waited for in vain.
+        steps: the condition of each, and its action.
+        taken: the number of steps taken.
+        late: whether the wait for the next step was in vain.
     """
 
     steps: Sequence[Step]
@@ -102,7 +102,7 @@ class Script:
     _interrupted: bool = False
 
     def show(self, progress: Progress) -> None:
-        """For the supervisor: how it goes."""
+        """Take the supervisor's progress."""
         if self._interrupted or progress.phase in (SessionPhase.ENDING, SessionPhase.OVER):
             return
         if self.taken < len(self.steps):
@@ -122,7 +122,7 @@ def play(
     """Run the session until every step is taken, and interrupt it.
 
     Args:
-        steps: what happens, and when.
+        steps: the condition of each, and its action.
         clock: "realtime" or "simulated".
         ways: how the processes reach each other; over ipc by default.
         of: another session than that of two users.
@@ -146,11 +146,11 @@ def play(
 
 
 def nothing(_progress: Progress) -> None:
-    """What to do where there is only something to wait for."""
+    """The action of a step that only waits."""
 
 
 def at(tick: int) -> When:
-    """When everybody takes part and has told of ``tick``."""
+    """A condition: all nodes take part and have sent telemetry of ``tick``."""
 
     def when(progress: Progress) -> bool:
         told = progress.telemetry
@@ -166,7 +166,7 @@ def at(tick: int) -> When:
 
 
 def all_on(ticks: int) -> When:
-    """When everybody takes part, ``ticks`` after somebody last did not."""
+    """A condition: all nodes take part, and have done so for ``ticks``."""
     last: list[int] = []
 
     def when(progress: Progress) -> bool:
@@ -181,7 +181,7 @@ def all_on(ticks: int) -> When:
 
 
 def back(*victims: str) -> When:
-    """When ``victims`` are back, and everybody takes part again."""
+    """A condition: ``victims`` are back, and all nodes take part again."""
     whole = all_on(150)
 
     def when(progress: Progress) -> bool:
@@ -192,7 +192,7 @@ def back(*victims: str) -> When:
 
 
 def told_of(tick: int) -> When:
-    """When everybody has told of ``tick``; in real time a busy machine may have somebody frozen meanwhile."""
+    """A condition: all nodes have sent telemetry of ``tick``; in real time a busy machine may freeze some meanwhile."""
 
     def when(progress: Progress) -> bool:
         told = progress.telemetry
@@ -202,7 +202,7 @@ def told_of(tick: int) -> When:
 
 
 def returned(*victims: str, ticks: int = 100) -> When:
-    """When ``victims`` have told of a tick that comes ``ticks`` after the session's when this was first asked."""
+    """A condition: ``victims`` have sent telemetry of a tick ``ticks`` after the session's at the first check."""
     since: list[int] = []
 
     def when(progress: Progress) -> bool:
@@ -214,7 +214,7 @@ def returned(*victims: str, ticks: int = 100) -> When:
 
 
 def gone_on(without: Collection[str], ticks: int) -> When:
-    """When the others have gone on for ``ticks`` since ``without`` were first silent, with a frozen coupling."""
+    """A condition: the others have gone on for ``ticks`` since ``without`` fell silent, with a frozen coupling."""
     since: dict[str, int] = {}
 
     def when(progress: Progress) -> bool:
@@ -246,7 +246,7 @@ def nodes_of(outcome: Outcome) -> Mapping[str, Any]:
 
 
 def require_sound(outcome: Outcome, code: int = 130) -> None:
-    """Nobody's fault, everybody's last word, and every promise kept."""
+    """Check that the run has no fault, a report of every node, and every promise kept."""
     assert (outcome.code, outcome.faults) == (code, ())
     nodes = nodes_of(outcome)
     assert nodes.keys() == NODES
@@ -255,14 +255,14 @@ def require_sound(outcome: Outcome, code: int = 130) -> None:
 
 
 def require_calm(outcome: Outcome, other: str) -> None:
-    """A user who was not hit missed no tick up to the interrupt, and the force made no large step."""
+    """Check that an unharmed user missed no tick up to the interrupt, and that its force made no large step."""
     _, f = rows_of(recording_of(outcome), other)
     allowed = STEP * largest_steps()[0][other]
     assert 0.0 < largest_step(f) <= allowed, f"{other}: found a step of {largest_step(f)} N; expected at most {allowed}"
 
 
 def require_as_simulated(outcome: Outcome, victim: str, other: str) -> None:
-    """Until ``victim`` is back, the force of ``other`` is that of a session with a frozen user, to the last bit."""
+    """Until ``victim`` is back, the force of ``other`` equals a session with a frozen user, to the last bit."""
     f = recording_of(outcome).f_v
     away = np.isnan(f[:, PORTS.index(victim)])
     (gap,) = np.nonzero(away[:-1] & ~away[1:])
@@ -276,7 +276,7 @@ def require_as_simulated(outcome: Outcome, victim: str, other: str) -> None:
 
 
 def require_eased_in(outcome: Outcome, victim: str) -> None:
-    """Who was away felt no force at first, and then one that grew from zero."""
+    """Check that a returned user felt no force at first, and then a force that grew from zero."""
     f = recording_of(outcome).f_v[:, PORTS.index(victim)]
     (gaps,) = np.nonzero(np.isnan(f[:-1]) & ~np.isnan(f[1:]))
     assert len(gaps) > 0, f"{victim} was never away"
@@ -286,6 +286,6 @@ def require_eased_in(outcome: Outcome, victim: str) -> None:
 
 
 def recording_of(outcome: Outcome) -> Recording:
-    """What was recorded."""
+    """The recording of the run."""
     assert outcome.recording is not None
     return outcome.recording

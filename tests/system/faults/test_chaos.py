@@ -1,4 +1,4 @@
-"""The chaos campaign, in short: a few faults by a seed, under the simulated clock, and all invariants hold."""
+"""The chaos campaign, in short: a few faults by a seed under the simulated clock; all invariants hold."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_session_withstands_faults_at_random(tmp_path: Path) -> None:
 
 
 def broken(**changes: Any) -> Recording:
-    """A recording of two users at rest, but for what is changed."""
+    """A recording of two users at rest, except for the given changes."""
     x, f_v = np.zeros((50, 2)), np.full((50, 2), 0.25)
     for name, (tick, value) in changes.items():
         (x if name == "x" else f_v)[tick:, 0] = value

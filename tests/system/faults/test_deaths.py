@@ -1,6 +1,6 @@
 """Processes that die in the middle of a session: the others go on, and the dead come back.
 
-Under the simulated clock, so that nobody is frozen for the machine's sake.
+The clock is simulated, so that a slow machine freezes no user.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .stage import (
 @pytest.mark.parametrize(
     "victims", [("dx",), ("cx",), pytest.param(("dx", "cx"), marks=pytest.mark.long)], ids="+".join
 )
-def test_a_user_whose_processes_die_comes_back_and_the_other_does_not_feel_it(victims: tuple[str, ...]) -> None:
+def test_a_users_death_and_return_are_not_felt_by_the_other(victims: tuple[str, ...]) -> None:
     outcome = play((at(100), send(signal.SIGKILL, *victims)), (back(*victims), nothing))
     require_sound(outcome)
     require_as_simulated(outcome, "dx", "dy")
@@ -61,7 +61,7 @@ def test_after_the_environments_death_everybody_begins_without_force(victims: tu
         assert zero[-1] > 100, f"{port} was never without force after tick 100"
 
 
-def test_a_node_that_has_used_up_its_restarts_stays_away_and_the_others_go_on() -> None:
+def test_a_node_without_restarts_left_stays_away_and_others_go_on() -> None:
     outcome = play(
         (at(100), send(signal.SIGKILL, "dx")),
         (back("dx"), send(signal.SIGKILL, "dx")),

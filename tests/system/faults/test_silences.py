@@ -1,4 +1,4 @@
-"""Parties that fall silent without dying: stopped, slow, cut off, or lost in a computation of their own."""
+"""Parties that fall silent without dying: stopped, slow, cut off, or in an endless computation."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def throttled(victim: str, turns: int) -> tuple[Any, Any]:
 
 
 def test_under_the_simulated_clock_a_stopped_or_slow_process_changes_nothing() -> None:
-    """Time stands still with it: every number is that of the run without faults."""
+    """The session's time stops with the process: every number equals the run without faults."""
     outcome = play(
         (at(100), send(signal.SIGSTOP, "dx")),
         (lambda progress: progress.silent == NODES, send(signal.SIGCONT, "dx")),
@@ -76,7 +76,7 @@ def test_under_the_simulated_clock_a_stopped_or_slow_process_changes_nothing() -
 
 
 @pytest.mark.alone
-def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
+def test_in_real_time_a_stopped_device_is_frozen_and_returns() -> None:
     outcome = play(
         (told_of(100), send(signal.SIGSTOP, "dx")),
         (gone_on({"dx", "cx"}, 200), send(signal.SIGCONT, "dx")),
@@ -87,11 +87,11 @@ def test_in_real_time_a_stopped_device_is_frozen_out_and_comes_back() -> None:
     nodes = nodes_of(outcome)
     assert nodes["environment"]["incidents"]["frozen"] >= 200
     assert nodes["dx"]["incidents"]["jumps"] >= 1
-    assert outcome.incidents == ()  # nobody died
+    assert outcome.incidents == ()  # no process died
 
 
 @pytest.mark.alone
-def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -> None:
+def test_in_real_time_a_slow_device_costs_others_only_its_absence() -> None:
     others: list[tuple[int, int]] = []
 
     def ticks(progress: Progress) -> None:
@@ -112,9 +112,7 @@ def test_in_real_time_a_slow_device_costs_the_others_nothing_but_its_absence() -
 
 
 @pytest.mark.alone
-def test_a_device_whose_coupling_stops_lets_go_at_the_first_sample_without_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_lets_go_at_the_first_sample_without_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "driver.log"
     popen = subprocess.Popen
 
@@ -144,7 +142,7 @@ def test_a_device_whose_coupling_stops_lets_go_at_the_first_sample_without_answe
 
 @pytest.mark.alone
 def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Encrypted, between a coupling and the environment: both live on and find each other again."""
+    """The link is encrypted, between a coupling and the environment: both live on and reconnect."""
     cables: list[Cable] = []
     hear = Conductor.hear
 
@@ -177,7 +175,7 @@ def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.alone
 def test_a_model_that_never_returns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The devices let go; people are shown who is silent, and Ctrl-C ends it all the same."""
+    """The devices let go, the display names the silent node, and Ctrl-C still ends the session."""
     monkeypatch.setenv("PYTHONPATH", search_path(HERE))
     monkeypatch.syspath_prepend(HERE)
     monkeypatch.setattr(supervisor_module, "ENDING_TIME", from_seconds(0.5))
@@ -200,7 +198,7 @@ def test_a_model_that_never_returns(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_loop_reads_the_wall_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In every process it jumps by a year at each look, forth and back; the numbers are those without."""
+    """In every process the wall clock jumps by a year at each look, forth and back; the numbers stay the same."""
     (tmp_path / "sitecustomize.py").write_text(
         "import itertools, time\n"
         "jumps = itertools.cycle((-1, 1, 1, -1))\n"
@@ -223,5 +221,5 @@ def test_no_loop_reads_the_wall_clock(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def search_path(folder: Path) -> str:
-    """Where Python looks for modules first, and then where it does so anyway."""
+    """The given folder first, then Python's usual search path."""
     return os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])

@@ -32,7 +32,7 @@ def children(process: subprocess.Popen[str]) -> dict[str, int]:
     return found
 
 
-def test_nodes_end_when_their_supervisor_is_killed_while_one_is_on_its_way_back() -> None:
+def test_nodes_end_when_their_supervisor_dies_during_a_rejoin() -> None:
     with started("launch", HERE / "pair.yaml", "--clock", "simulated") as process:
         read_until(process, "running: tick")
         first = children(process)
@@ -52,7 +52,7 @@ def test_nodes_end_when_their_supervisor_is_killed_while_one_is_on_its_way_back(
 @pytest.mark.wide
 @pytest.mark.alone  # /dev/shm is the whole machine's: a browser of another test has files there, too
 def test_starts_and_stops_in_a_row_leave_nothing() -> None:
-    """Of each by itself, besides what every test is held to: no descriptor, shared memory or temporary file more."""
+    """For each run by itself: not one descriptor, shared memory or temporary file more than before."""
 
     def left() -> tuple[set[str], set[str], set[str]]:
         shared = {path.name for path in Path("/dev/shm").iterdir() if path.stat().st_uid == os.getuid()}

@@ -1,8 +1,8 @@
-"""A node that is not what it should be: run in an honest one's place, with its bundle and its real key.
+"""A dishonest node: it runs in an honest node's place, with its bundle and its real key.
 
     python -m rogues.acts ACT BUNDLE SUPERVISOR_PID [LEAVES DONE]
 
-Each act is the honest node and something more, so that what it does wrong is all that differs.
+Each act is the honest node and one addition, so that the misbehaviour is the only difference.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ LEAVE: Final = 10
 
 
 class SteppedDriver:
-    """A driver that samples only by leave, so that a test knows what happens between which ticks.
+    """A driver that samples only with the test's leave, so that a test knows between which ticks an event falls.
 
     Reads a byte for every :data:`LEAVE` ticks and writes one when they are done; the end of the file is leave for ever.
     """
@@ -122,7 +122,7 @@ MISFITS: Final = (
 
 
 class BabblingDevice(DeviceNode):
-    """Babbles towards its couplings and its supervisor."""
+    """Sends strays to its couplings and its supervisor."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
         super().establish({name: Babbling(Oversized(link), bounded=True) for name, link in links.items()})
@@ -135,14 +135,14 @@ class BabblingDevice(DeviceNode):
 
 
 class BabblingCoupling(CouplingNode):
-    """Babbles towards its devices and the environment, which alone bounds what it admits of it."""
+    """Sends strays to its devices and to the environment, which alone bounds its signals."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
         super().establish({name: Babbling(link, name == "environment") for name, link in links.items()})
 
 
 class BabblingEnvironment(EnvironmentNode):
-    """Babbles towards one coupling, the last."""
+    """Sends strays to one coupling, the last."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
         last = list(links)[-1]
@@ -157,14 +157,14 @@ class FloodingDevice(DeviceNode):
 
 
 class ForcefulCoupling(CouplingNode):
-    """Honest towards the environment, and not towards its devices."""
+    """Honest towards the environment, dishonest towards its devices."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
         super().establish({name: link if name == "environment" else Forceful(link) for name, link in links.items()})
 
 
 class HalfwayDevice(DeviceNode):
-    """Says hello on its link, hears the answer, and never says that it is welcome."""
+    """Sends its hello, receives the answer, and never sends Welcome."""
 
     def establish(self, links: Mapping[str, Link]) -> None:
         common = self._common
@@ -174,7 +174,7 @@ class HalfwayDevice(DeviceNode):
             )
             links[peer.name].send(encode(hello))
             links[peer.name].recv(None)
-            links[peer.name].recv(None)  # until it is told to end
+            links[peer.name].recv(None)  # until it receives the end
 
 
 class HurriedCoupling(CouplingNode):
@@ -187,7 +187,7 @@ class HurriedCoupling(CouplingNode):
 
 
 def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
-    """Say a hello that is a lie; returns 0 if the supervisor refuses it."""
+    """Send a false hello; returns 0 if the supervisor refuses it."""
     common = load(Path(sys.argv[1]), ObserverBundle).common  # of whatever role
     transport = ZmqTransport.tcp(key_ring(common, Path(common.private)))
     try:
@@ -203,7 +203,7 @@ def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
 
 
 def held() -> int:
-    """An honest device in a test's hand."""
+    """An honest device that a test steps."""
     done, leaves = int(sys.argv.pop()), int(sys.argv.pop())
     return main(DeviceBundle, lambda bundle: DeviceNode(bundle, SteppedDriver(driver_of(bundle), leaves, done)))
 

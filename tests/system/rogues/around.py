@@ -1,4 +1,4 @@
-"""Everything that strangers and an observer can do to a session that runs, in one attack."""
+"""All attacks by strangers and an observer on a running session, in one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FLOOD: Final = 100_000
 
 
 def hello() -> NodeHello:
-    """What the observer says to the supervisor, honestly."""
+    """The honest hello of the observer."""
     return NodeHello(PROTOCOL_VERSION, prepared().id, prepared().session.name, OBSERVER, Role.OBSERVER, 1, {})
 
 
@@ -65,15 +65,15 @@ WRITES: Final = (
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the attackers saw.
+class AttackResults:
+    """The observations of the attackers.
 
     Attributes:
-        fates: what became of each attempt with a key.
-        without: what became of each attempt without.
+        fates: the end of each attempt with a key.
+        without: the end of each attempt without a key.
         refused: the supervisor's counts when all but the flood was over.
-        lies: the supervisor's answers to the observer's lies, by what they should be refused for.
-        observations: what the observer was told.
+        lies: the supervisor's answers to the observer's lies, by the expected reason.
+        observations: the frames that the observer received.
         queued: frames of the flood that left.
     """
 
@@ -85,8 +85,8 @@ class Told:
     queued: int
 
 
-def attack(stage: RogueSession) -> Told:
-    """Everything, while the session runs."""
+def attack(stage: RogueSession) -> AttackResults:
+    """Make every attack while the session runs."""
     with Stranger() as stranger:
         line, told, observations = _look_on(stage, stranger)
         met = _knock(stage, stranger)
@@ -102,16 +102,16 @@ def attack(stage: RogueSession) -> Told:
         queued = _flood(stage, line, refused)
         line.close()
         told.close()
-    return Told(met, without, refused, lies, observations, queued)
+    return AttackResults(met, without, refused, lies, observations, queued)
 
 
 def _settled(refused: Mapping[str, int]) -> bool:
-    """Whether what takes its time has been counted; how much, a test looks at."""
+    """Whether the slow attempts have been counted; a test checks the numbers."""
     return refused.get("unfinished", 0) >= crowded(HUB) and refused.get("out_of_turn", 0) >= len(LIES) + len(WRITES)
 
 
 def _look_on(stage: RogueSession, stranger: Stranger) -> tuple[Knock, Knock, tuple[Observation, ...]]:
-    """As the observer, honestly: its line to the hub, its own link, and one observation of each node at least."""
+    """Observe honestly: the line to the hub, the observer's own link, and at least one observation of each node."""
     line = stranger.knock(stage.hub, Claim.of(stage, OBSERVER, SUPERVISOR))
     _must(line.fate(DEADLINE_MS) is Fate.ADMITTED, "found an observer that is not admitted; expected it to be")
     line.send(hello())
@@ -129,7 +129,7 @@ def _look_on(stage: RogueSession, stranger: Stranger) -> tuple[Knock, Knock, tup
 
 
 def _knock(stage: RogueSession, stranger: Stranger) -> Mapping[Try, Fate]:
-    """Every attempt with a key; those who are let in for a moment use it."""
+    """Make every attempt with a key; connections admitted for a moment use it."""
     found = {}
     for door in dict.fromkeys(one.door for one in TRIES):
         tries = [one for one in TRIES if one.door == door]
@@ -139,7 +139,7 @@ def _knock(stage: RogueSession, stranger: Stranger) -> Mapping[Try, Fate]:
         met = fates(stage, knocks, held=door.of != SUPERVISOR)
         for one, knock, fate in zip(tries, knocks, met, strict=True):
             if fate is Fate.ADMITTED and knock.socket.type == zmq.PAIR:
-                knock.send(*WRITES)  # which nobody reads, and the session must not notice
+                knock.send(*WRITES)  # unread frames, which the session must not notice
             found[one] = fate
             knock.close()
     return found
@@ -153,7 +153,7 @@ def _answer(line: Knock, lie: NodeHello) -> str:
 
 
 def _say_as_member(stage: RogueSession, stranger: Stranger) -> None:
-    """On a second connection of a member: what is out of turn, what is no frame, and what is too long."""
+    """Send on a member's second connection: messages out of turn, bytes that are no frame, and overlong frames."""
     second = stranger.knock(stage.hub, Claim.of(stage, "cy", SUPERVISOR))
     _must(second.fate(DEADLINE_MS) is Fate.ADMITTED, "found a real key that is not admitted; expected it to be")
     second.send(*WRITES)
@@ -164,7 +164,7 @@ def _say_as_member(stage: RogueSession, stranger: Stranger) -> None:
 
 
 def _crowd(stage: RogueSession) -> None:
-    """Open connections and leave them, while the session waits, which goes on with all of them at its doors."""
+    """Open idle connections while the session waits; the session goes on with all of them at its doors."""
     with ExitStack() as stack:
         for says, size in CROWDS.values():
             stack.enter_context(crowd(CY_DY.endpoint(stage), size, says))
@@ -175,7 +175,7 @@ def _crowd(stage: RogueSession) -> None:
 
 
 def _flood(stage: RogueSession, line: Knock, before: Mapping[str, int]) -> int:
-    """Junk as fast as it goes, while the session goes on; returns how much of it left."""
+    """Send junk as fast as possible while the session goes on; returns the number of frames that left."""
     queued = 0
     for index in range(FLOOD):
         try:

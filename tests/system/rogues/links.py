@@ -1,4 +1,4 @@
-"""Links with a rogue's hand on them: the honest frames of a node, and what is sent beside or instead of them."""
+"""Links under a rogue's control: a node's honest frames, and the frames sent beside or instead of them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SIGNALS: Final[Mapping[int | None, type[SignalMessage]]] = {
 
 
 class Wrapped:
-    """A link that somebody else's hand is on."""
+    """A link under a rogue's control."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -57,7 +57,7 @@ class Wrapped:
         return self._link.send(frame)
 
     def insist(self, frame: bytes) -> None:
-        """Send, and again as long as the queue is full: a figure that is counted may not depend on a queue."""
+        """Send, and retry while the queue is full: a count must not depend on a queue."""
         while not self._link.send(frame):
             os.sched_yield()
 
@@ -113,7 +113,7 @@ class Flooding(Wrapped):
 
 
 class Oversized(Wrapped):
-    """A frame so long that the other side's ZeroMQ ends the connection; the next one goes over another connection."""
+    """A frame so long that the other side's ZeroMQ ends the connection; the next frame goes over a new connection."""
 
     def __init__(self, link: Link) -> None:
         super().__init__(link)
@@ -126,7 +126,7 @@ class Oversized(Wrapped):
         return super().send(frame)
 
     def _change_connections(self) -> None:
-        """Lose one and have another, so that no honest frame is lost with the first."""
+        """Lose one connection and open a new one, so that no honest frame is lost with the first."""
         wanted = [zmq.Event.DISCONNECTED, zmq.Event.HANDSHAKE_SUCCEEDED]
         monitor = self._socket.get_monitor_socket(wanted[0] | wanted[1])
         self._socket.send(bytes(2 * MAX_CONTROL_BYTES))
@@ -141,14 +141,14 @@ class Oversized(Wrapped):
 
 
 def require_zmq(link: Link) -> ZmqLink:
-    """The link as what it is in a real process."""
+    """The link, which in a real process is a ZeroMQ link."""
     if not isinstance(link, ZmqLink):
         raise TypeError(f"found a {type(link).__name__}; expected a link of ZeroMQ")
     return link
 
 
 class Forceful(Wrapped):
-    """A force that nobody could mean, in place of the environment's."""
+    """An absurd force in place of the environment's."""
 
     def send(self, frame: bytes) -> bool:
         head = read_head(frame)
@@ -168,7 +168,7 @@ class HurriedClock(RealtimeClock):
         return Instant(super().now() + self._ahead)
 
     def put_forward(self, time: Duration) -> None:
-        """From now on it is so much later."""
+        """Advance the clock by so much."""
         self._ahead = Duration(self._ahead + time)
 
 

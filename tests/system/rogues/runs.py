@@ -1,4 +1,4 @@
-"""The runs that several tests look at, each done once."""
+"""The runs that several tests examine, each done once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .stage import Played, play
 
 
 def once(run: Callable[[], Played]) -> Callable[[], Played]:
-    """Run it when it is first asked for, within a test, and tell all others how that went, also if it failed."""
+    """Do a run at its first use within a test; every later use gets the same result or the same error."""
     kept: list[Played | Exception] = []
 
     @wraps(run)
@@ -40,13 +40,13 @@ def quiet() -> Played:
 
 @once
 def surrounded() -> Played:
-    """The run with all of them around."""
+    """The run with all rogues around it."""
     return play(attack=around.attack)
 
 
 @once
 def infested() -> Played:
-    """The run with some of them within: a device, a coupling and the environment."""
+    """The run with rogues within: a device, a coupling and the environment."""
     return play(
         acts={"dx": "babbling device", "cy": "babbling coupling", "environment": "babbling environment"},
     )

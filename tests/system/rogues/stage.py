@@ -1,4 +1,4 @@
-"""Runs of a session with rogues in it or around it, and what became of them.
+"""Runs of a session with rogues in it or around it, and their results.
 
 The session is Example 1 with limits and an observer, over keyed TCP under the simulated clock: real processes, sockets
 and keys, and values that are the same to the last bit whenever nothing has moved them.
@@ -53,7 +53,7 @@ OVERRIDES: Final = (
     *(f"devices.{name}.limits={{force: {FORCE_LIMIT}, displacement: 0.2, speed: 2}}" for name in ("dx", "dy", "dz")),
 )
 TICKS: Final = 800  # the hands push from 100 to 350
-ATTENTIVE: Final = 10  # ticks between two telemetry messages, when a process also looks at who is at its door
+ATTENTIVE: Final = 10  # ticks between two telemetry messages, when a process also attends to its door
 DEADLINE: Final = DEADLINE_MS / 1000  # s
 STANDSTILL: Final = 2 * DEADLINE  # an attack may wait for once a deadline while the session waits for it
 
@@ -67,19 +67,19 @@ def prepared() -> Prepared:
 
 
 class Ended(Exception):
-    """The session was over before the attack was."""
+    """The session ended before the attack."""
 
 
 @dataclass
 class RogueSession:
-    """What an attack knows of a session, and how it goes on with it.
+    """An attack's knowledge of a session, and its means to let the session go on.
 
     Attributes:
         keys: all keys: an attack can play any part with the real one.
         hub: endpoint of the supervisor's hub.
-        links: endpoint of each link, by who binds it and who connects to it.
-        observer: where the observer is served.
-        ticks: how many the session has done by leave.
+        links: endpoint of each link, by its binding and its connecting end.
+        observer: endpoint of the observer's broadcast.
+        ticks: the number of ticks done with the attack's leave.
     """
 
     keys: Keys
@@ -93,20 +93,20 @@ class RogueSession:
     _seen: tuple[int, float] = field(
         default_factory=lambda: (-1, time.monotonic())
     )  # ticks of all nodes, and since when
-    _leaves: int = -1  # to be written
-    _done: int = -1  # to be read
+    leaves: int = -1
+    done: int = -1
 
     def go_on(self, leaves: int = 1) -> None:
         """Let the session do some ticks, and wait until it has."""
         for _ in range(leaves):
-            os.write(self._leaves, b".")
-            ready, _, _ = select.select([self._done], [], [], DEADLINE)
-            if not ready or not os.read(self._done, 1):
+            os.write(self.leaves, b".")
+            ready, _, _ = select.select([self.done], [], [], DEADLINE)
+            if not ready or not os.read(self.done, 1):
                 raise Ended(f"the session did not go on after {self.ticks} ticks")
             self.ticks += LEAVE
 
     def wait_for(self, what: Callable[[Progress], bool]) -> Progress:
-        """Wait until the supervisor tells of a progress like this."""
+        """Wait until the supervisor reports a progress that meets a condition."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._over or (self._progress is not None and what(self._progress)), DEADLINE
@@ -116,7 +116,7 @@ class RogueSession:
             return self._progress
 
     def show(self, progress: Progress) -> None:
-        """For the supervisor: how it goes. A session that stands still is interrupted, or its test would do so, too."""
+        """Take the supervisor's progress; interrupt a session that stands still, since its test would hang, too."""
         done = sum(telemetry.tick for telemetry in progress.telemetry.values())
         if done != self._seen[0]:
             self._seen = done, time.monotonic()
@@ -127,7 +127,7 @@ class RogueSession:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """For the supervisor: it is over."""
+        """Mark the session as over."""
         with self._changed:
             self._over = True
             self._changed.notify_all()
@@ -142,8 +142,8 @@ class Played:
 
     Attributes:
         outcome: the run's.
-        told: what the attack returned; None without one.
-        during: ticks that were done when the attack was over.
+        told: the result of the attack; None without one.
+        during: ticks done by the end of the attack.
     """
 
     outcome: Outcome
@@ -167,9 +167,9 @@ def play(
 
     Args:
         ticks: how many.
-        acts: nodes that are not what they should be, and what they are instead (:mod:`.acts`).
-        forge: what becomes of the bundles after they were cut.
-        attack: what happens meanwhile, in a thread of its own. While it lasts, the session goes on by leave alone.
+        acts: the dishonest nodes, and the act of each (:mod:`.acts`).
+        forge: changes the bundles after they were cut.
+        attack: runs in a thread of its own. While it lasts, the session goes on only with its leave.
     """
     session = prepared().session
     stage = RogueSession(ephemeral(roster(session), session.name))
@@ -185,10 +185,10 @@ def play(
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         given: tuple[int, ...] = ()
         if attack:
-            leaves, stage._leaves = os.pipe()
-            stage._done, done = os.pipe()
+            leaves, stage.leaves = os.pipe()
+            stage.done, done = os.pipe()
             given = (leaves, done)
-            stack.callback(os.close, stage._done)
+            stack.callback(os.close, stage.done)
         _cast(patch, acts, given)
         _overhear(patch, stage, forge or (lambda bundles: bundles))
         if attack is None:
@@ -209,7 +209,7 @@ def _carry_out(attack: Attack, stage: RogueSession) -> Any:
         stage.wait_for(lambda progress: progress.phase is SessionPhase.RUNNING)
         return attack(stage)
     finally:
-        os.close(stage._leaves)  # the rest of the ticks need no leave
+        os.close(stage.leaves)  # the rest of the ticks need no leave
 
 
 def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, ...]) -> None:
@@ -231,7 +231,7 @@ def _cast(patch: pytest.MonkeyPatch, acts: Mapping[str, str], given: tuple[int, 
 
 
 def _overhear(patch: pytest.MonkeyPatch, stage: RogueSession, forge: Forge) -> None:
-    """Tell the stage where everybody is, as somebody who reads along would know it."""
+    """Give the stage all endpoints, as an eavesdropper would know them."""
 
     def cut_and_forge(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         stage.hub = run.control

@@ -1,6 +1,6 @@
-"""Those who are no part of the session, or not the part they play: attacks on its sockets from outside.
+"""Attacks from outside on a session's sockets, by processes that are no part of it, or not the part they play.
 
-Every connection is made once and never again by itself, so that what is counted is what was tried.
+Every connection is made once and never repeated by itself, so that the counts equal the attempts.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ PATIENCE_MS: Final = (50, 50, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 25600
 
 
 def greeting(mechanism: bytes) -> bytes:
-    """What each side of a ZMTP 3.1 connection says first: signature, version, mechanism, as-server, filler."""
+    """The first bytes of each side of a ZMTP 3.1 connection: signature, version, mechanism, as-server, filler."""
     return b"\xff" + bytes(7) + b"\x01\x7f\x03\x01" + mechanism.ljust(20, b"\x00") + bytes(32)
 
 
 GREETING: Final = greeting(b"CURVE")
 HELLO_BYTES: Final = 202  # of CURVE's first command, with its frame's two bytes
-OVERSIZED: Final = b"\x06" + struct.pack(">Q", 2**62) + b"\x05HELLO"  # a command's frame of 4 EiB, as it says
+OVERSIZED: Final = b"\x06" + struct.pack(">Q", 2**62) + b"\x05HELLO"  # a command's frame that claims 4 EiB
 
 
 class Fate(Enum):
-    """What became of a connection."""
+    """The end of a connection."""
 
     ADMITTED = "admitted"
     NOT_ADMITTED = "not admitted"
@@ -60,7 +60,7 @@ _FATES: Final = {
 
 @dataclass(frozen=True)
 class Claim:
-    """What a stranger shows at a door.
+    """The keys that a stranger presents at a door.
 
     Attributes:
         pair: its keys.
@@ -79,7 +79,7 @@ class Claim:
 
     @classmethod
     def unknown(cls, stage: RogueSession, server: str) -> Self:
-        """Keys that nobody has heard of."""
+        """Keys unknown to the session."""
         return cls(new_pair(), stage.keys.public.keys[server])
 
     @classmethod
@@ -126,7 +126,7 @@ class Knock:
         self.socket.close(linger=0)
 
     def fate(self, timeout_ms: int) -> Fate | None:
-        """What became of it; None while that is open."""
+        """The end of the attempt; None before it."""
         while self._monitor.poll(timeout_ms):
             fate = _FATES.get(zmq.Event(parse_monitor_message(self._monitor.recv_multipart())["event"]))
             if fate is not None:
@@ -144,7 +144,7 @@ class Knock:
 
 
 def fates(stage: RogueSession, knocks: Sequence[Knock], held: bool) -> list[Fate]:
-    """What became of attempts to connect.
+    """The ends of attempts to connect.
 
     Args:
         stage: the session.
@@ -173,7 +173,7 @@ def address(endpoint: str) -> tuple[str, int]:
 
 
 def without_key(endpoint: str, mechanism: bytes) -> Fate:
-    """Ask to be let in by another mechanism than keys, and stay until the other side ends that.
+    """Ask for admission by a mechanism without keys, and stay until the other side ends it.
 
     ZeroMQ's own client would leave as soon as it reads what is wanted, now and then before it was heard itself.
     """
@@ -186,7 +186,7 @@ def without_key(endpoint: str, mechanism: bytes) -> Fate:
 
 @contextmanager
 def crowd(endpoint: str, size: int, says: bytes) -> Iterator[list[socket.socket]]:
-    """Many TCP connections that are opened and left, each after it has said something.
+    """Many TCP connections that are opened and left idle, each after some bytes.
 
     When this is entered every one of them has been accepted: the other side has begun its own greeting.
     """
@@ -204,7 +204,7 @@ def crowd(endpoint: str, size: int, says: bytes) -> Iterator[list[socket.socket]
 
 @contextmanager
 def halfway(stranger: Stranger, endpoint: str, claim: Claim) -> Iterator[None]:
-    """A handshake of real keys that stops in its middle: its last part is kept back by somebody between the two."""
+    """A handshake of real keys that stops in its middle: its last part is held back between the two."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         knock = stranger.knock(f"tcp://127.0.0.1:{listener.getsockname()[1]}", claim)
         listener.settimeout(DEADLINE)

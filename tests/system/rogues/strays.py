@@ -1,6 +1,6 @@
-"""Frames that do not belong on a link: what a peer with a real key could send beside, or instead of, its honest ones.
+"""Frames that do not belong on a link, as a peer with a real key could send beside or instead of honest ones.
 
-Each is sent before the honest signal of a tick, while the other side waits for that one.
+Each is sent before the honest signal of a tick, while the other side waits for that signal.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NEXT_KIND: Final[Mapping[type[SignalMessage], type[SignalMessage]]] = {
 
 @dataclass(frozen=True)
 class Honest:
-    """The honest signal that is about to go out, and what went before."""
+    """The honest signal about to leave, and the one before."""
 
     kind: type[SignalMessage]
     tick: int
@@ -47,14 +47,14 @@ class Honest:
 
 
 def signal(kind: type[SignalMessage], tick: int, stamp: int, values: tuple[float, ...]) -> bytes:
-    """A signal's frame, whatever the codec thinks of it."""
+    """A signal's frame, even if the codec would refuse it."""
     data = struct.pack(f"<{len(values)}d", *values)
     return USUAL.pack(ARRAY_OF_4, LAYOUTS[kind][0], UINT64, tick, UINT64, stamp, BIN16, len(data)) + data
 
 
 @dataclass(frozen=True)
 class Stray:
-    """A frame that is not admitted: ``reason`` is what it is counted under.
+    """A frame that is not admitted; ``reason`` names its count.
 
     ``bounded``: where the receiver bounds what it admits; elsewhere such a signal is a signal like others.
     """

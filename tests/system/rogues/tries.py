@@ -1,4 +1,4 @@
-"""What strangers try at the doors of a session that runs, and what must come of it, as tables."""
+"""Attempts of strangers at the doors of a running session and the expected results, as tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .strangers import GREETING, OVERSIZED, Claim, Fate
 
 @dataclass(frozen=True)
 class Door:
-    """A listening socket: whose it is, for whom, and with which socket one connects to it."""
+    """A listening socket: its owner, its peer, and the socket type that connects to it."""
 
     of: str
     to: str
@@ -40,7 +40,7 @@ ENVIRONMENT_CY: Final = Door("environment", "cy")
 
 @dataclass(frozen=True)
 class Try:
-    """What a stranger tries, what it sees of the answer, what it is counted as, and with which socket, if another."""
+    """A stranger's attempt, the visible answer, its count, and its socket type if it differs from the door's."""
 
     what: str
     door: Door
@@ -63,7 +63,7 @@ def _pretended(name: str, door: Door) -> Try:
 
 
 def _real(name: str, door: Door, reason: str, what: str = "") -> Try:
-    """A real key where it is not wanted; one that is wanted proves itself, and is told to leave afterwards."""
+    """A real key at the wrong door; a key that the door wants is admitted and dismissed afterwards."""
     fate = Fate.ADMITTED if reason == "second_peer" else Fate.NOT_ADMITTED
     told = f"the real key of {name}" + (f", {what}" if what else "")
     return Try(told, door, lambda stage, of: Claim.of(stage, name, of), fate, reason)
@@ -128,6 +128,6 @@ HALFWAY: Final = (CZ_DZ, HUB)
 
 
 def crowded(door: Door) -> int:
-    """How many connections are opened and left at a door in all, halfway handshakes among them."""
+    """The number of idle connections opened at a door in all, including halfway handshakes."""
     part = AT_THE_HUB if door == HUB else 1
     return (door in CROWDED) * sum(size // part for _, size in CROWDS.values()) + (door in HALFWAY)

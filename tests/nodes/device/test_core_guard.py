@@ -1,4 +1,4 @@
-"""A device's limits: what is let pass, what is clipped, and how it lets go and takes hold again."""
+"""A device's limits: which forces pass or are clipped, and how the device lets go and takes hold again."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_force_within_its_limits_is_handed_on_as_it_is() -> None:
     assert g.clipped == 0
 
 
-def test_a_force_beyond_is_clipped_axis_by_axis_and_counted_once_a_tick() -> None:
+def test_an_excessive_force_is_clipped_by_axis_and_counted_per_tick() -> None:
     g = guard()
     f = [-9.0, 3.0]
     np.testing.assert_array_equal(g.clip(f), [-8.0, 2.0])
@@ -46,7 +46,7 @@ def test_what_is_no_number_is_no_force() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats(0.0, 1e300)), min_size=1, max_size=6))
-def test_whatever_the_force_it_is_within_and_changed_no_more_than_needed(pairs: list[tuple[float, float]]) -> None:
+def test_any_force_ends_within_limits_and_changes_only_as_needed(pairs: list[tuple[float, float]]) -> None:
     f, limits = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
     saturation = Saturation(limits.tolist())
     clipped = np.array(saturation.clip(f.tolist()))
@@ -72,7 +72,7 @@ def test_within_its_limits_nothing_is_breached() -> None:
         ([0.0, math.inf], "found a displacement of inf m at arm.1"),
     ],
 )
-def test_a_displacement_beyond_is_told(x: list[float], sentence: str) -> None:
+def test_a_displacement_beyond_is_reported(x: list[float], sentence: str) -> None:
     g = guard()
     assert g.breach([0.0] * 2) is None
     found = g.breach(x)
@@ -80,7 +80,7 @@ def test_a_displacement_beyond_is_told(x: list[float], sentence: str) -> None:
     assert found.startswith(sentence)
 
 
-def test_a_speed_beyond_is_told() -> None:
+def test_a_speed_beyond_is_reported() -> None:
     g = guard()
     assert g.breach([0.1, 0.1]) is None
     assert g.breach([0.1, 0.1009]) is None
@@ -99,7 +99,7 @@ def test_a_speed_is_that_of_one_period() -> None:
     assert slow.breach([0.0, 0.5]) is None
 
 
-def test_a_device_that_never_leaves_its_limits_is_told_as_it_is() -> None:
+def test_a_device_within_its_limits_reports_its_position_unchanged() -> None:
     g = guard()
     for x in ([0.0, 0.0], [0.001, 0.0005], [0.2, 0.5]):
         assert g.tell(x, 1000) is x
@@ -107,7 +107,7 @@ def test_a_device_that_never_leaves_its_limits_is_told_as_it_is() -> None:
     assert (g.let_go, g.holds) == (0, True)
 
 
-def test_a_device_beyond_its_speed_lets_go_and_takes_hold_again_by_a_ramp() -> None:
+def test_beyond_its_speed_a_device_lets_go_and_returns_by_ramp() -> None:
     g = guard()
     g.tell([0.0, 0.0])
     assert g.tell([0.01, 0.0]) == [pytest.approx(0.002), 0.0]  # as far as its speed allows
@@ -124,7 +124,10 @@ def test_a_device_beyond_its_speed_lets_go_and_takes_hold_again_by_a_ramp() -> N
     assert felt[0] < 1e-3
     assert max(np.diff(felt)) <= np.pi / 2.0 / RETURN
     assert felt[-1] == 1.0
-    assert g.tell([0.012, 0.0]) == [pytest.approx(0.003), 0.0]  # where it is told to be stays behind, not how it moves
+    assert g.tell([0.012, 0.0]) == [
+        pytest.approx(0.003),
+        0.0,
+    ]  # the reported position stays behind, not the motion
     assert g.let_go == 1
 
 
@@ -137,7 +140,7 @@ def test_who_is_held_beyond_its_displacement_stays_out() -> None:
     assert g.let_go == 1
 
 
-def test_what_is_no_number_is_told_to_nobody() -> None:
+def test_a_non_number_is_sent_to_no_peer() -> None:
     g = guard()
     g.tell([0.1, 0.0])
     for x in ([math.nan, 0.0], [0.1, math.inf], [0.1, 0.0]):
@@ -151,7 +154,7 @@ def test_what_is_no_number_is_told_to_nobody() -> None:
     calm=st.integers(RETURN, 2 * RETURN),
 )
 def test_letting_go_and_taking_hold_makes_no_energy(steps: list[float], forces: list[float], calm: int) -> None:
-    """What is told to be done on the device is done, but in a tick in which it is beyond its speed."""
+    """The reported work is done on the device, except in a tick in which the device is beyond its speed."""
     g = Guard(Limits((8.0,), (1e3,), (1.0,)), T, ("arm",))
     x = told = done = said = force = applied = 0.0
     g.tell([0.0])

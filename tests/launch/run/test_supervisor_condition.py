@@ -1,4 +1,4 @@
-"""How the session is goes to whoever looks on and to the recorder, and what is too long to be said ends nothing."""
+"""The session's condition goes to observers and recorder; one too long for a frame ends nothing."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
 
 class Ear(Recorder):
-    """Keeps what it is told."""
+    """Keeps every message."""
 
     def __init__(self) -> None:
         self.told: list[bytes | None] = []
 
-    def tell(self, frame: bytes | None) -> None:
+    def take(self, frame: bytes | None) -> None:
         self.told.append(frame)
 
 
@@ -37,7 +37,7 @@ class Eye(Showing):
     def __init__(self) -> None:
         self.shown: list[bytes | None] = []
 
-    def tell(self, frame: bytes | None) -> None:
+    def show(self, frame: bytes | None) -> None:
         self.shown.append(frame)
 
 
@@ -58,7 +58,7 @@ def test_one_frame_is_for_both(prepared: Prepared) -> None:
         prepared, clock="simulated", reach=reach(prepared, "ipc"), ticks=1, record=False, recorder=ear
     )
     supervisor._showing = eye
-    supervisor._tell(progress("a spring broke"))
+    supervisor._report(progress("a spring broke"))
     (frame,) = ear.told
     assert eye.shown == ear.told
     assert frame is not None
@@ -76,6 +76,6 @@ def test_one_that_is_too_long_is_nobodys_loss(prepared: Prepared) -> None:
     supervisor._showing = eye
     long = progress(*["€" * MAX_TEXT] * MAX_SENTENCES)
     assert condition_frame(long) is None
-    supervisor._tell(long)
+    supervisor._report(long)
     assert (ear.told, eye.shown) == ([], [None])
-    Showing.tell(eye, None)  # which shows nothing, and needs no broadcast for it
+    Showing.show(eye, None)  # which shows nothing, and needs no broadcast for it

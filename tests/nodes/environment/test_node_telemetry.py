@@ -1,4 +1,4 @@
-"""What the environment tells of tools and masses: rows that follow each other, of what its core has settled."""
+"""The environment's telemetry of tools and masses: rows in order, each of a tick that its core has settled."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def environment(*overrides: str) -> EnvironmentBundle:
     ],
 )
 def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_line: Callable[[], Any]) -> None:
-    """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, with what is told of x_e and q alone."""
+    """m (v(k) - v(k-1))/T = sum of the springs' and dampers' forces, from the telemetry of x_e and q alone."""
     bundle = environment(*overrides)
     m = len(bundle.common.ports)
     core, account, line = environment_core(bundle, np.eye(m) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
@@ -72,7 +72,7 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
     )  # second differences of doubles over T^2
 
 
-def test_rows_follow_each_other_and_nothing_is_told_twice(new_line: Callable[[], Any]) -> None:
+def test_rows_are_consecutive_and_nothing_is_sent_twice(new_line: Callable[[], Any]) -> None:
     bundle = environment()
     core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
     for tick in range(7):
