@@ -32,7 +32,10 @@ class CouplingNode:
     """
 
     def __init__(self, bundle: CouplingBundle, clock: Clock | None = None) -> None:
-        """``clock`` measures waiting times; by default it is the realtime clock."""
+        """Take the coupling's part of the session; :meth:`establish` makes the block.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         self._bundle, self._common = bundle, bundle.common
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)

@@ -41,7 +41,10 @@ class DeviceNode:
     """
 
     def __init__(self, bundle: DeviceBundle, driver: Driver, clock: Clock | None = None) -> None:
-        """``driver`` is the device itself; ``clock`` measures waiting times, by default the realtime clock."""
+        """``bundle`` is the device's part of the session; ``driver`` is the device itself.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         common = bundle.common
         self._common, self._driver, self._rungs = common, driver, bundle.rungs
         self._core = DeviceCore(bundle.level, bundle.K, common.period)

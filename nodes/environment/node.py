@@ -106,7 +106,10 @@ class EnvironmentNode:
     """
 
     def __init__(self, bundle: EnvironmentBundle, clock: Clock | None = None) -> None:
-        """``clock`` measures waiting times; by default it is the realtime clock."""
+        """Take the environment's part of the session; :meth:`establish` makes the core, which needs D_V.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         self._bundle, self._common = bundle, bundle.common
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)
