@@ -1,8 +1,8 @@
 """Session files: the one place where the structure of a session is written, read and checked.
 
-``yaml`` turns YAML into plain data with positions; ``session`` and the parts it is made of (``device``,
-``environment``, ``design``) turn that into a :class:`Session` or a :class:`SessionError`. docs/session-file.md is the
-format's reference.
+``yaml`` turns YAML into plain data with positions. ``session`` and its parts (``device``, ``environment``, ``design``)
+turn these data into a :class:`Session`, or raise a :class:`SessionError`. docs/session-file.md is the reference of the
+format.
 """
 
 from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights

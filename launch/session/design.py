@@ -1,12 +1,12 @@
-"""What a session asks of the design: the class of couplings, the objective, and couplings that are given.
+"""The key ``design`` of a session file: the class of couplings, the objective, its weights, and given couplings.
 
-Couplings that are given: K and B by number, list or matrix, or a state space for each block.
+A given coupling is K and B, each a number, a list or a matrix, or a state space for each block. The weights W1 and W2
+belong to the transparency objectives,
 
-The weights W1, W2 of the transparency objectives: by their coefficients, or by the band that they emphasise.
+    (23): || W1 (F(E, V) - E) W2 ||,   (24): || W1 E V W2 ||    ([Bianchini2010]_),
 
-    (23): || W1 (F(E, V) - E) W2 ||,   (24): || W1 E V W2 ||    ([Bianchini2010]_)
-
-One scalar weight stands for all ports. It must be stable and proper, which keeps it stable under backward Euler.
+and are given by their coefficients or by the band that they emphasise. One scalar weight applies to all ports. It must
+be stable and proper, and then backward Euler keeps it stable.
 """
 
 import math
@@ -64,7 +64,7 @@ OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
 
 
 def one_or_many(what: Quantity) -> Any:
-    """The validator of a value that may be a number, a list or a matrix of ``what``, or absent."""
+    """The validator of a value that is a number, a list or a matrix of ``what``, or absent."""
 
     def check(value: object) -> object:
         if not isinstance(value, list | tuple):
@@ -90,7 +90,7 @@ class BlockMatrices(SessionModel):
     static: OptionalRows = Field(default=None, description=STATIC_MEANING)
 
     def problems(self, ports: int) -> Iterator[Problem]:
-        """Which matrices have not the size that a block of ``ports`` ports needs."""
+        """A problem for each matrix whose size does not fit a block of ``ports`` ports."""
         return size_problems(self.A, self.B, self.C, self.D, self.static, ports, MAX_ORDER)
 
     @model_validator(mode="after")
@@ -99,14 +99,14 @@ class BlockMatrices(SessionModel):
         return self
 
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+        """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
         return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
 
 
 def given_problems(
     value: OneOrMany, ports: tuple[str, ...], block_of: Mapping[str, str], definite: bool
 ) -> Iterator[Problem]:
-    """What does not fit these ports and their couplings; a ``definite`` value must be positive definite."""
+    """Problems of a given value for these ports and their couplings; a ``definite`` value must be positive definite."""
     m = len(ports)
     rows = value if isinstance(value, tuple) else (value,) * m
     if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
@@ -213,7 +213,7 @@ _NEUTRAL: Final = Weight(num=(1.0,), den=(1.0,))
 
 
 class Weights(SessionModel):
-    """The two weights of an objective; one that is left out is 1."""
+    """The two weights of an objective; an absent weight is 1."""
 
     W1: Weight = Field(default=_NEUTRAL, description="the weight W1, at the output")
     W2: Weight = Field(default=_NEUTRAL, description="the weight W2, at the input")
@@ -242,7 +242,7 @@ def _order(value: object) -> object:
 
 
 class Pole(SessionModel):
-    """A pair of fixed poles, s^2 + 2 damping frequency s + frequency^2 = 0; a double real one with damping 1."""
+    """A pair of fixed poles, s^2 + 2 damping frequency s + frequency^2 = 0; damping 1 makes a double real pole."""
 
     frequency: Annotated[float, BeforeValidator(_FREQUENCY)] = Field(description="the natural frequency in rad/s")
     damping: Annotated[float, BeforeValidator(_RATIO)] = Field(
@@ -251,7 +251,7 @@ class Pole(SessionModel):
 
 
 class Design(SessionModel):
-    """Which virtual coupling the session runs with, and by which aim it is chosen."""
+    """Which virtual coupling the session runs with, and the objective by which it is chosen."""
 
     coupling: Annotated[Literal["spring-damper", "linear", "given", "none"], BeforeValidator(Choice(_COUPLINGS))] = (
         Field(description="the class of the coupling: spring-damper, linear, given or none")
@@ -303,11 +303,11 @@ class Design(SessionModel):
 
     @property
     def wanted(self) -> bool:
-        """Whether the coupling is to be found."""
+        """Whether the design has to find the coupling, rather than take a given one or none."""
         return self.coupling in ("spring-damper", "linear")
 
     def order_of(self, block: str) -> int:
-        """States for each port of a block of a linear coupling."""
+        """States for each port of this block of a linear coupling; 0 for other couplings."""
         return self.order[block] if isinstance(self.order, dict) else self.order or 0
 
     @model_validator(mode="after")
@@ -330,7 +330,7 @@ class Design(SessionModel):
         return self
 
     def _search_problems(self) -> Iterator[Problem]:
-        """Keys that say how a coupling is found, where they say nothing or contradict each other."""
+        """Keys about the search for a coupling that have no use here, or contradict each other."""
         here = f"with 'coupling: {self.coupling}'"
         if self.coupling == "linear" and self.order is None:
             yield Problem((), "'coupling: linear' without order", "order, the states for each port of a coupling")
@@ -356,7 +356,7 @@ class Design(SessionModel):
             yield Problem(("iterations",), found, "'algorithm: complementarity', or no iterations")
 
     def _ladder_problems(self) -> Iterator[Problem]:
-        """Delays that do not grow, or that nothing is held ready for."""
+        """Delays that do not grow, or that belong to no coupling."""
         if self.ladder and self.coupling == "none":
             yield Problem(("ladder",), "a ladder with 'coupling: none'", "a coupling, or no ladder")
         before, name = self.tau, "tau"
@@ -367,7 +367,7 @@ class Design(SessionModel):
             before, name = delay, "the delay"
 
     def _objective_problems(self) -> Iterator[Problem]:
-        """An objective that the coupling leaves nothing to do for, and weights that the objective does not use."""
+        """An objective that does not apply to the coupling, and weights that the objective does not use."""
         allowed: tuple[str, ...] = _OBJECTIVES
         if self.coupling == "given":
             allowed = ("feasible", *_TRANSPARENCY)  # the level of a given coupling may be asked for
@@ -381,7 +381,7 @@ class Design(SessionModel):
             yield Problem(("weights",), found, "'objective: loop-shaping' or 'closed-loop', or no weights")
 
     def problems(self, ports: tuple[str, ...], blocks: Blocks, period: float) -> Iterator[Problem]:
-        """What does not fit a session with these ports, these ports of each coupling, and this period (s)."""
+        """The problems in a session with these ports, these blocks (ports of each coupling) and this period (s)."""
         if self.tau > period:
             yield Problem(("tau",), f"{show(self.tau)} with a period of {period:g} s", "at most the period")
         if self.ladder and self.ladder[-1] > period:

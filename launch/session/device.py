@@ -1,17 +1,17 @@
-"""A device of a session: its axes, its OSP level, its limits, and what moves it.
+"""A device of a session: its axes, its OSP level, its limits, and its driver with the simulated hand.
 
-That is its ``driver``: a simulated mechanism in a simulated hand, the same in the hand of a person at a browser, or a
-motion that was recorded, which needs neither.
+The ``driver`` is what moves the device. ``simulated`` is a simulated mechanism in a simulated hand. ``browser`` is the
+same mechanism, whose hand follows the pointer of a person at a browser. ``trace`` is a recorded motion, which needs
+neither mechanism nor hand.
 
-The simulated hand that holds a simulated device: a passive linear operator and an intention.
+A simulated hand is a passive linear operator H(s) and an intention. It responds to the device's velocity v (m/s) with
+the force (N)
 
-The hand answers the device's velocity v (m/s) with a force (N) against it,
+    f = force(t) - (H(s) + mass s + damping + stiffness / s) (v - d motion(t)/dt).
 
-    f = force(t) - (H(s) + mass s + damping + stiffness / s) (v - d motion(t)/dt),
-
-and H is refused unless it is passive, since the certificate of a session rests on that (Assumption 1b of
-[Bianchini2010]_). Recorded traces are read here, so that a device's process is handed numbers and opens no
-file of the session's author.
+An H that is not passive is refused, because the certificate of a session relies on passive hands (Assumption 1b of
+[Bianchini2010]_). Recorded traces are read here: a device's process receives numbers, and opens no file that the
+session's author named.
 """
 
 import functools
@@ -77,7 +77,7 @@ DEFAULT_HAND: Final[Mapping[str, object]] = {
 0.02 (s^2 + 60 s + 1000)/(s^2 + 10.3 s + 100) in N·s/m, and a push of 2 N between 0.1 s and 0.2 s."""
 
 BROWSER_HAND: Final[Mapping[str, object]] = {"stiffness": 200.0, "damping": 5.0}
-"""What of the hand of a device with ``driver: browser`` is not said: 200 N/m and 5 N·s/m, axis by axis."""
+"""The default stiffness and damping of the hand with ``driver: browser``: 200 N/m and 5 N·s/m on each axis."""
 
 _entry: Final = Entry("N·s/m")
 _SAMPLES: Final = Items("samples", MAX_TRACE_ROWS, Quantity("a number"))
@@ -85,7 +85,7 @@ _PASSIVE: Final = "a passive operator: no eigenvalue of (H(jw) + H(jw)*)/2 below
 
 
 def _operator(value: object, info: ValidationInfo) -> object:
-    """H(s) as rows of entries; one entry alone stands for itself on every axis, without cross terms."""
+    """H(s) as rows of entries; a single entry applies to every axis, without cross terms."""
     dof: int = info.data.get("dof", 1)
     if isinstance(value, list | tuple):
         return matrix(_entry, value, dof, dof)
@@ -93,15 +93,15 @@ def _operator(value: object, info: ValidationInfo) -> object:
     return tuple(tuple(own if i == j else cross for j in range(dof)) for i in range(dof))
 
 
-@functools.lru_cache(maxsize=256)  # many devices are held by the same hand
+@functools.lru_cache(maxsize=256)  # many devices have the same hand
 def _passivity(operator: RationalMatrix) -> PassivityFinding:
-    # coefficients of extreme size may overflow on the way; the finding is then refused as not finite
+    # extreme coefficients may overflow in between; such an operator is then refused as not finite
     with np.errstate(all="ignore"):
         return operator.passivity()
 
 
 def _intents(what: Quantity) -> Callable[[object, ValidationInfo], object]:
-    """Check for an intended force or motion of every axis."""
+    """The check of an intended force or motion for every axis."""
 
     def check(value: object, info: ValidationInfo) -> object:
         folder = (info.context or {}).get("folder", Path())
@@ -111,7 +111,7 @@ def _intents(what: Quantity) -> Callable[[object, ValidationInfo], object]:
 
 
 def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceData:
-    """One number, formula, or trace."""
+    """The checked intention of one axis: a number, a formula, or a trace."""
     match value:
         case TraceData():
             return value
@@ -131,9 +131,9 @@ def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceD
             return what(value)
 
 
-@functools.lru_cache(maxsize=256)  # many hands intend the same
+@functools.lru_cache(maxsize=256)  # many hands have the same intention
 def _probe(text: str) -> None:
-    """Refuse a formula that is not allowed, or that fails at a time at which most sessions would meet it."""
+    """Refuse a formula that is not allowed, or that fails at a time within the first PROBE_SECONDS."""
     try:
         formula = Formula(text)
         for k in range(PROBE_COUNT + 1):
@@ -153,7 +153,11 @@ _AXES: Final = "one for all axes, or a list with one for each"
 
 
 class Hand(SessionModel):
-    """A simulated hand; every tuple has one entry for each axis of the device."""
+    """A simulated hand; every tuple has one entry for each axis of the device.
+
+    Raises:
+        PydanticCustomError: the operator is not passive, or another value is wrong.
+    """
 
     dof: Dof = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     operator: Annotated[tuple[tuple[Rational, ...], ...], BeforeValidator(_operator)] = defaulted(
@@ -175,7 +179,7 @@ class Hand(SessionModel):
 
     @property
     def rational(self) -> RationalMatrix:
-        """H(s) as ``design`` knows it."""
+        """H(s) in the form that ``design`` uses, dof x dof, N·s/m."""
         return RationalMatrix(tuple(tuple((entry.num, entry.den) for entry in row) for row in self.operator))
 
     @field_validator("operator", mode="after")
@@ -196,7 +200,7 @@ class Hand(SessionModel):
         return operator
 
 
-_ROUNDING: Final = 1e-12  # of the largest entry: what the eigenvalues of a difference may lose
+_ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
 
@@ -204,14 +208,14 @@ _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
 def _osp(value: object, info: ValidationInfo) -> object:
     """Delta_D as a symmetric positive definite matrix, from a number, a list by axis, or the matrix itself.
 
-    An interval is of numbers or of lists by axis: between two matrices there is no lower end to rely on.
+    The ends of an interval are numbers or lists by axis: two matrices have no lower end that a proof could use.
     """
     dof: int = info.data.get("dof", 1)
     if isinstance(value, LevelInterval):
         value = _plain_level(value)
     if is_interval(value):
         low, high = ends(value, lambda end: _per_axis(end, info))
-        if len(low) != len(high):  # possible where dof itself is wrong
+        if len(low) != len(high):  # possible only where dof is wrong
             raise refuse("ends of different lengths", "one level, or one for each axis, at both ends", (BETWEEN,))
         for least, most in zip(low, high, strict=True):
             ordered(least, most)
@@ -233,21 +237,21 @@ def _diagonal(levels: tuple[float, ...]) -> Rows:
 
 
 def _plain_level(osp: Rows | LevelInterval) -> object:
-    """The level as a session file has it."""
+    """The level in the notation of a session file."""
     if isinstance(osp, LevelInterval):
         return {BETWEEN: [[row[i] for i, row in enumerate(end)] for end in (osp.low, osp.high)]}
     return osp
 
 
 def _damping(value: object, info: ValidationInfo) -> object:
-    """The damping by axis; by default what the OSP level needs: itself, or its row sums if it has cross terms.
+    """The damping by axis, in N·s/m; by default the OSP level, or its absolute row sums if it has cross terms.
 
     The default for an interval of levels is its middle, as for every quantity of which a run needs one value.
     """
     if value is None and info.data.get("driver") == _TRACE:
         return None
     if value is None:
-        osp = info.data.get("osp", ())  # an osp that was refused leaves nothing to derive from
+        osp = info.data.get("osp", ())  # absent if it was refused
         if isinstance(osp, LevelInterval):
             return tuple((osp.low[i][i] + osp.high[i][i]) / 2.0 for i in range(len(osp.low)))
         return tuple(float(np.abs(row).sum()) for row in osp)
@@ -266,9 +270,9 @@ _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 
 
 class Device(SessionModel):
-    """A device and who holds it; every tuple has one entry for each axis.
+    """A device and the hand that holds it; every tuple has one entry for each axis.
 
-    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis; a device that a trace moves has none.
+    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis. ``driver: trace`` has no mechanism.
     """
 
     dof: Dof = Field(description="the number of degrees of freedom")
@@ -295,11 +299,11 @@ class Device(SessionModel):
 
     @property
     def osp_low(self) -> Rows:
-        """The level Delta_D that the device keeps whatever its true one is: the lower end of an interval."""
+        """Delta_D, m_i x m_i in N·s/m; of an interval the lower end, which the device keeps at any true level."""
         return self.osp.low if isinstance(self.osp, LevelInterval) else self.osp
 
     def ports(self, name: str) -> tuple[str, ...]:
-        """The ports of this device when it is called ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
+        """The ports of this device under the name ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
         if self.axes is None and self.dof == 1:
             return (name,)
         return tuple(f"{name}.{axis}" for axis in self.axes or range(self.dof))
@@ -321,7 +325,7 @@ class Device(SessionModel):
     def _is_osp_as_declared(cls, damping: tuple[float, ...] | None, info: ValidationInfo) -> tuple[float, ...] | None:
         declared = info.data.get("osp", ())
         rows = declared.low if isinstance(declared, LevelInterval) else declared
-        if damping is None or not rows or len(damping) != len(rows):  # what was refused leaves nothing to compare with
+        if damping is None or not rows or len(damping) != len(rows):  # another error has been reported
             return damping
         osp = np.array(rows)
         least = float(np.linalg.eigvalsh(np.diag(damping) - osp)[0])
@@ -337,7 +341,7 @@ class Device(SessionModel):
     @field_validator("limits", "hand", mode="wrap")
     @classmethod
     def _on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
-        """Tell limits and hand how many axes there are; without a valid ``dof`` nothing can be checked against it."""
+        """Pass the number of axes to limits and hand; without a valid ``dof`` they cannot be checked."""
         if "dof" not in info.data:
             return value
         if info.field_name == "hand":
@@ -356,14 +360,14 @@ class Device(SessionModel):
         return self
 
     def _problems(self) -> Iterator[Problem]:
-        """What the driver lacks, and what it has no use for."""
+        """A problem for each key that the driver needs and lacks, and for each key that it does not use."""
         here = f"with 'driver: {self.driver}'"
         if self.driver == _TRACE:
             if self.trace is None:
                 yield Problem((), f"no key 'trace' {here}", "trace, the recorded motion, such as {file: run.mcap}")
             for key in ("mass", "damping", "hand"):
                 if getattr(self, key) is not None:
-                    expected = f"no {key}: a recorded motion moves the device whatever acts on it"
+                    expected = f"no {key}: a recorded motion moves the device whatever forces act on it"
                     yield Problem((key,), f"{key} {here}", expected)
             return
         if self.trace is not None:
@@ -373,8 +377,8 @@ class Device(SessionModel):
         if self.driver == _BROWSER and self.hand is not None:
             for key in ("force", "motion"):
                 if any(intent != 0.0 for intent in getattr(self.hand, key)):
-                    expected = f"no {key}: the person at the browser is who intends something"
+                    expected = f"no {key}: the intention comes from the person at the browser"
                     yield Problem(("hand", key), f"{key} {here}", expected)
             if 0.0 in self.hand.stiffness:
-                expected = "a stiffness in N/m greater than 0: it is what holds the device to the pointer"
+                expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)

@@ -1,12 +1,11 @@
-"""The virtual environment of a session: masses, springs and dampers; matrices; rational functions; or a model.
+"""The virtual environment of a session: masses, springs and dampers; matrices; rational functions; or a Python model.
 
-Whatever its kind, it maps displacements of the session's ports (m) to forces (N), one of each for every port, and
-its own key ``type`` says which keys are there besides.
+Every kind maps the displacements (m) of the session's ports to forces (N), one for each port. The key ``type`` names
+the kind, and the kind determines the other keys. With ``enforce``, a passivity controller keeps the environment's level
+at run time.
 
-An environment that is a model of somebody else's making, and the key by which a session has a level enforced.
-
-The session file only names the model. It is imported by the process that runs as the environment, never by reading,
-designing or proving a session.
+A session file only names a Python model. The environment's process alone imports it; reading, designing and proving a
+session run none of its code.
 """
 
 import math
@@ -76,7 +75,7 @@ def _factory(value: object) -> str:
 
 
 def _plain_problems(value: object, at: KeyPath = ()) -> Iterator[Problem]:
-    """What of a value is not plain data: numbers, text, true and false, lists and mappings of them."""
+    """A problem for each part of a value that is not plain data: numbers, text, booleans, lists and mappings."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _plain_problems(item, (*at, str(key)))
@@ -85,7 +84,7 @@ def _plain_problems(value: object, at: KeyPath = ()) -> Iterator[Problem]:
             yield from _plain_problems(item, (*at, index))
     elif isinstance(value, float) and not math.isfinite(value):
         yield Problem(at, show(value), "a finite number")
-    elif not isinstance(value, str | bool | int | float | None):  # nothing at all is told of elsewhere
+    elif not isinstance(value, str | bool | int | float | None):  # nulls_in reports None
         yield Problem(at, show(value), "a number, a text, true, false, or a list or mapping of them")
 
 
@@ -98,7 +97,7 @@ def _parameters(value: object) -> object:
 
 
 class PythonEnvironment(SessionModel):
-    """A model in Python that says its forces tick by tick; nothing but its declared level is known to the design."""
+    """A model in Python that computes its forces tick by tick; the design uses nothing but its declared level."""
 
     type: Annotated[Literal["python"], BeforeValidator(Choice(("python",)))] = Field(
         description="the kind of environment: python"
@@ -113,7 +112,7 @@ class PythonEnvironment(SessionModel):
     )
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """Whether the level does not fit a session with these ports."""
+        """The problems of the level in a session with these ports."""
         m, level = len(ports), self.level
         rows = level if isinstance(level, tuple) else (level,) * m
         if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
@@ -184,13 +183,13 @@ class NetworkEnvironment(SessionModel):
     @model_validator(mode="after")
     def _late_or_uncertain(self) -> Self:
         if self.delay and self.uncertain:
-            # the argument that covers a whole box is the network's energy, and a late force has no such energy
+            # the network's energy proves a whole box of parameters; a late force is not covered by that energy
             expected = "delay: 0 where a mass, stiffness or damping is an interval"
             raise refuse(f"a delay of {self.delay} with intervals", expected, at=("delay",))
         return self
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """What does not fit a session with these ports."""
+        """The problems of masses and links in a session with these ports."""
         taken = frozenset(ports)
         for name in self.masses:
             if name in taken or name == GROUND:
@@ -219,7 +218,7 @@ _CONTINUOUS_METHODS: Final = ("backward-euler", "tustin", "zoh")
 
 
 def _method(value: object, info: ValidationInfo) -> object:
-    """How a continuous system becomes discrete; a system that is discrete already has no method."""
+    """The discretisation of a continuous system; a discrete system has no method."""
     if info.data.get("time") == "discrete":
         if value is not None:
             raise refuse(f"{show(value)} with 'time: discrete'", "'time: continuous', or no method")
@@ -256,11 +255,11 @@ class StateSpaceEnvironment(SessionModel):
         return self
 
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+        """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
         return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """Which matrices do not fit a session with these ports."""
+        """A problem for each matrix whose size does not fit a session with these ports."""
         return size_problems(self.A, self.B, self.C, self.D, self.static, len(ports), MAX_ENVIRONMENT_ORDER)
 
 
@@ -305,14 +304,14 @@ class TransferFunctionEnvironment(SessionModel):
         for i, row in enumerate(self.entries):
             for j, entry in enumerate(row):
                 if self.method == "tustin" and not entry.proper:
-                    # s of infinite size is z = -1, so an improper entry would get a pole on the unit circle
+                    # Tustin maps infinite s to z = -1, so an improper entry would get a pole on the unit circle
                     degrees = " over ".join(str(degree) for degree in entry.degrees)
                     found = f"tustin with the improper entry in row {i + 1}, column {j + 1} (degree {degrees})"
                     raise refuse(found, "backward-euler, or proper entries only", at=("method",))
         return self
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """Whether the entries do not fit a session with these ports."""
+        """The problems of the entries' number in a session with these ports."""
         m = len(ports)
         if len(self.entries) != m:
             yield Problem(("entries",), show(self.entries), f"{m} rows of {m} entries, one for each port")
@@ -333,7 +332,11 @@ _KINDS: Final[Mapping[str, type[Environment]]] = {
 
 
 def environment_of_its_type(value: object, info: ValidationInfo) -> Environment:
-    """The environment, read as the kind that its ``type`` names, so that errors speak of that kind's keys alone."""
+    """The environment, validated as the kind that its ``type`` names; errors thus list the keys of that kind alone.
+
+    Raises:
+        PydanticCustomError: ``type`` is absent or unknown, or the keys of that kind are wrong.
+    """
     if isinstance(value, Environment):
         return value
     kinds = ", ".join(_KINDS)

@@ -11,15 +11,15 @@ _COMPARED_NAMES: Final = 512
 
 
 class SessionError(Exception):
-    """A session that cannot be used, told in one line.
+    """A session file or override cannot be used; the message is one line.
 
     ``example.yaml:12: devices.dx.mass: found -0.2; expected a mass in kg greater than 0``
 
     Attributes:
         source: the file, or the ``--set`` that brought the value.
-        line: line in the file, from 1; ``None`` where there is none.
-        key: path of the key, such as ``devices.dx.mass``; empty when the file as a whole is meant.
-        found: what stands there.
+        line: line in the file, from 1; ``None`` for an override, or where the whole file is wrong.
+        key: path of the key, such as ``devices.dx.mass``; empty where the whole file is wrong.
+        found: what the file has there.
         expected: what would be right.
         more: how many further problems the same file has.
     """
@@ -46,7 +46,7 @@ def _one_line(text: str) -> str:
 
 
 def show(value: object) -> str:
-    """A value as a message shows it: short, and in the words of YAML."""
+    """A value as messages show it: short, and in YAML's notation."""
     match value:
         case None:
             return "nothing"
@@ -69,7 +69,7 @@ def show(value: object) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in a row, cut short when there are very many."""
+    """Names separated by commas; of more than 16, the first 16 and the number of the others."""
     all_names = list(names)
     shown = ", ".join(all_names[:_SHOWN_NAMES])
     rest = len(all_names) - _SHOWN_NAMES
@@ -77,9 +77,9 @@ def listed(names: Iterable[str]) -> str:
 
 
 def one_of(names: Iterable[str], wrong: object) -> str:
-    """The valid names, with the one that was probably meant."""
+    """The valid names, with a suggestion where one of them resembles the ``wrong`` value."""
     all_names = list(names)
-    # difflib takes time with the product of the lengths, and no valid name is long
+    # difflib's time grows with the product of the lengths; no valid name is long
     quick = isinstance(wrong, str) and len(wrong) < 64 and len(all_names) <= _COMPARED_NAMES
     near = difflib.get_close_matches(str(wrong), all_names, n=1) if quick else []
     meant = f" (did you mean {near[0]!r}?)" if near else ""
@@ -87,5 +87,5 @@ def one_of(names: Iterable[str], wrong: object) -> str:
 
 
 def key_text(path: Iterable[str | int]) -> str:
-    """A path of keys and list positions as one writes it for ``--set``: ``environment.links.0.stiffness``."""
+    """A path of keys and list positions in the notation of ``--set``: ``environment.links.0.stiffness``."""
     return ".".join(re.sub(r"\s", "_", str(step))[:_SHOWN_CHARACTERS] for step in path)

@@ -1,24 +1,20 @@
-"""The leaves of a session: names, quantities with their units, lists by axis, matrices.
+"""The values of a session file: names, quantities with units, intervals, limits, matrices, and their error messages.
 
-Pydantic's own messages tell a programmer which type was missed. A session is written by hand, so each leaf here
-refuses in the words of the field instead: what the quantity is, its unit, its bounds. Every refusal is a
-:class:`Problem`, and one validator may report several.
+Pydantic's own messages are for programmers: they name the type that was expected. People write session files by hand,
+so each check here names the quantity, its unit and its bounds instead. A refused value is a :class:`Problem`; one check
+may report several. :func:`first_error` turns what pydantic collected into the one :class:`SessionError` that is shown.
 
-Quantities known only to lie between two values, written ``{between: [low, high]}``.
+An interval, ``{between: [low, high]}``, is a quantity of which only two bounds are known. A certificate of a session
+with intervals claims stability for every value in them. Both ends are therefore kept; nothing turns an interval into a
+number without being asked.
 
-A certificate of a session with intervals claims stability for every value in them, so what is read here keeps both
-ends; nothing turns an interval into a number by itself.
+Limits bound what a device may exert and reach, axis by axis; the device checks them last before its actuator. A
+certificate bounds energy, not size: a certified session can still demand more than a mechanism or a hand should bear.
+The default limits only stop a runaway; the author of a session states the limits of the real device.
 
-What a device may exert and reach, axis by axis: checked at the device itself, last before its actuator.
-
-A certificate speaks of energy and not of size: a session can be certified and still ask for more than a mechanism or a
-hand should bear. The defaults stop nothing but a runaway; who knows the device states its own.
-
-What a device may put into the *others* is watched by the environment, which scales a party beyond it down
-(docs/decisions/0029-energy-budgets.md). No honest device puts more into the world than its greatest force at its
-greatest speed, or over its whole reach; and no hand more than :data:`HAND_POWER` and :data:`HAND_ENERGY`.
-
-From what pydantic reports to the one :class:`SessionError` that a person reads.
+The environment watches the energy that a device puts into the *others*, and scales down a party that exceeds its
+budget (docs/decisions/0029-energy-budgets.md). No honest device puts more into the world than its greatest force at its
+greatest speed, or over its whole reach. No hand puts in more than :data:`HAND_POWER` and :data:`HAND_ENERGY`.
 """
 
 from __future__ import annotations
@@ -52,7 +48,7 @@ PROBLEMS: Final = "session_problems"
 """Type of the pydantic errors that carry a tuple of :class:`Problem` as ``ctx["problems"]``."""
 
 DEVICE_AXES: Final = "(axes of the device)"
-"""Key under which a device tells its parts how many axes it has; no session file can sensibly use it."""
+"""Key under which a device passes its number of axes to its parts; no session file can sensibly use it."""
 
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 """A matrix, row by row."""
@@ -65,17 +61,17 @@ class SessionModel(BaseModel):
 
 
 def defaulted(value: object, description: str) -> Any:
-    """A field whose default passes through its validators, which need the rest of the part to make it complete."""
+    """A field whose default value also passes through its validators: they complete it from other fields."""
     return Field(default=value, validate_default=True, description=description)
 
 
 def optional(check: Callable[[object], Any]) -> Callable[[object], Any]:
-    """The check, for a value that may be absent."""
+    """The same check, for a value that may also be absent (``None``)."""
     return lambda value: None if value is None else check(value)
 
 
 class Problem(NamedTuple):
-    """One thing that is wrong: where below the validated value, what was found, what would be right."""
+    """One error in a session: its path below the validated value, what was found, and what would be right."""
 
     at: KeyPath
     found: str
@@ -83,7 +79,7 @@ class Problem(NamedTuple):
 
 
 def refusal(*problems: Problem) -> PydanticCustomError:
-    """The error by which a validator hands problems to pydantic."""
+    """The error with which a validator reports these problems to pydantic."""
     return PydanticCustomError(PROBLEMS, "refused", {"problems": problems})
 
 
@@ -97,13 +93,13 @@ class Quantity:
     """A finite real number with a unit and bounds; called with a value, it returns a ``float`` or refuses.
 
     Attributes:
-        what: with its article, such as ``a mass``.
-        unit: ``kg``; empty for a number without one.
+        what: name of the quantity with its article, such as ``a mass``.
+        unit: such as ``kg``; empty for a number without a unit.
         above: the value must be greater than this.
         least: the value must be at least this.
         most: the value must be at most this.
-        smallest: no other value than 0 may be smaller in size.
-        magnitude: no value may be larger in size.
+        smallest: the magnitude of any value other than 0 must be at least this.
+        magnitude: the magnitude of any value must be at most this.
     """
 
     what: str
@@ -116,7 +112,7 @@ class Quantity:
 
     @property
     def expected(self) -> str:
-        """What would be right, in words."""
+        """The expected value as text: the quantity, its unit and its bounds."""
         unit = f" in {self.unit}" if self.unit else ""
         at_most = f" and at most {self.most:g}" if self.most is not None else ""
         bound = f" greater than {self.above:g}{at_most}" if self.above is not None else ""
@@ -160,7 +156,7 @@ Period: TypeAlias = Annotated[float, BeforeValidator(PERIOD)]
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A whole number of something, within bounds; called with a value, it returns an ``int`` or refuses."""
+    """A whole number within bounds; called with a value, it returns an ``int`` or refuses."""
 
     what: str
     least: int
@@ -178,7 +174,7 @@ Dof: TypeAlias = Annotated[int, BeforeValidator(Whole("degrees of freedom", 1, M
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A name of one kind; called with a value, it returns the name or refuses."""
+    """The form of one kind of name; called with a value, it returns the name or refuses."""
 
     what: str
     pattern: str
@@ -206,7 +202,7 @@ def part_name(what: str) -> Name:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One word of a few."""
+    """One word of a fixed list; called with a value, it returns the word or refuses."""
 
     words: tuple[str, ...]
 
@@ -219,7 +215,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class NamedParts:
-    """A mapping from names to parts, of a bounded size; ``least`` is 0 or 1."""
+    """A mapping from names to parts with ``least`` (0 or 1) to ``most`` entries."""
 
     name: Name
     most: int
@@ -257,13 +253,13 @@ class Items:
 
 
 def problems_of(error: PydanticCustomError) -> tuple[Problem, ...]:
-    """The problems that a refusal carries."""
+    """The problems in an error made by :func:`refusal`."""
     problems: tuple[Problem, ...] = (error.context or {})["problems"]
     return problems
 
 
 def each(check: Callable[[object], Any], values: Sequence[object]) -> tuple[Any, ...]:
-    """Check every entry, and refuse all that are wrong at once, each at its position."""
+    """The checked entries; if any are wrong, one error reports all of them, each at its position."""
     checked: list[Any] = []
     problems: list[Problem] = []
     for index, value in enumerate(values):
@@ -277,7 +273,7 @@ def each(check: Callable[[object], Any], values: Sequence[object]) -> tuple[Any,
 
 
 def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> dict[str, Any]:
-    """Check every value, and refuse all that are wrong at once, each at its name."""
+    """The checked values; if any are wrong, one error reports all of them, each at its name."""
     names = tuple(values)
     try:
         return dict(zip(names, each(check, tuple(values.values())), strict=True))
@@ -288,7 +284,7 @@ def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> 
 
 @dataclass(frozen=True, slots=True)
 class PerAxis:
-    """One value for all axes, or a list with one for each; becomes a tuple as long as the part's ``dof``."""
+    """One value for all axes, or a list with one for each; the result is a tuple of ``dof`` values."""
 
     check: Callable[[object], Any]
 
@@ -332,7 +328,7 @@ def _flag(value: object) -> bool:
 
 
 Flag: TypeAlias = Annotated[bool, BeforeValidator(_flag)]
-"""True or false, and nothing that only looks like it."""
+"""``true`` or ``false``; no number or text in their place."""
 
 
 BETWEEN: Final = "between"
@@ -353,30 +349,30 @@ class Interval:
 
     @classmethod
     def of(cls, value: float | Interval) -> Interval:
-        """The interval of a quantity that may be one; a number is an interval without width."""
+        """The value as an interval; a number becomes an interval without width."""
         return value if isinstance(value, Interval) else cls(value, value)
 
     @property
     def nominal(self) -> float:
-        """The middle: what a run uses, which needs one value."""
+        """The middle of the interval; a run, which needs one value, uses this one."""
         return (self.low + self.high) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class LevelInterval:
-    """All diagonal OSP levels between two, axis by axis, m_i x m_i in N·s/m."""
+    """All diagonal OSP levels between ``low`` and ``high``, axis by axis; both ends are m_i x m_i in N·s/m."""
 
     low: Rows
     high: Rows
 
 
 def is_interval(value: object) -> bool:
-    """Whether a value is written as an interval, rightly or not."""
+    """Whether a value is written as an interval (a mapping), whether correct or not."""
     return isinstance(value, Mapping)
 
 
 def ends(value: object, check: Callable[[object], Any]) -> tuple[Any, Any]:
-    """Both ends of ``{between: [low, high]}``, each checked; their order is the caller's to check."""
+    """Both ends of ``{between: [low, high]}``, each checked; the caller checks their order."""
     if not isinstance(value, Mapping):
         raise refuse(show(value), _FORM)
     for key in value:
@@ -394,7 +390,7 @@ def ends(value: object, check: Callable[[object], Any]) -> tuple[Any, Any]:
 
 
 def ordered(low: float, high: float) -> None:
-    """Refuse an interval that is empty."""
+    """Refuse an empty interval: ``low`` must be at most ``high``."""
     if low > high:
         raise refuse(
             f"the lower end {low:g} above the higher end {high:g}", "[low, high], low at most high", (BETWEEN,)
@@ -403,12 +399,12 @@ def ordered(low: float, high: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class UncertainQuantity:
-    """A quantity, or an interval of it; called with a value, it returns a ``float``, an interval, or refuses."""
+    """A quantity or an interval of it; called with a value, it returns a ``float`` or an interval, or refuses."""
 
     quantity: Quantity
 
     def __call__(self, value: object) -> float | Interval:
-        """The number or interval; an interval without width is a number."""
+        """The number or the interval; an interval without width becomes a number."""
         if isinstance(value, Interval):
             value = plain(value)
         if isinstance(value, list | tuple):
@@ -421,7 +417,7 @@ class UncertainQuantity:
 
 
 def plain(value: float | Interval) -> float | dict[str, list[float]]:
-    """The quantity as a session file has it."""
+    """The quantity in the notation of a session file."""
     return {BETWEEN: [value.low, value.high]} if isinstance(value, Interval) else value
 
 
@@ -439,12 +435,12 @@ _ENERGY: Final = Quantity("an energy put into the others", "J", above=0.0, small
 
 
 def _power(value: object, info: ValidationInfo) -> object:
-    """P, W; by default the greatest force at the greatest speed, summed over the axes, and at most a hand's."""
+    """P in W; by default the greatest force times the greatest speed, summed over the axes, at most HAND_POWER."""
     return _POWER(value) if value is not None else min(HAND_POWER, _products(info, "speed"))
 
 
 def _energy(value: object, info: ValidationInfo) -> object:
-    """E, J; by default the greatest force over the reach, there and back, and at most a hand's."""
+    """E in J; by default the greatest force over the reach, both ways, summed over the axes, at most HAND_ENERGY."""
     return _ENERGY(value) if value is not None else min(HAND_ENERGY, 2.0 * _products(info, "displacement"))
 
 
@@ -457,10 +453,10 @@ def _products(info: ValidationInfo, quantity: str) -> float:
 
 
 class PortLimits(SessionModel):
-    """The greatest sizes at a device's ports; every tuple has one entry for each axis.
+    """The limits at a device's ports; every tuple has one entry for each axis.
 
-    Units are those of a translational axis; of a rotational one N·m, rad and rad/s. A force beyond its limit is
-    clipped; beyond a displacement or a speed the device lets go. Power and energy are the whole device's.
+    The units are those of a translational axis; a rotational axis has N·m, rad and rad/s. The device clips a force that
+    exceeds its limit, and lets go when a displacement or a speed does. Power and energy are limits of the whole device.
     """
 
     dof: Dof = Field(alias=DEVICE_AXES, exclude=True, repr=False)
@@ -481,11 +477,11 @@ class PortLimits(SessionModel):
     )
 
 
-_COMPARED: Final = 64  # unknown keys of one part that are compared with a missing one
+_COMPARED: Final = 64  # a missing key is compared with at most this many unknown keys of its part
 
 
 def problems_in(error: ValidationError, model: type[SessionModel]) -> Iterator[Problem]:
-    """The problems of a failed validation of ``model``, each at its full path."""
+    """The problems in a failed validation of ``model``, each with its full path."""
     details = error.errors(include_url=False)
     unknown: dict[KeyPath, list[str]] = {}
     for detail in details:
@@ -495,12 +491,12 @@ def problems_in(error: ValidationError, model: type[SessionModel]) -> Iterator[P
         if detail["type"] == "missing":
             misspelt = unknown.get(detail["loc"][:-1], [])[:_COMPARED]
             if get_close_matches(str(detail["loc"][-1]), misspelt, n=1):
-                continue  # the misspelt key is what to tell, not that the right one is missing
+                continue  # the message about the misspelt key is enough
         yield from _translated(detail, model)
 
 
 def nulls_in(data: object, path: KeyPath = ()) -> Iterator[Problem]:
-    """Every key that is written without a value: left out and left empty are not the same."""
+    """A problem for every key without a value: an empty key is not the same as an absent one."""
     if data is None:
         yield Problem(path, "nothing", "a value, or the key left out")
     children = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
@@ -509,12 +505,12 @@ def nulls_in(data: object, path: KeyPath = ()) -> Iterator[Problem]:
 
 
 def first_error(tree: SessionTree, problems: list[Problem]) -> SessionError:
-    """The error for the first problem in the order of the file; overrides come before it."""
+    """The error for the first problem in the order of the file; problems of overrides come first."""
     located = []
     seen = set()
     for problem in problems:
         path, place = tree.locate(problem.at)
-        # what was written once may fail once for each axis
+        # one value for all axes may fail once for each axis
         if (path, problem.found) not in seen:
             seen.add((path, problem.found))
             located.append((place.line or 0, place, path, problem))
@@ -547,13 +543,13 @@ def _translated(detail: ErrorDetails, model: type[SessionModel]) -> Iterator[Pro
 
 
 def keys_of(model: type[SessionModel]) -> dict[str, str]:
-    """The keys that a part may have, with what each is."""
+    """The valid keys of a part, each with its description."""
     named = {field.alias or name: field.description or "" for name, field in model.model_fields.items()}
     return {name: meaning for name, meaning in named.items() if name != DEVICE_AXES}
 
 
 def _model_at(model: type[SessionModel], path: KeyPath) -> type[SessionModel] | None:
-    """The model that stands at a path, found by walking the annotations."""
+    """The model at a path below ``model``, found from the type annotations; None where there is none."""
     current: Any = model
     for step in path:
         if isinstance(current, type) and issubclass(current, SessionModel):

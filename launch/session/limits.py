@@ -1,6 +1,6 @@
-"""The size of everything that a session file may hold, in one place.
+"""The limits of everything that a session file may hold, in one place.
 
-A session file may come from someone else; whatever it says, reading it takes bounded memory and time.
+A session file may come from an untrusted author. These limits bound the memory and time that reading it takes.
 """
 
 from typing import Final
@@ -9,7 +9,7 @@ from typing import Final
 MAX_FILE_BYTES: Final = 1 << 23
 MAX_DEPTH: Final = 32
 MAX_NODES: Final = 300_000
-"""Keys, items and values after every alias is written out."""
+"""Keys, items and values after every alias is expanded."""
 MAX_OVERRIDES: Final = 100
 MAX_OVERRIDE_CHARACTERS: Final = 1 << 16
 
@@ -31,26 +31,26 @@ MAX_POLES: Final = MAX_PORT_ORDER // 2
 MAX_RUNGS: Final = 8
 """Delays of a ladder, besides the design's own."""
 MAX_ENVIRONMENT_ORDER: Final = 512
-"""States of an environment given by matrices, or degrees of all entries together of one given by rational ones."""
+"""States of an environment given by matrices; the sum of all entries' degrees of one given by rational functions."""
 MAX_DELAY: Final = 16
 """Whole ticks by which an environment may be late."""
 MAX_ITERATIONS: Final = 10_000
 MAX_MODEL_NAME: Final = 200
-"""Characters of the name of a model's factory."""
+"""Characters in the name of a model's factory."""
 
 MAX_PROBLEMS: Final = 200
-"""Dangling or doubled names that are told apart in one file; each is compared with every valid name."""
+"""Unknown or repeated names that are reported for one file; each is compared with every valid name."""
 
 # numbers
 MAX_MAGNITUDE: Final = 1e12
 MIN_POSITIVE: Final = 1e-12
-"""Least quantity that must be greater than 0: dividing by it stays well inside double precision."""
+"""Smallest value of a quantity that must be greater than 0: dividing by it stays well inside double precision."""
 MAX_DEGREE: Final = 16
 MAX_COEFFICIENT: Final = 1e24
 SHORTEST_PERIOD: Final = 1e-5
 LONGEST_PERIOD: Final = 0.1
 
-# what a device may exert and reach where its session states nothing: far above any that a hand holds
+# what a device may exert and reach where its session states no limits: far above any hand-held device
 DEFAULT_FORCE: Final = 1000.0
 """N; N·m on a rotational axis."""
 DEFAULT_DISPLACEMENT: Final = 10.0
@@ -58,11 +58,11 @@ DEFAULT_DISPLACEMENT: Final = 10.0
 DEFAULT_SPEED: Final = 100.0
 """m/s; rad/s on a rotational axis."""
 HAND_POWER: Final = 40.0
-"""W that a hand puts into others at most, where a session states nothing: 20 N at 2 m/s."""
+"""W; the most that a hand puts into others, where a session states nothing: 20 N at 2 m/s."""
 HAND_ENERGY: Final = 100.0
-"""J that it puts into others at once, or stores in the world: a hand's 20 N over 5 m of strokes."""
+"""J; the most that a hand puts into others at once, or stores in the world: its 20 N over 5 m of strokes."""
 HAND_STORE: Final = 10.0
-"""J that a hand which only gives way may store and give back: 2 kg at 3 m/s, or 500 N/m bent by 0.2 m."""
+"""J; the most that a hand may store and give back while it only yields: 2 kg at 3 m/s, or 500 N/m bent by 0.2 m."""
 
 # faults
 MAX_RESTARTS: Final = 100
@@ -77,8 +77,8 @@ MAX_TRACE_BYTES: Final = 1 << 26
 MAX_TRACE_ROWS: Final = 1_000_000
 MAX_TRACE_LINE: Final = 200
 MAX_MOTION_NUMBERS: Final = 200_000
-"""Times and positions of all recorded motions of a session, which have to fit into its file when it is kept."""
+"""Times and positions of all recorded motions of a session; they must fit into the session file that a run keeps."""
 
-# intended motions and forces are tried at this many times when the file is read
+# each intended motion and force is evaluated at this many times when the file is read
 PROBE_COUNT: Final = 600
 PROBE_SECONDS: Final = 60.0

@@ -1,6 +1,7 @@
-"""State-space matrices in a session: rows that are read, sizes that must fit one another and the ports.
+"""Matrices and rational functions of s in a session file, and the checks of their sizes.
 
-Rational functions of s, given by their coefficients: operators of hands, environments, weights.
+State-space matrices are lists of rows, whose sizes must fit one another and the ports. Rational functions are given by
+their coefficients; hands, environments and weights use them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,20 +32,20 @@ def _rows(value: object) -> Rows:
 
 
 MatrixRows: TypeAlias = Annotated[Rows, BeforeValidator(_rows)]
-"""Any rectangular matrix, also an empty one."""
+"""Any rectangular matrix, which may be empty."""
 
 OptionalRows: TypeAlias = Annotated[Rows | None, BeforeValidator(optional(_rows))]
-"""The same, or nothing."""
+"""Any rectangular matrix, or None."""
 
 
 STATIC_MEANING: Final = "the static gain, m x m, as rows, in place of D, which then is what the gain leaves"
 
 
 def one_of_two(D: Rows | None, static: Rows | None) -> Rows:
-    """D or the static gain: a system states one of them.
+    """D or the static gain: a system must state exactly one of them.
 
     Raises:
-        PydanticCustomError: it states both, or neither.
+        PydanticCustomError: the system states both, or neither.
     """
     if D is None and static is None:
         raise refuse("no key 'D'", "the m x m matrix D, as rows, or static, the static gain in its place")
@@ -58,7 +59,7 @@ def one_of_two(D: Rows | None, static: Rows | None) -> Rows:
 def size_problems(
     A: Rows, B: Rows, C: Rows, D: Rows | None, static: Rows | None, ports: int, most: int
 ) -> Iterator[Problem]:
-    """Which matrices have not the size that ``ports`` ports need, with the states of A; ``most`` is their limit."""
+    """A problem for each matrix whose size does not fit ``ports`` ports and the states of A, at most ``most``."""
     n = len(A)
     if n > most:
         yield Problem(("A",), f"{n} states", f"at most {most}")
@@ -69,7 +70,7 @@ def size_problems(
         ("C", C, ports, n),
         ("static", static, ports, ports) if D is None else ("D", D, ports, ports),
     ):
-        assert rows is not None  # noqa: S101  # for the type checker: one_of_two has taken one of the two
+        assert rows is not None  # noqa: S101  # for the type checker: one_of_two has made sure of it
         found = (len(rows), len(rows[0]) if rows else width)
         if found != (height, width) and not (n == 0 and not any(rows) and name == "C"):
             size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
@@ -77,7 +78,7 @@ def size_problems(
 
 
 def full_arrays(A: Rows, B: Rows, C: Rows, last: Rows) -> tuple[Array, Array, Array, Array]:
-    """A, B, C and D, or the static gain in its place, each in its full shape also without states."""
+    """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
     n, m = len(A), len(last)
     shapes = ((A, (n, n)), (B, (n, m)), (C, (m, n)), (last, (m, m)))
     a, b, c, d = (np.array(rows, dtype=np.float64).reshape(shape) for rows, shape in shapes)
@@ -99,12 +100,12 @@ class Rational(SessionModel):
 
     @property
     def degrees(self) -> tuple[int, int]:
-        """Degrees of numerator and denominator, without leading zeros; -1 for a polynomial that is 0."""
+        """Degrees of numerator and denominator without leading zeros; the zero polynomial has degree -1."""
         return len(trimmed(self.num)) - 1, len(trimmed(self.den)) - 1
 
     @property
     def proper(self) -> bool:
-        """Whether the numerator's degree is at most the denominator's."""
+        """Whether the degree of the numerator is at most that of the denominator."""
         num, den = self.degrees
         return num <= den
 
@@ -114,14 +115,14 @@ class Entry:
     """One entry of a rational matrix: a number, or ``{num: [...], den: [...]}``.
 
     Attributes:
-        unit: of a plain number.
+        unit: unit of an entry that is a plain number.
     """
 
     unit: str
 
     @property
     def _gain(self) -> Quantity:
-        # as small as a coefficient may be: the session is written with num and den
+        # a number may be as small as a coefficient: sessions are written back with num and den
         return Quantity("an entry: a number", self.unit, smallest=1.0 / MAX_COEFFICIENT)
 
     def __call__(self, value: object) -> Rational:
@@ -148,7 +149,7 @@ def trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def is_hurwitz(coefficients: Sequence[float]) -> bool:
-    """Whether every root has a negative real part: Routh's test in exact arithmetic, so no root is on the edge of it.
+    """Whether every root has a negative real part: Routh's test in exact arithmetic, which leaves no borderline case.
 
     Args:
         coefficients: a polynomial of s other than 0, the highest power first.

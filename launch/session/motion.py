@@ -1,14 +1,12 @@
-"""The motion that a device with ``driver: trace`` makes again: numbers by axis, read from what was recorded.
+"""Recorded motions and traces in a session file, read from recordings and tables into numbers.
 
-A recording of this program knows its devices and their axes; a table of somebody else's has a column of times and one
-for each axis. Either way numbers are what a session keeps, so that a device's process opens no file of the session's
-author and a session that was written down needs no other file.
+A :class:`Motion` holds the positions by axis that a device with ``driver: trace`` repeats. Its file is a recording
+(``.mcap``, ``.npz``, ``.csv``) of this program, whose columns are named by ports, or a table of another program with
+times in the first column and positions of one axis in each other. A :class:`TraceData` holds one intended force or
+motion of a simulated hand, from a CSV file with the columns ``t`` (s) and value.
 
-Recorded traces: CSV files of two columns, ``t`` (s) and the value, read under a bound on rows and bytes.
-
-Positions in columns, as recordings and other programs write them down: .npz and .csv, read within bounds.
-
-A recording of this program names its columns by ports; another's has times in its first column and one for each axis.
+Files are read under limits on rows and bytes. A session keeps the numbers and not the file's name: a device's process
+opens no file that the session's author named, and a session that a run keeps needs no other file.
 """
 
 import csv
@@ -42,7 +40,7 @@ class TraceData(SessionModel):
 
 
 def trace_from_numbers(times: tuple[float, ...], values: tuple[float, ...], name: str) -> TraceData:
-    """The trace of these numbers; ``name`` is how errors call it.
+    """The trace of these numbers; errors call it ``name``.
 
     Raises:
         PydanticCustomError: the numbers are no trace.
@@ -55,11 +53,10 @@ def trace_from_numbers(times: tuple[float, ...], values: tuple[float, ...], name
 
 
 def read_trace(file: object, folder: Path) -> TraceData:
-    """Read a trace; its path is relative to ``folder``, where the session file stands.
+    """Read a trace; its path is relative to ``folder``, the folder of the session file.
 
     Raises:
-        PydanticCustomError: the file cannot be read or holds something else than a trace.
-
+        PydanticCustomError: the file cannot be read, or does not hold a trace.
     """
     if not isinstance(file, str) or not file:
         raise refuse(show(file), "the name of a CSV file, relative to the session file")
@@ -67,7 +64,7 @@ def read_trace(file: object, folder: Path) -> TraceData:
     try:
         times, values = _trace_columns(folder / file, name)
     except PydanticCustomError:
-        raise  # a refusal of a line is a ValueError too, but not one of opening the file
+        raise  # also a ValueError, but it reports a line and not the opening of the file
     except UnicodeDecodeError:
         raise refuse(f"{name}, which is not UTF-8 text", _ROW) from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
@@ -95,9 +92,9 @@ def _trace_columns(path: Path, name: str) -> tuple[tuple[float, ...], tuple[floa
                 case [None, None] if number == 1:
                     pass  # the header
                 case _ if not line.strip():
-                    pass  # a blank line, as editors leave one at the end
+                    pass  # a blank line, which editors leave at the end
                 case _:
-                    raise refuse(f"{name}, line {number}: no two numbers", _ROW)  # what there is may be a secret
+                    raise refuse(f"{name}, line {number}: no two numbers", _ROW)  # the content may be a secret
     return tuple(times), tuple(values)
 
 
@@ -111,21 +108,21 @@ def _number(cell: str) -> float | None:
 Array = NDArray[np.float64]
 
 _TIME_COLUMN: Final = "time_s"
-_FIRST, _LAST = "x[", "]_m"  # around a port, in the heading of its column
+_FIRST, _LAST = "x[", "]_m"  # a column's heading has the port between these
 _HEADERS: Final[Mapping[int, Callable[[Any], Any]]] = {
     1: np.lib.format.read_array_header_1_0,
     2: np.lib.format.read_array_header_2_0,
 }
-"""By an array's version, what reads its header: shape, order and type."""
+"""The function that reads an array's header (shape, order and type), by the version of its format."""
 
 
 class Table(NamedTuple):
-    """What was read.
+    """Positions over time.
 
     Attributes:
         times: s.
         x: times x columns, m.
-        ports: of each column; None where nothing says whose they are.
+        ports: the port of each column; None where the file does not name them.
     """
 
     times: Array
@@ -137,7 +134,7 @@ def table_of(path: Path) -> Table:
     """Read a ``.npz`` or ``.csv`` file.
 
     Raises:
-        OSError, ValueError: it cannot be read, or holds no table.
+        OSError, ValueError: the file cannot be read, or holds no table.
     """
     return _from_npz(path) if path.suffix == ".npz" else _from_csv(path)
 
@@ -159,17 +156,17 @@ def _from_npz(path: Path) -> Table:
 
 
 def read_arrays(path: Path, choices: Sequence[Sequence[str]], most: int) -> dict[str, NDArray[np.generic]]:
-    """The arrays of a ``.npz`` file, those of the first of ``choices`` that it has all of.
+    """The arrays of a ``.npz`` file that the first complete list in ``choices`` names.
 
-    What a member claims of its size is held against the file and the limit before room is made for it.
+    The size that a member states is compared with the file and the limit before memory is allocated for it.
 
     Args:
         path: the file.
-        choices: names of arrays, one list of which is wanted.
-        most: bytes of the file, and of all that is packed in it.
+        choices: lists of array names; the first list of which the file has every array is read.
+        most: greatest size in bytes, of the file and of its unpacked content.
 
     Raises:
-        OSError, ValueError: it cannot be read, is damaged or larger, or has none of the choices.
+        OSError, ValueError: the file cannot be read, is damaged or too large, or matches no list of names.
     """
     try:
         with open_regular(path, most) as file, zipfile.ZipFile(file) as archive:
@@ -186,7 +183,7 @@ def read_arrays(path: Path, choices: Sequence[Sequence[str]], most: int) -> dict
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
-    """One array, when its header says that it is as large as its file."""
+    """One array; ValueError unless the size in its header is the size of its file."""
     with archive.open(member) as file:
         major, _ = np.lib.format.read_magic(file)
         if major not in _HEADERS:
@@ -229,16 +226,16 @@ def _from_csv(path: Path) -> Table:
 
 
 def _rows(rows: Iterable[list[str]], columns: list[int]) -> Array:
-    """The numbers in these columns; an empty cell is a position that was not recorded."""
+    """The numbers in these columns, rows x columns; an empty cell, a position that was not recorded, becomes NaN."""
     out: list[list[float]] = []
     for row in rows:
         if not row:
-            continue  # a blank line, as editors leave one at the end
+            continue  # a blank line, which editors leave at the end
         cells = [row[i] if i < len(row) else None for i in columns]
         numbers = [None if cell is None else np.nan if cell == "" else _number(cell) for cell in cells]
         kept = [number for number in numbers if number is not None]
         if len(kept) != len(columns):
-            raise ValueError(f"row {len(out) + 1}: not {len(columns)} numbers")  # what there is may be a secret
+            raise ValueError(f"row {len(out) + 1}: not {len(columns)} numbers")  # the content may be a secret
         if len(out) == MAX_TRACE_ROWS:
             raise ValueError(f"more than {MAX_TRACE_ROWS} rows")
         out.append(kept)
@@ -246,7 +243,7 @@ def _rows(rows: Iterable[list[str]], columns: list[int]) -> Array:
 
 
 OWN_NAME: Final = "(name of the device)"
-"""Key under which a session tells a device's trace whose it is; no session file can sensibly use it."""
+"""Key under which a session passes a device's name to its trace; no session file can sensibly use it."""
 
 _FORM: Final = "{file: FILE, device: NAME} or {times: [...], values: [...]}"
 _FILES: Final = "a recording (.mcap, .npz, .csv) or a table of t and a column for each axis (.npz, .csv)"
@@ -255,7 +252,7 @@ _TIME: Final = Quantity("a time", "s")
 
 
 def _plain_values(values: tuple[tuple[float, ...], ...]) -> object:
-    """The positions as a session file has them: of one axis without a list around them."""
+    """The positions in the notation of a session file, where a single axis has no list around it."""
     return values[0] if len(values) == 1 else values
 
 
@@ -268,7 +265,7 @@ class Motion(SessionModel):
     )
 
     def at_ticks(self, period: float) -> Array:
-        """The motion as a session of this period (s) makes it: ticks x axes, up to the tick at which it has ended."""
+        """The positions (m) at the ticks of this period (s): ticks x axes, up to the first tick after the end."""
         ticks = np.arange(self._last_tick(period) + 1) * period
         return np.stack([np.interp(ticks, self.times, axis) for axis in self.values], axis=1)
 
@@ -276,11 +273,11 @@ class Motion(SessionModel):
         return int(np.ceil(self.times[-1] / period))
 
     def problem(self, period: float, limits: PortLimits) -> Problem | None:
-        """Why a device with these limits cannot make it, where it cannot."""
+        """The first sample at which the motion exceeds these limits, or its excessive length; None if it fits."""
         if self.times[-1] / period > MAX_TRACE_ROWS:
             return Problem((), f"a motion of {self.times[-1]:g} s", f"at most {MAX_TRACE_ROWS} ticks of the period")
         x = self.at_ticks(period)
-        steps = np.diff(x, axis=0, prepend=np.zeros((1, x.shape[1])))  # it begins where all is at rest, in 0
+        steps = np.diff(x, axis=0, prepend=np.zeros((1, x.shape[1])))  # every device begins at rest in 0
         for what, unit, found, most in (
             ("displacement", "m", x, np.array(limits.displacement)),
             ("speed", "m/s", steps / period, np.array(limits.speed)),
@@ -299,12 +296,12 @@ class Motion(SessionModel):
 
     @property
     def numbers(self) -> int:
-        """How many numbers it takes in a session file."""
+        """How many numbers the motion takes in a session file."""
         return len(self.times) * (1 + len(self.values))
 
 
 def motion_problems(motions: Mapping[str, tuple[Motion, PortLimits]], period: float) -> Iterator[Problem]:
-    """What is wrong with the motions of a session's devices, by name; a session that is kept holds them all."""
+    """The problems of the motions of a session's devices, by name; their total size is limited, too."""
     total = sum(motion.numbers for motion, _ in motions.values())
     for name, (motion, limits) in motions.items():
         if total > MAX_MOTION_NUMBERS:
@@ -316,28 +313,28 @@ def motion_problems(motions: Mapping[str, tuple[Motion, PortLimits]], period: fl
 
 
 def with_own_names(devices: object) -> object:
-    """The devices, those with a trace told by what name they are called."""
+    """The devices as given, where each trace with a file also has the name of its device (:data:`OWN_NAME`)."""
     if not isinstance(devices, Mapping):
         return devices
-    told = {}
+    named = {}
     for name, device in devices.items():
-        told[name] = device
+        named[name] = device
         trace = device.get("trace") if isinstance(device, Mapping) else None
         if isinstance(trace, Mapping) and "file" in trace:
-            told[name] = {**device, "trace": {**trace, OWN_NAME: name}}
-    return told
+            named[name] = {**device, "trace": {**trace, OWN_NAME: name}}
+    return named
 
 
 def motion(value: object, dof: int, folder: Path) -> Motion:
-    """The motion that a session file says.
+    """The motion that a session file states.
 
     Args:
-        value: a file and perhaps a device, or numbers.
-        dof: axes of the device that is to make it.
-        folder: where the session file stands.
+        value: a file and optionally a device, or times and values.
+        dof: number of axes of the device that repeats the motion.
+        folder: the folder of the session file.
 
     Raises:
-        PydanticCustomError: it is none.
+        PydanticCustomError: the value is no motion, or its file cannot be used.
     """
     match value:
         case Motion():
@@ -368,7 +365,7 @@ def _from_lists(times: object, values: object, dof: int) -> Motion:
 
 
 def _number_list(of: Quantity, entries: Sequence[object], key: str) -> tuple[float, ...]:
-    """The numbers of a list; the first that is none is told, with its position in the list."""
+    """The numbers of a list; the error for the first wrong entry names its position."""
     numbers = []
     for index, entry in enumerate(entries):
         try:
@@ -400,7 +397,7 @@ def _read(file: object, device: object, own_name: str, dof: int, folder: Path) -
         raise refuse(f"{name}, {why[:1].lower() + why[1:]}", _FILES, ("file",)) from None
     x = _motion_columns(table, device, own_name, dof, name)
     there = np.flatnonzero(~np.isnan(x).all(axis=1))
-    x = x[: there[-1] + 1 if there.size else 0]  # a device that ended before the others stays where it was
+    x = x[: there[-1] + 1 if there.size else 0]  # a device that ended before the others keeps its last position
     if x.shape[0] * (1 + dof) > MAX_MOTION_NUMBERS:
         raise refuse(f"{name}, of {x.shape[0]} samples", f"at most {MAX_MOTION_NUMBERS // (1 + dof)}", ("file",))
     missing = np.flatnonzero(~np.isfinite(x).all(axis=1))
@@ -433,13 +430,13 @@ def _motion_columns(table: Table, device: object, own_name: str, dof: int, name:
 
 
 def _table(path: Path) -> Table:
-    """What a file holds.
+    """The table in a recording or a table file.
 
     Raises:
-        OSError, ValueError: it cannot be read, or is none of these.
+        OSError, ValueError: the file cannot be read, or holds neither.
     """
     if path.suffix == ".mcap":
-        # only those who replay need what reads recordings
+        # imported here: only a session with a recorded motion needs the readers of recordings
         from manyhands.launch.recordings.recording import RecordingError
         from manyhands.launch.recordings.tables import read_recording
 
@@ -452,5 +449,5 @@ def _table(path: Path) -> Table:
 
 
 def motion_of(value: object, dof: int, context: Mapping[str, Any] | None) -> Motion | None:
-    """As :func:`motion`, for what may be absent; ``context`` is what validators are told of the session file."""
+    """As :func:`motion`, for a value that may be absent; ``context`` is pydantic's, with the file's ``folder``."""
     return None if value is None else motion(value, dof, (context or {}).get("folder", Path()))

@@ -1,25 +1,21 @@
-"""A session: devices, couplings, environment and design, as one validated and frozen object.
+"""A session: devices, couplings, environment, design, faults and observers, as one validated and frozen object.
 
-The session file is the one place where the structure of a session is written, so the structure is derived here,
-once: :attr:`Session.ports`, :attr:`Session.blocks` and :meth:`Session.osp_level` are what the LMIs, the
-processes, the sockets and the keys all start from. Values arrive normalised (what was one number for all axes
-is a tuple by axis), and a ``Session`` that exists satisfies everything that docs/session-file.md asks for.
+The session file is the only place where the structure of a session is written, and this module derives it once. The
+LMIs, the processes, the sockets and the keys all start from :attr:`Session.ports`, :attr:`Session.blocks` and
+:meth:`Session.osp_level`. Values are normalised: one number for all axes has become a tuple by axis. A ``Session``
+object satisfies everything that docs/session-file.md requires.
 
-How devices and coupling blocks hang together, and every name in them.
+References between devices and couplings can only be checked over the whole session. :func:`structure_problems` finds
+all wrong names at once, so that the message says how many are left to correct.
 
-A name that leads nowhere is only visible over the whole session; :func:`structure_problems` finds all of them at
-once, so that an author sees how many places are left to mend.
+:class:`Faults` states how often a node is restarted, and what follows a breach. A breach is an assumption of the
+certificate that a device has measured not to hold. Neither changes what is certified. Restarts are bounded, so that a
+node that cannot run does not disturb the others with endless new starts.
 
-What a session does about its faults: how often a node is started anew, and what follows when a loop is too slow.
-
-Neither changes what is certified. A restart is bounded, so that what cannot run does not keep the others busy with
-its beginnings; a breach is an assumption of the certificate that a device has measured not to hold.
-
-Who may look on at a session without taking part in it, and at which channels.
-
-An observer is told what its session lists and nothing else, and it writes nothing. Which channels there are to read
-follows from the channel table: every node's telemetry, and each signal under the end that is nearer to the hand,
-where its ports are a device's (``dx/sample``, ``dx/force``) or a coupling's (``cx/tool``, ``cx/reaction``).
+An :class:`Observer` reads the channels that its session lists and nothing else, and it writes nothing. The channels
+that it may list follow from the channel table: the telemetry of every node, and each signal under the name of the end
+that is nearer to the hand. That end is a device (``dx/sample``, ``dx/force``) or a coupling (``cx/tool``,
+``cx/reaction``).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -74,13 +70,13 @@ from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 
 ENVIRONMENT: Final = "environment"
-"""The name of the one node that is the environment."""
+"""The name of the environment's node."""
 
 SUPERVISOR: Final = "supervisor"
 """The name of the process that starts, watches and ends a session."""
 
 RESERVED: Final = (ENVIRONMENT, SUPERVISOR, GROUND)
-"""Names that no device, coupling or observer may take: other processes of a session, and the fixed end of links."""
+"""Names that no device, coupling or observer may have: other processes of a session, and the fixed end of links."""
 
 PortsOf: TypeAlias = Mapping[str, tuple[str, ...]]
 """The ports of each device, or of each coupling, in order."""
@@ -97,7 +93,7 @@ _PORTS: Final = Items("port names", MAX_PORTS, _name_word)
 
 
 class CouplingBlock(SessionModel):
-    """One block of V, run as one process: the devices that it couples, or the ports."""
+    """One block of V, which is one process: the devices that it couples, or the ports."""
 
     devices: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_DEVICES))] = Field(
         default=None, description="the devices of which it couples every port"
@@ -115,7 +111,7 @@ class CouplingBlock(SessionModel):
 
 
 def structure_problems(devices: PortsOf, couplings: Mapping[str, CouplingBlock]) -> Iterator[Problem]:
-    """Everything that is wrong with the names of devices and couplings; ``devices`` gives the ports of each."""
+    """All problems of the names of devices and couplings; ``devices`` gives the ports of each."""
     ports = tuple(port for own in devices.values() for port in own)
     if len(ports) > MAX_PORTS:
         yield Problem(("devices",), f"{len(ports)} ports", f"at most {MAX_PORTS}")
@@ -157,7 +153,7 @@ def _coupling_problems(
                     )
                 owner.setdefault(port, name)
     for port in ports:
-        if port not in owner and not dangling:  # a port without a coupling is often a misspelt entry's consequence
+        if port not in owner and not dangling:  # a misspelt entry, already reported, often leaves a port without one
             yield Problem(("couplings",), f"no coupling for the port {port!r}", "every port in exactly one coupling")
 
 
@@ -174,7 +170,7 @@ _BREACHES: Final = ("warn", "soften", "stop")
 
 
 class Faults(SessionModel):
-    """What follows the death of a process, and the breach of an assumption."""
+    """What follows the death of a process, and the breach of an assumption of the certificate."""
 
     restarts: Annotated[int, BeforeValidator(_RESTARTS)] = Field(
         default=DEFAULT_RESTARTS, description="how often a node that dies is started anew; 0 ends the session"
@@ -188,7 +184,7 @@ class Faults(SessionModel):
 
 
 TELEMETRY: Final = "telemetry"
-"""Alone: the telemetry of every node."""
+"""An entry of ``reads`` that stands for the telemetry of every node."""
 
 _FROM_THE_HAND: Final = (Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT)
 
@@ -200,14 +196,14 @@ def _channel_word(value: object) -> str:
 
 
 class Observer(SessionModel):
-    """One who looks on."""
+    """A process that reads some channels of a session and takes no part in it."""
 
     reads: Annotated[tuple[str, ...], BeforeValidator(Items("channels", MAX_READS, _channel_word))] = Field(
         description="what it may read: telemetry for that of all nodes, or single channels as NODE/CHANNEL"
     )
 
     def problems(self, nodes: Mapping[str, Role]) -> Iterator[Problem]:
-        """Which of its channels are none of a session with these nodes, or are listed twice."""
+        """A problem for each listed channel that a session with these nodes does not have, or that is listed twice."""
         seen: set[str] = set()
         for index, entry in enumerate(self.reads):
             at = ("reads", index)
@@ -225,12 +221,12 @@ class Observer(SessionModel):
 
 
 def observable(role: Role) -> tuple[str, ...]:
-    """The channels that an observer may be allowed to read of a node of this role."""
-    return tuple(channel.name for channel in CHANNELS.values() if role in _told_by(channel))
+    """The channels of a node of this role that a session may let an observer read."""
+    return tuple(channel.name for channel in CHANNELS.values() if role in _named_after(channel))
 
 
-def _told_by(channel: Channel) -> tuple[Role, ...]:
-    """The nodes under whose names a channel is observed; none for what is said to set up and end a session."""
+def _named_after(channel: Channel) -> tuple[Role, ...]:
+    """The roles of the nodes whose names an observed channel has; none for channels that set up and end a session."""
     if channel.rate is Rate.EVERY_TICK:
         ends = {*channel.senders, *channel.receivers}
         return (next(role for role in _FROM_THE_HAND if role in ends),)
@@ -238,7 +234,7 @@ def _told_by(channel: Channel) -> tuple[Role, ...]:
 
 
 def observer_problems(observers: Mapping[str, Observer], nodes: Mapping[str, Role]) -> Iterator[Problem]:
-    """Everything that is wrong with the names of observers, and with what they are to read of these nodes."""
+    """All problems of the observers' names, and of the channels of these nodes that they list."""
     for name, observer in observers.items():
         at = ("observers", name)
         if name in RESERVED:
@@ -252,11 +248,11 @@ def observer_problems(observers: Mapping[str, Observer], nodes: Mapping[str, Rol
 _BEGUN_BY_OVERRIDES: Final = frozenset(
     {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2"), ("faults",)}
 )
-"""Optional parts: an override of a key in them may begin them."""
+"""Optional parts that an override may create by setting a key in them."""
 
 
 class Session(SessionModel):
-    """A whole session."""
+    """A whole session: the content of one session file."""
 
     name: SessionName = Field(alias="session", description="the session's name")
     period: Period = Field(description="the length T of a tick in s")
@@ -312,7 +308,7 @@ class Session(SessionModel):
         }
 
     def _not_to_be_colocated(self) -> Iterator[Problem]:
-        """A coupling of several devices sees the motion of all: it is in the process of none of them."""
+        """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""
         for name in self.couplings:
             if len(self.devices_of(name)) > 1:
                 found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
@@ -325,7 +321,7 @@ class Session(SessionModel):
 
     @cached_property
     def carriers(self) -> Mapping[str, str]:
-        """Of each coupling that runs in a device's process, the device."""
+        """The device of each coupling that runs in a device's process; empty without ``colocate``."""
         return {name: self.devices_of(name)[0] for name in self.couplings} if self.colocate else {}
 
     @cached_property
@@ -354,18 +350,18 @@ class Session(SessionModel):
 
     @property
     def given_stiffness(self) -> Array | None:
-        """The given K, m x m in the order of :attr:`ports`, in N/m; ``None`` unless a stiffness is given."""
+        """The given K, m x m in the order of :attr:`ports`, in N/m; ``None`` if no stiffness is given."""
         return None if self.design.stiffness is None else full_matrix(self.design.stiffness, len(self.ports))
 
     @property
     def given_damping(self) -> Array | None:
-        """The given B, m x m in N·s/m: 0 where a stiffness is given alone, ``None`` where neither is."""
+        """The given B, m x m in N·s/m: 0 if only a stiffness is given, ``None`` if neither is."""
         if self.design.stiffness is None:
             return None
         return full_matrix(self.design.damping or 0.0, len(self.ports))
 
     def as_plain(self) -> dict[str, Any]:
-        """The session as plain data in the form of a session file; read back, it is the same session."""
+        """The session as plain data in the form of a session file; reading the data gives an equal session."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
@@ -377,7 +373,7 @@ def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
         overrides: ``KEY.PATH=VALUE`` each, checked like the file itself.
 
     Raises:
-        SessionError: whatever is wrong with either, told by the first problem in the order of the file.
+        SessionError: the file or an override is wrong; the message has the first problem in the order of the file.
     """
     tree = apply_overrides(read_tree(path), overrides, _BEGUN_BY_OVERRIDES)
     problems: list[Problem] = []

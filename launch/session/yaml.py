@@ -1,14 +1,12 @@
-"""From the text of a session file to plain data that remembers where each value stands.
+"""From the text of a session file to plain data, with the line of every value.
 
-YAML's surprises are closed off before anything is validated: scalars follow the core schema of YAML 1.2 (so
-``1e-3`` is a number and ``no`` a word), a key given twice is refused instead of the last one winning, tags
-cannot name types, and aliases are written out under a limit, so a short file cannot become a huge one. What
-is left is ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None``, with a :class:`SourcePlace` for
-every key and list item, which is what lets every later error name a line.
+The parser removes YAML's surprises before anything is validated. Scalars follow the core schema of YAML 1.2, so
+``1e-3`` is a number and ``no`` a word; under YAML 1.1, PyYAML's own, ``1e-3`` is a word, ``no`` is false, ``017`` is 15
+and ``1:30`` is 90. A repeated key is refused; PyYAML would take its last value. Tags are refused, so that no text names
+a Python type. Aliases are expanded under a limit, so that a short file cannot become a huge one.
 
-What an unquoted word of a session file means: the core schema of YAML 1.2.
-
-PyYAML itself follows YAML 1.1, where ``1e-3`` is a word, ``no`` is false, ``017`` is 15 and ``1:30`` is 90.
+The result consists of ``dict``, ``list``, ``str``, ``int``, ``float``, ``bool`` and ``None``. Every key and list item
+has a :class:`SourcePlace`, from which later errors take the line.
 """
 
 import gc
@@ -39,7 +37,7 @@ _WORDS: Final[Mapping[str, bool | float | None]] = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
-_LONGEST_INT: Final = 18  # digits; longer ones become float, which no text can make large in memory
+_LONGEST_INT: Final = 18  # digits; a longer number becomes a float, whose size in memory is fixed
 
 
 def plain_scalar(text: str) -> str | int | float | bool | None:
@@ -64,7 +62,7 @@ _YAML: Final = "YAML: 'key: value' lines indented by spaces, with quotes around 
 
 @dataclass(frozen=True, slots=True)
 class SourcePlace:
-    """Where a value stands: a file and line, or the ``--set`` that brought it (then there is no line)."""
+    """The origin of a value: a file and a line, or a ``--set`` option, which has no line."""
 
     source: str
     line: int | None
@@ -72,14 +70,14 @@ class SourcePlace:
 
 @dataclass(frozen=True, slots=True)
 class SessionTree:
-    """Plain data of a session, with the place of every key and list item."""
+    """The plain data of a session, with the place of every key and list item."""
 
     source: str
     data: dict[str, object]
     places: Mapping[KeyPath, SourcePlace]
 
     def locate(self, path: KeyPath) -> tuple[KeyPath, SourcePlace]:
-        """The place of ``path``, or of the nearest key around it that is written in the file."""
+        """The place of ``path``, or of the nearest enclosing key that the file has; with that key's path."""
         for length in range(len(path), 0, -1):
             if path[:length] in self.places:
                 return path[:length], self.places[path[:length]]
@@ -108,7 +106,7 @@ def read_tree(path: Path) -> SessionTree:
 
 
 def parse_tree(text: str, source: str) -> SessionTree:
-    """Turn the text of a session into plain data; ``source`` names it in errors.
+    """Turn the text of a session into plain data; errors name it by ``source``.
 
     Raises:
         SessionError: the text is not acceptable YAML, or not a mapping.
@@ -127,20 +125,20 @@ def parse_tree(text: str, source: str) -> SessionTree:
 if TYPE_CHECKING or not yaml.__with_libyaml__:
 
     class _Events(Reader, Scanner, Parser):
-        """From text to events by PyYAML itself."""
+        """The parser of PyYAML in Python, from text to events."""
 
         def __init__(self, text: str) -> None:
             Reader.__init__(self, text)
             Scanner.__init__(self)
             Parser.__init__(self)
 
-else:  # libyaml, which PyYAML's wheels have, takes a tenth of the time: the largest file takes PyYAML half a minute
+else:  # libyaml, which is in PyYAML's wheels, takes a tenth of the time: PyYAML alone takes 30 s for the largest file
     from yaml.cyaml import CParser as _Events
 
 
 @contextmanager
 def _collector_at_rest() -> Iterator[None]:
-    """Without the garbage collector, which would go over the growing tree again and again: half of the time."""
+    """Disable the garbage collector, which would traverse the growing tree again and again: half of the time."""
     was_at_work = gc.isenabled()
     gc.disable()
     try:
@@ -151,7 +149,7 @@ def _collector_at_rest() -> Iterator[None]:
 
 
 class _Loader(Composer, _Events):
-    """PyYAML up to the node graph, without its YAML 1.1 scalars; depth, number and tags are checked as nodes come."""
+    """PyYAML up to the node graph, without YAML 1.1 scalars; it checks depth, count and tags of nodes as they come."""
 
     def __init__(self, text: str, builder: "_Builder") -> None:
         _Events.__init__(self, text)
@@ -161,17 +159,21 @@ class _Loader(Composer, _Events):
         self._count = 0
 
     def resolve(self, _kind: object, _value: object, _implicit: object) -> str:
-        """No tag: a scalar's kind is found by :func:`plain_scalar`."""
+        """No tag: :func:`plain_scalar` finds the type of a scalar."""
         return ""
 
     def descend_resolver(self, _parent: object, _index: object) -> None:
-        """Nothing is resolved by its path."""
+        """Do nothing: no type depends on a node's path."""
 
     def ascend_resolver(self) -> None:
-        """Likewise."""
+        """Do nothing: no type depends on a node's path."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Compose one node, refusing what would recurse or grow too far."""
+        """Compose one node, and refuse tags, deep nesting and too many nodes.
+
+        Raises:
+            SessionError: the node is refused.
+        """
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs leave it untyped
         if isinstance(event, ScalarEvent | CollectionStartEvent) and event.tag is not None:
             raise self._builder.error(event, (), f"the tag {event.tag}", "plain YAML, without tags")
@@ -210,7 +212,7 @@ def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
 
 
 class _Builder:
-    """Writes out a node graph as plain data, within the limits, noting places as it goes."""
+    """Turns a node graph into plain data within the limits, and collects the place of every key and item."""
 
     def __init__(self, source: str, has_lines: bool) -> None:
         self.source = source
@@ -220,21 +222,21 @@ class _Builder:
         self._count = 0
 
     def place(self, node: yaml.Node | yaml.Event) -> SourcePlace:
-        """Where a node begins."""
+        """The place at which a node begins."""
         return SourcePlace(self.source, _line(node) if self.has_lines else None)
 
     def error(self, node: yaml.Node | yaml.Event, path: KeyPath, found: str, expected: str) -> SessionError:
-        """An error at a node."""
+        """The error for a node at ``path``."""
         place = self.place(node)
         return SessionError(place.source, place.line, key_text(path), found, expected)
 
     def build(self, node: yaml.Node, path: KeyPath) -> object:
-        """The plain value of a node; every alias gets a copy of its own, so that overrides do not spread."""
+        """The plain value of a node; every alias becomes its own copy, so that an override changes one place only."""
         self._count += 1
         if self._count > MAX_NODES:
             raise self.error(node, path, f"more than {MAX_NODES} values", "a smaller file, with fewer aliases")
         if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style else plain_scalar(node.value)  # a plain one has none
+            return node.value if node.style else plain_scalar(node.value)  # a scalar without quotes has no style
         if id(node) in self._open:
             raise self.error(node, path, "an anchor that holds an alias of itself", "an alias of something else")
         if len(path) >= MAX_DEPTH:
@@ -255,7 +257,7 @@ class _Builder:
         entries: dict[str, object] = {}
         lines: dict[str, int] = {}
         for key_node, value_node in node.value:
-            # only scalars are built as keys: aliases within keys within keys would recurse without a limit
+            # only a scalar is built as a key: aliases in keys of keys would recurse without a limit
             key = self.build(key_node, path) if isinstance(key_node, yaml.ScalarNode) else key_node.value
             if not isinstance(key, str):
                 expected = "a name as the key (in quotes, if it must look like a number)"
@@ -279,14 +281,14 @@ def _line(node: yaml.Node | yaml.Event) -> int:
 def apply_overrides(
     tree: SessionTree, overrides: Sequence[str], begun: Collection[KeyPath] = frozenset()
 ) -> SessionTree:
-    """The tree with values replaced as ``KEY.PATH=VALUE`` says, in order; the given tree is not changed.
+    """A new tree, in which each override ``KEY.PATH=VALUE`` has replaced a value, in order.
 
-    The value is a YAML scalar or flow collection; list items go by position, from 0. An existing mapping may
-    get a new key (validation then judges it), but nothing on the way to it is invented, except the mappings that
+    The value is a YAML scalar or flow collection; a list item is named by its position, from 0. An override may add a
+    key to an existing mapping, which validation then checks. It creates no mapping on the way there, except those that
     ``begun`` names.
 
     Raises:
-        SessionError: an override that cannot be understood or leads nowhere.
+        SessionError: an override has another form, or its path leads to nothing.
     """
     if len(overrides) > MAX_OVERRIDES:
         raise SessionError("--set", None, "", f"{len(overrides)} overrides", f"at most {MAX_OVERRIDES}")
@@ -309,7 +311,7 @@ def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> Sess
         raise SessionError(source, None, dotted, show(text), "a plain value, or one in [ ] or { }")
 
     data = dict(tree.data)
-    parent: Any = data  # a dict or a list, as _existing makes sure of
+    parent: Any = data  # always a dict or a list: other children are refused below
     path: KeyPath = ()
     places: dict[KeyPath, SourcePlace] = {}
     for step in steps[:-1]:
