@@ -1,5 +1,5 @@
-"""Session files, keys, the supervisor, the command line: from a YAML file to processes and back to pictures.
+"""Session files, keys, the supervisor and the command line: from a YAML file to processes, recordings and plots.
 
-Read ``session/`` (the file), ``plan/`` (what follows from it) and ``run/`` (the processes); then ``recordings/``, and
-what shows them: ``observe/``, ``graph/``, ``view/``. ``cli/`` is the entry, ``doctor/`` looks at the machine.
+Read ``session/`` (the file), ``plan/`` (what follows from it) and ``run/`` (the processes), then ``recordings/``. The
+rooms ``observe/``, ``graph/`` and ``view/`` show sessions, ``cli/`` is the entry, and ``doctor/`` examines the machine.
 """

@@ -231,7 +231,7 @@ def run_design(
         The exit code.
     """
     try:
-        with interruptible() as asked, telling(err, "designing the coupling") as progress:
+        with interruptible() as asked, progress_on(err, "designing the coupling") as progress:
             designed = certify(session, progress)
     except KeyboardInterrupt:
         say(err, f"{session.name}: interrupted before a coupling was found")
@@ -257,7 +257,7 @@ def run_design(
     if pictures is not None and certificate.loop.enforced:
         say(err, "no pictures: they show how the environment responds, and of a model no more than its level is known")
     elif pictures is not None:
-        with telling(err, "drawing") as progress:
+        with progress_on(err, "drawing") as progress:
             paths = _draw(designed, pictures, progress)
         say(err, "pictures: " + ", ".join(str(path) for path in paths))
     if designed.interrupted or asked:
@@ -311,7 +311,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
 
     certificate, data = load(file)
     try:
-        with telling(err, "proving") as progress:
+        with progress_on(err, "proving") as progress:
             findings = prove(data, progress)
     except ProofInputError as error:
         raise CertificateError(f"{file}: {error}") from error
@@ -373,7 +373,7 @@ def print_json(data: object) -> None:
 
 
 @contextmanager
-def telling(err: Console, what: str) -> Iterator[Progress]:
+def progress_on(err: Console, what: str) -> Iterator[Progress]:
     """A status line with what is being done, on a terminal."""
     with status(err, what) as update:
         yield lambda text: update(f"{what}: {text}")

@@ -1,8 +1,7 @@
-"""Refusing beforehand what cannot be written, and keeping others from the same file while it is being written.
+"""Files that commands read and write: checks and locks of output files, sessions by name, and the exit codes.
 
-The exit codes of the command line, which other programs rely on.
-
-The sessions that come with the package, by name.
+A command checks an output file before it begins, not after a run. While it writes the file, a lock keeps other runs
+from it. Session files are found by path, or by name among those in the package. Other programs rely on the exit codes.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from manyhands.protocol.messages import presentable
 
 _MOST_WORDS: Final = 300
 _NO_LOCKS: Final = (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP)
-"""What a file system says that has no locks, as some on a network."""
+"""Errors of file systems without locks, such as some network file systems."""
 
 
 class TargetError(Exception):
-    """A file cannot be written where it was asked for."""
+    """An output file cannot be written at the place that the user named."""
 
 
 def require_target(path: Path) -> None:
-    """Refuse a file name that cannot be written to; before a run, not after it.
+    """Refuse an output file that cannot be written; a command calls this before its run.
 
     Raises:
-        TargetError: no such folder, or something other than a regular file of that name.
+        TargetError: its folder does not exist, or something other than a regular file has its name.
     """
     if not path.absolute().parent.is_dir():
         raise TargetError(f"{path}: found no folder {path.parent}; expected one that exists")
@@ -46,13 +45,13 @@ def require_target(path: Path) -> None:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """While entered, no other run writes to this file: the second of two launches is refused, not lost.
+    """While entered, no other run writes to this file; of two launches with one file the second is refused.
 
-    The lock is on a file ``.NAME.lock`` beside it, which says whose it is and goes with the run. One that a killed run
-    left behind is not locked, and is taken over.
+    The lock is on a file ``.NAME.lock`` beside it, which names its owner and is removed at the end of the run. A lock
+    file that a killed run left behind is not locked, and the next run takes it over.
 
     Raises:
-        TargetError: another run writes to it, or nothing can be written there.
+        TargetError: another run writes to the file, or nothing can be written there.
     """
     lock = path.with_name(f".{path.name}.lock")
     try:
@@ -67,13 +66,13 @@ def claimed(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # another user's lock in a folder where each may remove his own alone
-            lock.unlink()  # while it is held: whoever opened it meanwhile sees that it is another by now
+        with suppress(OSError):  # another user's lock, in a folder where users may remove only their own files
+            lock.unlink()  # before it is unlocked: a run that opened this file meanwhile finds it gone, and opens anew
         os.close(descriptor)
 
 
 class _Held(Exception):
-    """Somebody holds a lock; ``who`` is a text for a message."""
+    """Another run holds the lock; ``who`` is a text for a message, or empty."""
 
     def __init__(self, who: str) -> None:
         super().__init__(who)
@@ -81,7 +80,11 @@ class _Held(Exception):
 
 
 def _locked(lock: Path) -> int:
-    """The descriptor of the lock file at this path, locked, with our name in it."""
+    """The descriptor of the lock file at this path, locked; the file then names this process.
+
+    Two runs may open, lock and remove the file in any order. A descriptor therefore counts only if, once locked, it is
+    still the file at this path; otherwise the loop begins again.
+    """
     while True:
         descriptor = _opened(lock)
         try:
@@ -92,26 +95,26 @@ def _locked(lock: Path) -> int:
             except BlockingIOError as error:
                 raise _Held(_who(descriptor)) from error
             except OSError as error:
-                if error.errno not in _NO_LOCKS:  # with them, two runs at once end as two that follow each other
+                if error.errno not in _NO_LOCKS:  # without locks, the later of two simultaneous runs replaces the file
                     raise
             if _is_at(descriptor, lock):
-                with suppress(OSError):  # another user's file: it is locked all the same
+                with suppress(OSError):  # another user's file cannot be written, but it is locked
                     os.ftruncate(descriptor, 0)
                     os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
                 return descriptor
         except BaseException:
             os.close(descriptor)
             raise
-        os.close(descriptor)  # its run ended between our opening and our locking it
+        os.close(descriptor)  # the run that held it removed it before this process locked it
 
 
 def _opened(lock: Path) -> int:
-    # not through a link, and not to wait for the other end of a pipe
+    # neither follow a link, nor wait for the other end of a pipe
     flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         return os.open(lock, os.O_RDWR | os.O_CREAT | flags, 0o644)
     except PermissionError:
-        return os.open(lock, os.O_RDONLY | flags)  # another user's; whoever may read it may lock it
+        return os.open(lock, os.O_RDONLY | flags)  # another user's file: read access is enough to lock it
 
 
 def _is_at(descriptor: int, lock: Path) -> bool:
@@ -123,7 +126,7 @@ def _is_at(descriptor: int, lock: Path) -> bool:
 
 
 def _who(descriptor: int) -> str:
-    """What the lock's holder wrote into it, as a text for a message: anybody may have written it."""
+    """What the lock's owner wrote into it, made safe for a message, as any user may have written it."""
     with suppress(OSError):
         words = os.pread(descriptor, _MOST_WORDS, 0).decode(errors="replace")
         return f" ({presentable(' '.join(words.split()))})" if words else ""
@@ -134,18 +137,18 @@ EXIT_OK = 0
 EXIT_FAILED = 1  # a process failed, or a file could not be written
 EXIT_BAD_INPUT = 2
 EXIT_NOT_CERTIFIED = 3
-EXIT_INTERRUPTED = 130  # Ctrl-C; other signals likewise, 128 + their number
+EXIT_INTERRUPTED = 130  # Ctrl-C; other signals give 128 + their number
 
 
 def load_named(name: Path | str, overrides: Sequence[str] = ()) -> Session:
-    """The session at a path, or the shipped one of that name, with or without its suffix.
+    """The session at a path, or the shipped session of that name, with or without its suffix.
 
     Args:
-        name: a path; one that does not exist and names no folder may be a shipped session.
+        name: a path; if no such file exists and it names no folder, a shipped session is looked for.
         overrides: ``KEY.PATH=VALUE`` each.
 
     Raises:
-        SessionError: whatever is wrong with either.
+        SessionError: the file or an override is wrong.
     """
     path = Path(name)
     if not path.exists() and len(path.parts) == 1:

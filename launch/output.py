@@ -1,11 +1,11 @@
-"""The command line's two output streams, and what becomes of them when they can no longer be written to.
+"""The command line's two output streams, and what happens when they can no longer be written.
 
-Standard error is for a person who watches. A pipe that was closed, a terminal that hung up or a full disk behind it is
-no reason to end a session: from then on nothing is written there, and :func:`lost_at` names the cause. Standard output
-is for results. Where its reader has had enough (``| head``) a command goes on to its end and keeps its exit code,
-unless it does nothing but print (:func:`pipe_may_close`). Any other failure there is the command's.
+Standard error is for a person who watches. If its pipe or terminal is closed, or its disk is full, the session goes on:
+from then on nothing is written there, and :func:`lost_at` names the cause. Standard output is for results. When its
+reader ends first (``| head``), a command continues to its end and keeps its exit code, unless it only prints
+(:func:`pipe_may_close`). Any other failure of standard output fails the command.
 
-This is done below Python's text layer, so it holds for whatever writes to the streams.
+All this happens below Python's text layer, so it holds for every writer.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _NAMES: Final = {_OUT: "standard output", _ERR: "standard error"}
 
 
 class Output(io.BufferedWriter):
-    """Descriptor 1 or 2; after the first error it leads to nowhere, so that whatever is still buffered can leave.
+    """Descriptor 1 or 2; after the first error it writes to /dev/null, so that buffered text can be flushed.
 
-    What is written here has left the text layer's buffer, so a signal handler that raises between two steps makes no
-    text appear twice. Below this buffer it would: the buffer repeats a write that raised after it was done.
+    Data that is written here has left the buffer of the text layer, so a signal handler that raises between two steps
+    makes no text appear twice. Below this buffer it would: a buffer repeats a write that raised after it was done.
 
     Attributes:
-        lost: the error that ended it; None while it works.
-        raises_when_closed: whether a reader that left is an error (``BrokenPipeError``, once).
+        lost: the error that ended the stream; None while it works.
+        raises_when_closed: whether a closed pipe is an error (``BrokenPipeError``, once).
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -43,10 +43,10 @@ class Output(io.BufferedWriter):
         self.raises_when_closed = False
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Buffer the data, and write what does not fit; all of it counts as written once the stream is lost.
+        """Buffer the data, and write what does not fit; returns the number of bytes, lost ones included.
 
         Raises:
-            OSError: standard output cannot be written, for another reason than a reader that left.
+            OSError: standard output cannot be written; a closed pipe counts only with ``raises_when_closed``.
         """
         view, done = memoryview(data).cast("B"), 0
         while True:
@@ -60,7 +60,7 @@ class Output(io.BufferedWriter):
                 self._lose(error)
 
     def flush(self) -> None:
-        """Write what is buffered.
+        """Write the buffered data.
 
         Raises:
             OSError: as by :meth:`write`.
@@ -74,7 +74,7 @@ class Output(io.BufferedWriter):
                 self._lose(error)
 
     def _lose(self, error: OSError) -> None:
-        """Lead to nowhere from now on; raises the error where it is the command's."""
+        """Write to /dev/null from now on; raise the error if it has to fail the command."""
         self.lost = error
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
@@ -85,10 +85,11 @@ class Output(io.BufferedWriter):
 
 
 def install() -> None:
-    """Make standard output and standard error streams of :class:`Output`; to be called once, first of all.
+    """Make standard output and standard error streams of :class:`Output`; a process calls this once, at its start.
 
-    A descriptor that the process was started without is opened on nothing: otherwise the next file or socket would get
-    its number, and receive what is meant for a person. Characters that the stream's encoding lacks are escaped.
+    If the process was started without one of the descriptors 0 to 2, that one is opened on /dev/null. Otherwise the
+    next file or socket would get its number and receive text for a person. Characters that the stream's encoding lacks
+    are escaped.
     """
     for descriptor in (0, _OUT, _ERR):
         try:
@@ -109,7 +110,7 @@ def _stream(before: TextIO | None, descriptor: int) -> io.TextIOWrapper:
 
 
 def lost_at(stream: IO[str]) -> str | None:
-    """Why ``stream`` can no longer be written to, for a person; None if it can, or is no stream of ours."""
+    """Why ``stream`` can no longer be written, as a text; None if it works, or is not an :class:`Output`."""
     output = _output_of(stream)
     if output is None or output.lost is None:
         return None
@@ -117,14 +118,14 @@ def lost_at(stream: IO[str]) -> str | None:
 
 
 def has_room(stream: IO[str]) -> bool:
-    """Whether ``stream`` takes something now; a terminal that was stopped (Ctrl-S) or a full pipe does not."""
+    """Whether ``stream`` can be written without waiting; a stopped terminal (Ctrl-S) or a full pipe cannot."""
     output = _output_of(stream)
     return output is None or bool(select.select([], [output], [], 0)[1])
 
 
 @contextmanager
 def pipe_may_close() -> Iterator[None]:
-    """For a command that does nothing but print: it is done, and well, when nobody reads standard output any more."""
+    """For a command that only prints: while entered, a closed standard output ends the command without an error."""
     output = _output_of(sys.stdout)
     if output is not None:
         output.raises_when_closed = True

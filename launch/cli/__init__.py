@@ -1,8 +1,8 @@
-"""The command line: what the arguments mean, what is printed, and the exit codes.
+"""The command line: arguments, output and exit codes.
 
-0 done; 1 a process failed; 2 usage error or bad input; 3 not certified; 130 Ctrl-C. Results go to standard
-output, everything else to standard error, so that ``--json`` can be piped. Each module holds a group of commands;
-what they need is imported when they run.
+The exit codes are 0 done, 1 a process failed, 2 usage error or bad input, 3 not certified, 130 Ctrl-C. Results go to
+standard output and everything else to standard error, so that ``--json`` can be piped. Each module holds one group of
+commands. A command imports what it needs when it runs, which keeps ``--help`` fast.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _main(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
-    # From here on there may be half-written files to clear away, so Ctrl-C unwinds instead of leaving at once.
+    # A command may have half-written files to remove, so Ctrl-C unwinds the stack; it does not end the process at once.
     signal.signal(signal.SIGINT, unwind)

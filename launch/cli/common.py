@@ -1,8 +1,7 @@
-"""What the commands share: consoles, options, and how every error becomes one message and an exit code.
+"""What the commands share: consoles, options, shell completion, and one message and exit code for every error.
 
-What a shell is told when somebody presses Tab: running sessions, their topics, session files, nodes.
-
-Asked at every Tab, so each answer is found in files, without asking a session; whatever is wrong is no answer.
+Completion runs at every press of Tab. Names of running sessions, topics, session files and nodes therefore come from
+files, and no session is contacted. Where a file cannot be read, there is no completion and no error message.
 """
 
 from __future__ import annotations
@@ -41,18 +40,18 @@ from manyhands.nodes.environment.model import ModelError, ModelFailure
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
 
-_MOST = 500  # answers
+_MOST = 500  # completions
 
 
 def running_names(incomplete: str) -> list[str]:
-    """Names of running sessions; the process ids of those that share one."""
+    """Names of running sessions; where several have the same name, their process ids instead."""
     running = [one.about for one in running_sessions()]
     names = [about.session for about in running]
     return _beginning(incomplete, (str(one.pid) if names.count(one.session) > 1 else one.session for one in running))
 
 
 def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Topics of the session that is meant, in full where what is there begins like that."""
+    """Topics of the named or only session; with their full path where ``incomplete`` begins with a slash."""
     try:
         about = find_session(ctx.params.get("session") or session_of(incomplete)).about
     except NoSession:
@@ -64,7 +63,7 @@ def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def session_files(incomplete: str) -> list[str]:
-    """Session files and folders, as far as the path goes, and the shipped sessions."""
+    """Session files and folders that complete the path, and the shipped sessions."""
     shipped = importlib.resources.files("manyhands.launch") / "sessions"
     names = sorted(file.name for file in shipped.iterdir() if file.name.endswith(".yaml"))
     folder, _, start = incomplete.rpartition("/")
@@ -85,7 +84,7 @@ def session_files(incomplete: str) -> list[str]:
 
 
 def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Nodes and observers of the session file that was named before."""
+    """Nodes and observers of the session file that stands earlier on the command line."""
     session = ctx.params.get("session")
     if session is None:
         return []
@@ -107,7 +106,7 @@ _NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to the command what that means."""
+        """Raise BrokenPipeError, so that the command decides what a closed pipe means."""
         raise BrokenPipeError
 
 
@@ -132,13 +131,13 @@ RunningName = Annotated[
     typer.Option(
         "--session",
         metavar="NAME",
-        help="Which running session, by its name or process id; by default the only one.",
+        help="A running session, by its name or process id; by default the only one.",
         autocompletion=running_names,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
-Clock = Annotated[str, typer.Option(metavar="|".join(CLOCKS), help="What paces the session.")]
+Clock = Annotated[str, typer.Option(metavar="|".join(CLOCKS), help="The clock that paces the session.")]
 CertificatePath = Annotated[
     Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
 ]
@@ -150,22 +149,22 @@ KeyFolder = Annotated[
 ]
 Insecure = Annotated[
     bool,
-    typer.Option("--insecure", help="Plain TCP: whoever can reach its ports may join in."),
+    typer.Option("--insecure", help="Use TCP without encryption: anybody who can reach its ports can take part."),
 ]
-ctrl_c: list[int] = []  # what was asked, for the unwinding may be caught on its way by code that is not ours
+ctrl_c: list[int] = []  # the signals that came: foreign code may catch the exception on its way up
 
 
 def unwind(signum: int, _frame: FrameType | None) -> None:
-    """Ctrl-C: note it, and unwind."""
+    """Handle Ctrl-C: note the signal, and unwind the stack."""
     ctrl_c.append(signum)
     raise SystemExit(EXIT_INTERRUPTED)
 
 
 def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
-    """Settle the coupling of a run, telling what the design is doing and what a certificate's file does not record."""
-    from manyhands.launch.design_report import telling
+    """Settle the coupling of a run; print the design's progress, and what a certificate's file does not record."""
+    from manyhands.launch.design_report import progress_on
 
-    with telling(err, "designing the coupling") as progress:
+    with progress_on(err, "designing the coupling") as progress:
         prepared = prepare(session, certificate, uncertified, progress)
     if prepared.certificate is not None and (lack := unrecorded(prepared.certificate)):
         say(err, f"{certificate}: {lack}")
@@ -180,7 +179,7 @@ def ticks_of(session: Session, duration: float) -> int:
 
 
 def kept_ticks(session: Session, duration: float) -> int:
-    """Number of ticks in ``duration`` (s) of a run that is kept in memory."""
+    """Number of ticks in ``duration`` (s) of a run whose values are kept in memory."""
     ticks, ports = ticks_of(session, duration), len(session.ports)
     if ticks * ports > MOST_SIMULATED_VALUES:
         refuse(
@@ -191,13 +190,13 @@ def kept_ticks(session: Session, duration: float) -> int:
 
 
 def require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
-    """Refuse a value that is none of the valid ones."""
+    """End the command with an error unless the option's value is one of the valid ones."""
     if value not in valid:
         refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
 
 
 def require_folder(path: Path | None) -> None:
-    """Refuse a file where a folder is to be written to."""
+    """End the command with an error if there is a file where a folder is to be made."""
     if path is not None and path.exists() and not path.is_dir():
         refuse(f"{path}: found a file; expected the name of a folder")
 
@@ -209,13 +208,13 @@ def end(code: int) -> None:
 
 
 def refuse(text: str) -> None:
-    """End the command with this error."""
+    """End the command with this error message and exit code 2."""
     say(err, f"error: {text}")
     raise typer.Exit(EXIT_BAD_INPUT)
 
 
 def warn_of_model(console: Console, session: Session) -> None:
-    """Say whose code a run is going to import; nothing where a session names no model."""
+    """Warn that a run imports and executes the code of a model, if the session names one."""
     if isinstance(session.environment, PythonEnvironment):
         say(
             console,
@@ -225,10 +224,10 @@ def warn_of_model(console: Console, session: Session) -> None:
 
 
 def warn_insecure(console: Console) -> None:
-    """Say in red that nothing keeps others out."""
+    """Warn in red that a run is open to everybody on the network."""
     console.print(
-        "warning: --insecure: nothing is encrypted and nobody proves who they are; whoever can reach these ports can "
-        "read every motion and push every hand",
+        "warning: --insecure: nothing is encrypted and nobody proves who they are; anybody who can reach these ports "
+        "can read every motion and push every hand",
         style="bold red",
         markup=False,
         soft_wrap=True,
@@ -246,19 +245,19 @@ _BAD_INPUT = (
     RecordingError,
     SessionError,
     TargetError,
-    TransportError,  # an address to listen at that is not there, or not free
+    TransportError,  # the address to listen at is not this machine's, or not free
     ViewError,
 )
 
 
 @contextmanager
 def errors() -> Iterator[None]:
-    """Every error of ours as one message and its exit code; Ctrl-C as its own, whatever an import made of it."""
+    """Turn every expected error into one message and its exit code, and Ctrl-C into exit code 130."""
     try:
         try:
             yield
         finally:
-            if ctrl_c:
+            if ctrl_c:  # even where an import has turned the SystemExit into an error of its own
                 raise SystemExit(EXIT_INTERRUPTED) from None
     except _BAD_INPUT as error:
         say(err, f"error: {error}")

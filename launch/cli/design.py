@@ -1,4 +1,4 @@
-"""The commands about proofs: design, verify, budget."""
+"""The commands that design and prove: design, verify, budget."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ commands = typer.Typer()
 def design(
     session: SessionPath,
     output: Annotated[Path | None, typer.Option("-o", metavar="CERT", help="Write the certificate here.")] = None,
-    pictures: Annotated[Path | None, typer.Option("--plot", metavar="DIR", help="Draw the design there.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option("--plot", metavar="DIR", help="Draw the design into this folder.")
+    ] = None,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
@@ -39,7 +41,7 @@ def design(
 def verify_command(
     certificate: Annotated[Path, typer.Argument(metavar="CERT", help="A certificate file.")],
     session: Annotated[
-        Path | None, typer.Option("--session", metavar="SESSION", help="Check that it is this session's, too.")
+        Path | None, typer.Option("--session", metavar="SESSION", help="Also check that it belongs to this session.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -54,12 +56,12 @@ def verify_command(
 def budget(
     session: SessionPath,
     picture: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg or .pdf).")
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw the curves (.png, .svg or .pdf).")
     ] = None,
     overrides: Overrides = [],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Show which stiffness each device could certify against the delay inside the tick and the period."""
+    """Show the stiffness that can be certified for each device, over the delay inside the tick and the period."""
     with errors():
         from manyhands.launch.budget import require_picture
         from manyhands.launch.design_report import run_budget

@@ -1,4 +1,4 @@
-"""The command about the machine: doctor."""
+"""The command that examines the machine: doctor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def doctor(
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
-    """Say what this machine permits, how long a tick takes on it, and which stiffness that leaves to be certified."""
+    """Report what this machine permits, how long a tick takes on it, and which stiffness can then be certified."""
     with errors():
         from manyhands.launch.doctor.examination import run_doctor
 

@@ -1,4 +1,4 @@
-"""The commands about who may take part: graph, keys, invite, node."""
+"""The commands about a session's processes and how they connect: graph, keys, invite, node."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ def graph(
         Path | None,
         typer.Argument(
             metavar="[SESSION]",
-            help="A session file, or the name of a shipped one; without --session.",
+            help="A session file, or the name of a shipped one; not with --session.",
             autocompletion=session_files,
         ),
     ] = None,
     running: RunningName = None,
-    access: Annotated[bool, typer.Option("--access", help="Show who may read and write what.")] = False,
+    access: Annotated[bool, typer.Option("--access", help="Show which process may read and write what.")] = False,
     form: Annotated[
         str | None,
         typer.Option(
             "--format",
             metavar="text|mermaid|svg",
-            help="By default as the suffix of FILE, or text.",
+            help="The format; by default that of FILE's suffix, or text.",
             autocompletion=lambda: ["text", "mermaid", "svg"],
         ),
     ] = None,
@@ -69,7 +69,7 @@ def graph(
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
-    """Show a session's processes and links, or who may read and write what; of a running one, how each is."""
+    """Show a session's processes and links, or their access rights; for a running session, the state of each."""
     with errors():
         from manyhands.launch.files import require_target
         from manyhands.launch.graph import FORMATS, format_of, show_scene, show_session
@@ -115,7 +115,7 @@ def keys(
     overrides: Overrides = [],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Make a key pair for every process, the supervisor and the observers. Keys that are there are kept."""
+    """Make a key pair for every process, the supervisor and the observers. Existing keys are kept."""
     with errors():
         from manyhands.launch.plan.keys import run_keys
 
@@ -134,7 +134,7 @@ def invite(
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
 ) -> None:
-    """Cut what one node on another machine needs to join: its own part of the session, and nobody else's."""
+    """Write the bundle that one node on another machine needs to join: its own part of the session, and no other."""
     with errors():
         from manyhands.launch.plan.bundles import invite as cut_bundle
         from manyhands.launch.plan.keys import load_folder
@@ -157,18 +157,18 @@ def invite(
 @commands.command(epilog="Example: manyhands node dx --session dx.bundle --key dx.key --connect tcp://192.0.2.7:7400")
 def node(
     name: NodeName,
-    bundle: Annotated[Path, typer.Option("--session", metavar="BUNDLE", help="Its bundle (manyhands invite).")],
+    bundle: Annotated[Path, typer.Option("--session", metavar="BUNDLE", help="The node's bundle (manyhands invite).")],
     connect: Annotated[str, typer.Option("--connect", metavar="tcp://HOST:PORT", help="Where the session listens.")],
     key: Annotated[
-        Path | None, typer.Option("--key", metavar="FILE", help="Its private key; by default BUNDLE with suffix .key.")
+        Path | None, typer.Option("--key", metavar="FILE", help="The private key; by default BUNDLE with suffix .key.")
     ] = None,
     host: Annotated[
         str | None,
         typer.Option("--host", metavar="HOST", help="This machine's address, if others connect to it."),
     ] = None,
 ) -> None:
-    """Join a session of another machine as one of its nodes, or look on as an observer (a line of JSON each time)."""
+    """Join a session of another machine as one of its nodes, or as an observer, which prints each message as JSON."""
     from manyhands.nodes.remote import join
 
-    with pipe_may_close():  # which an observer sees to itself
+    with pipe_may_close():
         end(join(name, bundle, key, connect, host))

@@ -1,7 +1,4 @@
-"""The commands that look on at running sessions: list, echo, hz, top.
-
-The command that serves the page of a running session: view.
-"""
+"""The commands that observe running sessions: list, echo, hz, top, and view, which serves a session's page."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ TopicName = Annotated[
 
 @commands.command("list", epilog="Example: manyhands list --json")
 def list_sessions(as_json: Json = False) -> None:
-    """List the sessions that run on this machine, and how they and their nodes are."""
+    """List the sessions that run on this machine, with their state and that of their nodes."""
     with errors():
         import time
 
@@ -52,13 +49,13 @@ def list_sessions(as_json: Json = False) -> None:
 def echo(
     topic: TopicName,
     session: RunningName = None,
-    count: Annotated[int | None, typer.Option("-n", min=1, metavar="COUNT", help="End after so many lines.")] = None,
+    count: Annotated[int | None, typer.Option("-n", min=1, metavar="COUNT", help="End after this many lines.")] = None,
     every: Annotated[
         int,
         typer.Option("--every", min=1, metavar="N", help="Only ticks that are multiples of N, or each Nth message."),
     ] = 1,
 ) -> None:
-    """Print each value of a topic of a running session as a line of JSON, as recordings have them."""
+    """Print each value of a running session's topic as a line of JSON, in the form that recordings use."""
     with errors(), pipe_may_close():
         from manyhands.launch.observe.sessions import find_session, visiting
         from manyhands.launch.observe.topics import EchoLines, find_topic, session_of
@@ -80,14 +77,14 @@ def hz(
     topic: TopicName,
     session: RunningName = None,
     window: Annotated[
-        int, typer.Option("--window", min=2, metavar="N", help="Take figures over the last N ticks, or messages.")
+        int, typer.Option("--window", min=2, metavar="N", help="Compute the figures over the last N ticks or messages.")
     ] = DEFAULT_WINDOW,
     duration: Annotated[
-        float | None, typer.Option("--duration", metavar="S", help="End after so many s; without it, on Ctrl-C.")
+        float | None, typer.Option("--duration", metavar="S", help="End after this time, in s; without it, on Ctrl-C.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say how often a topic of a running session is told of, and how evenly: a line a second, the last at the end."""
+    """Measure the rate and regularity of a running session's topic: one line each second, and one at the end."""
     with errors(), pipe_may_close():
         from manyhands.launch.design_report import print_json
         from manyhands.launch.observe.sessions import find_session, visiting
@@ -101,15 +98,15 @@ def hz(
         clock = RealtimeClock()
         began = clock.now()
         until = None if duration is None else Instant(began + from_seconds(duration))
-        told = began
+        printed = began
         with visiting(running, clock, until) as (_, seeing):
             try:
                 for seen in seeing:
                     pacing.take(seen.message, seen.at)
-                    if not as_json and seen.at - told >= from_seconds(1.0):
-                        told = seen.at
+                    if not as_json and seen.at - printed >= from_seconds(1.0):
+                        printed = seen.at
                         typer.echo(sentence(pacing.found()))
-            finally:  # on Ctrl-C, too: that is how it mostly ends
+            finally:  # also on Ctrl-C, the usual end
                 found = pacing.found()
                 if as_json:
                     print_json(found)
@@ -120,10 +117,10 @@ def hz(
 @commands.command(epilog="Example: manyhands top --once")
 def top(
     session: RunningName = None,
-    once: Annotated[bool, typer.Option("--once", help="Show it once, and end.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Show the table once, and end.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Watch the nodes of a running session: a table on a terminal, until q or Ctrl-C; else one every 2 s."""
+    """Watch the nodes of a running session: on a terminal a live table, until q or Ctrl-C; else a table every 2 s."""
     with errors(), pipe_may_close():
         import json
 
@@ -156,29 +153,30 @@ def top(
             else:
                 with quit_key() as stop:
                     show_live(scene, seeing, out, stop)
-        say(err, f"{running.about.session}: looked on to tick {scene.tick}")
+        say(err, f"{running.about.session}: observed until tick {scene.tick}")
 
 
 @commands.command(epilog="Example: manyhands view --session example-1 --open")
 def view(
     session: RunningName = None,
     host: Annotated[
-        str, typer.Option("--host", metavar="HOST", help="Where to listen; a token is asked for but on loopback.")
+        str,
+        typer.Option("--host", metavar="HOST", help="The address to listen at; other than loopback needs a token."),
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option("--port", metavar="PORT", min=0, max=65535, help="Likewise; 0 for any that is free.")
+        int, typer.Option("--port", metavar="PORT", min=0, max=65535, help="The port to listen at; 0 for any free one.")
     ] = 0,
     token_file: Annotated[
         Path | None,
         typer.Option(
             "--token-file",
             metavar="FILE",
-            help="Ask for the token in this file of yours (mode 0600); without it, where one is needed, it is drawn.",
+            help="Require the token in this file (yours, mode 0600); by default, where one is needed, it is random.",
         ),
     ] = None,
     open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in this machine's browser.")] = False,
 ) -> None:
-    """Serve a page of a running session until Ctrl-C: what moves, what is certified, alarms; devices can be dragged."""
+    """Serve a page of a running session until Ctrl-C: motions, certificate and alarms; devices can be dragged."""
     with errors():
         from manyhands.launch.observe.sessions import find_session
         from manyhands.launch.view.security import is_loopback, new_token, read_token
@@ -190,14 +188,14 @@ def view(
             token = token or new_token()
             say(
                 err,
-                "warning: the page is served without encryption: who is on the way can read the token and hold "
-                "devices; over networks that are not yours, listen on loopback and use ssh -L",
+                "warning: the page is served without encryption: anybody on the network path can read the token and "
+                "hold devices; over networks that are not yours, listen on loopback and use ssh -L",
             )
 
         def ready(address: str) -> None:
             if token_file is None:
                 say(err, f"page: {address}")
-            else:  # whose token it is has it already
+            else:  # the token's owner has it already
                 say(err, f"page: {address.partition('#')[0]}")
                 say(err, f"open it with #token= and the token in {token_file} at its end")
             if open_:
@@ -208,6 +206,6 @@ def view(
         refused: Counter[str] = Counter()
         try:
             serve(running, host, port, token, ready, refused)
-        finally:  # on Ctrl-C, which is how it ends
+        finally:  # Ctrl-C ends the server
             if refused:
                 say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))

@@ -1,9 +1,4 @@
-"""The commands about recordings: record, info, export.
-
-The commands that recompute a recorded run: replay, audit.
-
-The command that draws a recorded run: plot.
-"""
+"""The commands about recordings: record makes one; info, export and plot show it; replay and audit recompute it."""
 
 from __future__ import annotations
 
@@ -38,7 +33,7 @@ _GAPS_SHOWN = 5
 
 @contextmanager
 def _bar(text: str) -> Iterator[Callable[[float], None]]:
-    """Show on a terminal how far something is; yields what is to be told the part that is done."""
+    """Show a progress bar on a terminal; yields a function that takes the part that is done, from 0 to 1."""
     from rich.progress import Progress
 
     with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
@@ -60,7 +55,7 @@ def record(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Record a session that runs already, from now to its end, --duration or Ctrl-C."""
+    """Record a running session from now until its end, --duration or Ctrl-C."""
     with errors():
         from manyhands.launch.observe.sessions import find_session, session_in
         from manyhands.launch.recordings.attached import record_attached
@@ -73,33 +68,33 @@ def record(
         if directory is not None and session is not None:
             refuse(f"found both {directory} and --session {session}; expected one of them")
         running = find_session(session) if directory is None else session_in(directory)
-        name, said = running.about.session, False
+        name, announced = running.about.session, False
         with claimed(output), Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
 
             def show(core: AttachedCore) -> None:
-                nonlocal said
-                if core.beginning and not said:
+                nonlocal announced
+                if core.beginning and not announced:
                     first = min(core.beginning.values())
                     say(
                         err,
-                        f"recording {name} to {output}, from tick {first} to its end; Ctrl-C ends the recording alone",
+                        f"recording {name} to {output}, from tick {first} to its end; Ctrl-C ends only the recording",
                     )
-                    said = True
+                    announced = True
                 lost = f", {sum(core.missing.values())} missing" if core.missing else ""
                 shown(f"recording {name}: tick {core.tick}{lost}")
 
             done = record_attached(running, output, duration, interrupt, RealtimeClock(), show)
         if as_json:
             say(out, json.dumps(done.as_plain()))
-        _tell(done)
+        _print_end(done)
 
 
-def _tell(done: AttachedRecording) -> None:
+def _print_end(done: AttachedRecording) -> None:
     if done.missing:
         lost = ", ".join(f"{device} {ticks}" for device, ticks in done.missing.items())
         say(err, f"warning: ticks missing from the recording: {lost}")
     if done.refused:
-        say(err, f"warning: {done.refused} frames made no sense")
+        say(err, f"warning: {done.refused} frames could not be decoded")
     ticks = "no ticks" if done.first is None else f"ticks {done.first} to {done.ticks - 1}"
     say(err, f"{done.ending}; {ticks} written to {done.file}")
 
@@ -110,7 +105,7 @@ def info(
     check: Annotated[bool, typer.Option("--check", help="Exit with 1 if the file is damaged or cut.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what a recording holds, what is missing from it, and whether any byte of it was changed."""
+    """Report what a recording holds, what is missing from it, and whether any of its bytes was changed."""
     with errors():
         from manyhands.launch.recordings.info import read_info
         from manyhands.launch.recordings.integrity import findings
@@ -171,8 +166,8 @@ def export(
         typer.Option(
             "--topics",
             metavar="PATTERN",
-            help="Only these: /SESSION/NODE/TOPIC, NODE/TOPIC, a node or a topic, with * and ?; repeatable, or with "
-            "commas.",
+            help="Export only these: /SESSION/NODE/TOPIC, NODE/TOPIC, a node or a topic, with * and ?; repeatable, or "
+            "separated by commas.",
         ),
     ] = [],  # noqa: B006
 ) -> None:
@@ -201,14 +196,14 @@ McapPath = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.mc
 
 @commands.command(epilog="Example: manyhands replay run.mcap")
 def replay(file: McapPath, as_json: Json = False) -> None:
-    """Run a recorded session under the simulated clock again, and compare every number bit for bit.
+    """Run a session again that was recorded under the simulated clock, and compare every number bit for bit.
 
-    Exit code 0: identical. 1: some number differs, or is not there, or the file is damaged.
+    Exit code 0: identical. 1: some number differs or is missing, or the file is damaged.
     """
     with errors():
         from rich.progress import Progress
 
-        from manyhands.launch.design_report import print_json, telling
+        from manyhands.launch.design_report import print_json, progress_on
         from manyhands.launch.recordings.audit import prepared_of
         from manyhands.launch.recordings.printing import print_damage, print_replayed
         from manyhands.launch.recordings.replay import replay as replayed
@@ -218,8 +213,8 @@ def replay(file: McapPath, as_json: Json = False) -> None:
         require_simulated(file, run)
         if not as_json:
             print_damage(out, str(file), damage)
-        with telling(err, "preparing the session") as telling_of:
-            prepared = prepared_of(file, run, telling_of)
+        with progress_on(err, "preparing the session") as progress:
+            prepared = prepared_of(file, run, progress)
         warn_of_model(err, prepared.session)
         _warn_of_version(run)
         with Progress(console=err, transient=True) as bar:
@@ -236,7 +231,7 @@ def replay(file: McapPath, as_json: Json = False) -> None:
 def audit(file: McapPath, as_json: Json = False) -> None:
     """Recompute every ledger of a recording from its signals, and check it against the certificate inside the file.
 
-    Exit code 0: all holds that could be checked. 1: something does not, or the file is damaged.
+    Exit code 0: everything that could be checked holds. 1: something does not hold, or the file is damaged.
     """
     with errors():
         from rich.progress import Progress
@@ -267,7 +262,7 @@ def audit(file: McapPath, as_json: Json = False) -> None:
 
 
 def _read(file: Path) -> tuple[RecordedRun, Sequence[Damage]]:
-    """A recording, and what is wrong with its bytes."""
+    """A recording, and the damaged ranges of its bytes."""
     from rich.progress import Progress
 
     from manyhands.launch.recordings.integrity import Damage, findings
@@ -289,7 +284,7 @@ def _plain(damage: Sequence[Damage]) -> list[dict[str, object]]:
 
 
 def _warn_of_version(run: RecordedRun) -> None:
-    """Another version of this program may compute in another order."""
+    """Warn if another version of this program made the recording: it may compute in another order."""
     import manyhands
 
     if run.recorded.version != manyhands.__version__:
@@ -308,21 +303,22 @@ def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", metavar="OUT", help="Write the picture here (.png or .svg); by default beside FILE."),
+        typer.Option("-o", metavar="OUT", help="Write the plot here (.png or .svg); by default beside FILE."),
     ] = None,
     to: Annotated[
-        str | None, typer.Option("--to", metavar="png|svg", help="Its format, where OUT is not given.")
+        str | None, typer.Option("--to", metavar="png|svg", help="The format, where OUT is not given.")
     ] = None,
     topics: Annotated[
-        str | None, typer.Option("--topics", metavar="LIST", help=f"What to show, with commas: some of {_QUANTITIES}.")
+        str | None,
+        typer.Option("--topics", metavar="LIST", help=f"What to show, separated by commas, of {_QUANTITIES}."),
     ] = None,
     start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time, s.")] = None,
     end: Annotated[float | None, typer.Option("--until", metavar="S", help="End at this time, s.")] = None,
 ) -> None:
-    """Draw a recording: positions, velocities, forces, energy ledgers, delays, and what happened when.
+    """Draw a recording: positions, velocities, forces, energy ledgers, delays, and events.
 
-    Gaps are grey, no extreme is left out however long the run, and a file that was cut says so in its picture. The
-    delays inside the tick are shown of runs in real time.
+    Gaps are grey, every extreme value is drawn however long the run is, and the plot of a file that was cut says so.
+    The delays inside the tick are drawn for runs in real time.
     """
     with errors():
         from manyhands.launch.recordings.plots import draw
@@ -330,7 +326,7 @@ def plot(
         if to is not None:
             require_one_of("--to", to, ("png", "svg"))
             if output is not None:
-                refuse(f"--to: found it beside -o {output}, whose suffix says the format; expected one of them")
+                refuse(f"--to: found it beside -o {output}, whose suffix is the format; expected one of them")
         target = output if output is not None else file.with_suffix(f".{to or 'png'}")
         wanted = None if topics is None else tuple(name.strip() for name in topics.split(","))
         draw(file, target, err, wanted, start, end)

@@ -57,7 +57,7 @@ def simulate(
 ) -> None:
     """Run the sampled-data loop in one process.
 
-    No hand is shaken by a simulation: a session that cannot be certified is simulated with a warning.
+    A simulation shakes no hand: a session that cannot be certified is simulated with a warning.
     """
     with errors(), ExitStack() as claims:
         from rich.progress import Progress
@@ -103,12 +103,15 @@ def launch(
     ] = None,
     clock: Clock = REALTIME,
     transport: Annotated[
-        str, typer.Option(metavar="|".join(SCHEMES), help="How the processes talk; tcp is encrypted.")
+        str, typer.Option(metavar="|".join(SCHEMES), help="How the processes communicate; tcp is encrypted.")
     ] = SCHEMES[0],
     keys: KeyFolder = None,
     listen: Annotated[
         str | None,
-        typer.Option(metavar="HOST:PORT", help="Where remote nodes and observers connect to (tcp); links follow PORT."),
+        typer.Option(
+            metavar="HOST:PORT",
+            help="The address for remote nodes and observers (tcp); links use the ports after PORT.",
+        ),
     ] = None,
     remote: Annotated[
         list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
@@ -122,8 +125,8 @@ def launch(
         typer.Option(
             "--record",
             metavar="FILE",
-            help=f"Keep every x and f_v ({', '.join(RUN_SUFFIXES)}); {STREAMED} while the session runs, with all "
-            "telemetry. A bare name is put into --directory.",
+            help=f"Record every x and f_v ({', '.join(RUN_SUFFIXES)}); {STREAMED} is written while the session runs, "
+            "with all telemetry. A bare name is put into --directory.",
         ),
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
@@ -188,7 +191,9 @@ def launch(
 
 @commands.command(epilog="Example: manyhands demo -o out/demo")
 def demo(
-    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Where plots and report go.")] = Path("out/demo"),
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="The folder for plots and report.")] = Path(
+        "out/demo"
+    ),
     duration: Duration = 10.0,
     clock: Clock = REALTIME,
 ) -> None:
