@@ -1,8 +1,8 @@
-"""Who may read and write what: the capability table, from a session's structure alone.
+"""Which process may read and write what: the capability table, derived from a session's structure alone.
 
-Two processes that share a connection may use on it those channels of the channel table that join their roles in that
-direction, for the ports that the connection carries, and nothing else. Sockets, key rings and what `manyhands graph`
-prints come from here, so that what a process can get hold of is what its block of V was designed with.
+On a connection, two processes may use those channels of the channel table that join their roles in that direction, for
+the ports of the connection, and nothing else. Sockets, key rings and the output of `manyhands graph` follow from this
+table. A process can therefore obtain exactly those signals with which its block of V was designed.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from manyhands.protocol.messages import Role
 Action = Literal["read", "write"]
 
 DATA: Final = tuple(channel for channel in CHANNELS.values() if channel.rate is not Rate.ONCE)
-"""The channels that carry a session's data; what sets up and ends one is said between all who are connected."""
+"""The channels that carry a session's data; the others, which set up and end it, exist on every connection."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """One row of the table: what ``node`` may do on a channel towards one peer.
+    """One row of the table: ``node`` may read or write one channel of its connection with ``peer``.
 
     Attributes:
-        node: who may.
-        role: what it is.
+        node: the node, supervisor or observer that has the right.
+        role: its role.
         action: whether it may read or write.
-        channel: a name of the channel table.
-        peer: from whom, or to whom.
-        ports: the ports whose values, or whose telemetry, the channel carries between the two, in their order.
-        content: what an observation may hold, NODE/CHANNEL each; empty on channels that hold one thing.
+        channel: a name in the channel table.
+        peer: the process from which it reads, or to which it writes.
+        ports: the ports whose values or telemetry the channel carries between the two, in their order.
+        content: the channels that an observation may hold, NODE/CHANNEL each; empty on all other channels.
     """
 
     node: str
@@ -49,7 +49,7 @@ class Capability:
 
 @dataclass(frozen=True, slots=True)
 class _Connection:
-    """Two processes that can send each other frames, and the ports that these are about."""
+    """Two processes that can send each other frames, and the ports that the frames concern."""
 
     ends: tuple[str, str]
     ports: tuple[str, ...]
@@ -116,7 +116,7 @@ def observed(session: Session, observer: str) -> Mapping[str, tuple[str, ...]]:
 
 
 def peers(table: Iterable[Capability]) -> Mapping[str, frozenset[str]]:
-    """With whom each node, the supervisor and each observer shares a channel: whose public keys it holds."""
+    """The processes with which each node, the supervisor and each observer share a channel, and so public keys."""
     found: dict[str, set[str]] = {}
     for row in table:
         found.setdefault(row.node, set()).add(row.peer)
@@ -126,12 +126,12 @@ def peers(table: Iterable[Capability]) -> Mapping[str, frozenset[str]]:
 def capability_violations(
     session: Session, table: Iterable[Capability], structure: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    """Where blocks of V would need ports that their processes may not both read and write; empty where they agree.
+    """Where blocks of V need ports that their processes may not both read and write; empty where they agree.
 
     Args:
         session: the session.
-        table: its capability table, which says what each process may do.
-        structure: the ports of each block by name, as a certificate has them.
+        table: its capability table.
+        structure: the ports of each block by name, as in a certificate.
 
     Returns:
         One sentence for each port outside its process, and for each block without a process.
@@ -154,7 +154,7 @@ def capability_violations(
 
 
 def _within_reach(table: Iterable[Capability]) -> dict[str, tuple[str, ...]]:
-    """The ports of each coupling that it may use on every signal of its: what it cannot answer it cannot couple."""
+    """The ports of each coupling that all of its signals carry: it cannot couple a port that one of them lacks."""
     by_channel: dict[str, dict[str, dict[str, None]]] = {}
     for row in table:
         if row.role is Role.COUPLING and CHANNELS[row.channel].rate is Rate.EVERY_TICK:

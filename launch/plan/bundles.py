@@ -1,13 +1,11 @@
-"""Cutting a session and its certificate into what each process may know.
+"""The bundle of each process: the part of a session and its certificate that this process may know.
 
-This is the only place where the data of one user and of another are in the same hands.
+Only this module, in the launching process, holds the data of several users together. :func:`cut` makes the bundles of a
+run, and :func:`invite` writes one bundle for a node on another machine: with its key, it is all that this node needs.
 
-From the limits that a session states for its devices to what each process holds its peers to.
-
-A device keeps to its own limits, and a coupling clips every force to those of its devices. What an honest coupling can
-then say to the environment follows; the environment is given these bounds, and never the limits.
-
-What somebody on another machine needs to take part with one node: its bundle and its key, and nothing of others.
+Bundles also carry the bounds within which a process expects its peers' values. A device keeps to its own limits, and a
+coupling clips every force to the limits of its devices. The largest values that an honest coupling can send to the
+environment follow from these limits (:func:`tool_bounds`). The environment receives the bounds, and never the limits.
 """
 
 from __future__ import annotations
@@ -60,11 +58,11 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
 
 PortBounds = tuple[float | None, ...]
-"""By port of the session; None for no bound."""
+"""One bound for each port of the session; None where a port has no bound."""
 
 
 def limits_at(session: Session, ports: Sequence[str]) -> Limits:
-    """What the devices at ``ports`` may exert and reach."""
+    """The limits of force (N), displacement (m) and speed (m/s) at ``ports``, in their order."""
     by_port = {
         port: limits
         for name, device in session.devices.items()
@@ -81,7 +79,7 @@ def limits_at(session: Session, ports: Sequence[str]) -> Limits:
 
 
 def budgets(session: Session) -> tuple[EnergyBudget, ...]:
-    """What each coupling may put into the others: what its devices may, of each the part of its axes that it holds."""
+    """The energy budget of each coupling: that of each of its devices, in proportion to the axes that it couples."""
     of_port: dict[str, tuple[float, float, float]] = {}
     for name, device in session.devices.items():
         limits, ports = device.limits, session.ports_of(name)
@@ -100,12 +98,12 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
 
         |p_i| <= X_i + sum_j ||h_ij||_1 F_j,     |p_i(k) - p_i(k-1)| <= T S_i + sum_j ||h_ij(k) - h_ij(k-1)||_1 F_j
 
-    with h the impulse response of (A_V, B_V, C_V, 0) and X, S, F the limits of displacement, speed and force. A block
-    that is not found to be stable leaves its ports without bounds.
+    with h the impulse response of (A_V, B_V, C_V, 0) and X, S, F the limits of displacement, speed and force. The ports
+    of a block that is not found to be stable have no bounds.
 
     Args:
         session: the session.
-        blocks: those of V, in the order of its couplings.
+        blocks: the blocks of V, in the order of the session's couplings.
     """
     magnitude: dict[str, float] = {}
     step: dict[str, float] = {}
@@ -122,8 +120,8 @@ def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
     return tuple(bounds[port] if math.isfinite(bounds[port]) else None for port in session.ports)
 
 
-TELEMETRY_PERIOD = 0.1  # s, ten a second (the channel table's rate)
-MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # of all traces in a message: what its frame has room for
+TELEMETRY_PERIOD = 0.1  # s: ten messages a second, the rate in the channel table
+MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # values of all traces in a message, limited by the size of a frame
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ class RunPlan:
         directory: the run's own directory; None where the processes are on other machines.
         control: endpoint of the supervisor's hub.
         reach: how the processes reach each other.
-        private: where each process's private key is; empty without keys, or where that is the guest's own business.
+        private: the file of each process's private key; empty without keys, or for a node on another machine.
     """
 
     clock: str
@@ -150,7 +148,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
 
     Args:
         prepared: the session with its coupling and certificate.
-        run: how it is to be run.
+        run: how the session is to be run.
     """
     session = prepared.session
     commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
@@ -184,16 +182,16 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
 
 
 def _storage(prepared: Prepared) -> Matrix | None:
-    """P with the mechanical energy 1/2 eta^T P eta, J, of an environment that is a network; None for any other."""
+    """P of the mechanical energy 1/2 eta^T P eta, J, of an environment that is a network; None for other kinds."""
     environment = prepared.loop.environment
     network = environment.nominal if isinstance(environment, NetworkBox) else environment
     return network.energy_matrix() if isinstance(network, Network) else None
 
 
 def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, ModelName | None]:
-    """E, the level that it promises, and the model in its place.
+    """E, the level that the environment promises, and the Python model in place of E.
 
-    Of a model the *declared* level is kept, certified or not; without a controller it promises none.
+    A model's level is its *declared* one, certified or not; a model without a passivity controller promises none.
     """
     given, environment = prepared.session.environment, prepared.loop.environment
     if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
@@ -210,11 +208,11 @@ class _Rung:
     """What is in force at one rung.
 
     Attributes:
-        tau: delay that it covers, s.
-        share: of the devices' level.
+        tau: the delay inside the tick that the rung covers, s.
+        share: the share of the devices' levels that remains behind their samplers.
         gains: K of each block, m/N.
-        blocks: of V.
-        levels: of the blocks; None for each where nothing is certified.
+        blocks: the blocks of V.
+        levels: the level of each block; None for each where nothing is certified.
     """
 
     tau: float
@@ -225,7 +223,7 @@ class _Rung:
 
 
 def _rungs(prepared: Prepared) -> list[_Rung]:
-    """What is in force, and then what may be once a coupling was softened."""
+    """The rung in force at the start, then the softer rungs to which the couplings may change."""
     loop, certificate, ladder = prepared.loop, prepared.certificate, prepared.ladder
     if certificate is None:
         share = DeviceShare()
@@ -238,13 +236,13 @@ def _rungs(prepared: Prepared) -> list[_Rung]:
 
 
 def _promise(rung: _Rung, period: float, level: Matrix) -> DeviceRung:
-    """What a device promises behind its sampler: share Delta_D, with K = kappa T Delta_D^{-1}."""
+    """What a device promises behind its sampler at this rung: share Delta_D, with K = kappa T Delta_D^{-1}."""
     K = symmetric_part(rung.share.kappa * period * np.linalg.inv(level))
     return DeviceRung(rung.tau, rung.share.share * level, K)
 
 
 def _widest(bounds: Sequence[tuple[PortBounds, PortBounds]]) -> tuple[PortBounds, PortBounds]:
-    """The bounds on |p| and on its steps that hold at every rung; None where one has none."""
+    """The bounds on |p| and on its steps that hold at every rung; None for a port without a bound at some rung."""
     magnitudes, steps = (zip(*of_one_kind, strict=True) for of_one_kind in zip(*bounds, strict=True))
     return tuple(map(_greatest, magnitudes)), tuple(map(_greatest, steps))
 
@@ -298,7 +296,7 @@ def mass_names(session: Session) -> tuple[str, ...]:
 
 
 def _columns(session: Session, graph: Topology, name: str) -> int:
-    """Columns of all traces of a node; an observer has none."""
+    """The number of columns in all traces of a node; 0 for an observer."""
     if name not in graph.nodes:
         return 0
     ports, masses = graph.ports[name], mass_names(session)
@@ -306,18 +304,18 @@ def _columns(session: Session, graph: Topology, name: str) -> int:
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:
-    """Ticks between two telemetry messages: as the channel table says, but no more than there is room for."""
+    """Ticks between two telemetry messages: the channel table's rate, or fewer if a message would be too large."""
     room = MOST_TRACE_VALUES // max(1, columns)
     return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
 
 
 def _telemetry_first(every: int, number: int, graph: Topology) -> int:
-    """Ticks to a node's first telemetry: what telling costs falls on as many ticks as there are nodes, if it can."""
+    """Ticks until a node's first telemetry: nodes send in different ticks where possible, which spreads the cost."""
     return 1 + (every - 1 - every * number // len(graph.nodes)) % every
 
 
 def _source(session: Session, name: str) -> Source:
-    """What moves a device: its recorded motion, or its mechanism in a hand: masses add up, intentions are plain."""
+    """What moves a device: its recorded motion, or its mechanism and hand, with their masses added."""
     device = session.devices[name]
     if device.trace is not None:
         return RecordedMotion(session.osp_level(name), device.trace.times, device.trace.values)
@@ -343,18 +341,18 @@ def _plain(intent: float | str | TraceData) -> object:
 
 
 def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: Path) -> Bundle:
-    """Cut one node's (or observer's) bundle and write it for its owner's eyes only (mode 0600); returns it.
+    """Make the bundle of one node or observer and write it to a file of mode 0600; returns the bundle.
 
     Args:
-        prepared: the session, under the certificate that it will be launched with.
+        prepared: the session, under the certificate with which it will be launched.
         name: the node or observer.
-        keys: the session's keys; None for a session that is not encrypted.
-        clock: "realtime" or "simulated", as it will be launched.
-        path: where the bundle goes; a file that is there is replaced.
+        keys: the session's keys; None for a session without encryption.
+        clock: "realtime" or "simulated"; the launch must use the same.
+        path: the file of the bundle; an existing file is replaced.
 
     Raises:
-        ReachError: no such node or observer.
-        KeyFileError: no key of it, or of somebody it has to do with.
+        ReachError: the session has no such node or observer.
+        KeyFileError: its key, or that of one of its peers, is missing.
         TargetError, OSError: the file cannot be written.
     """
     session = prepared.session
@@ -363,7 +361,7 @@ def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: P
         raise ReachError(f"{session.name}: found no node or observer {name!r:.100}; expected {one_of(valid, name)}")
     require_target(path)
     ways = reach(prepared, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
-    # what only the guest knows is filled in when it joins; traces, for it cannot be told later that they are wanted
+    # the remote machine fills in what only it knows when the node joins
     bundle = bundle_of(prepared, RunPlan(clock, None, "", reach=ways), name)
     with replacing(path, mode=0o600) as file:
         file.write(bundle_files.encoded(bundle))

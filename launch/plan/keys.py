@@ -1,14 +1,11 @@
-"""The keys of a session: made once in a folder, kept from then on, and handed to each process as its own ring.
+"""The keys of a session: the folder that holds them, each process's own key ring, and the command `manyhands keys`.
 
     FOLDER/public.json          public keys by name: for every machine
     FOLDER/private/NAME.key     mode 0600, in a folder of mode 0700: for the machine that runs NAME alone
 
-A run that is interrupted can be repeated: every private key is whole or absent, and the public keys, which make keys
-known, are written last.
-
-The folder in which a session's keys are kept: what is where, who may enter it, and one at a time.
-
-What `manyhands keys` does, from a loaded session to what is printed; apart from :mod:`keys`, which runs need too.
+Keys are made once and then kept. Only one process at a time makes keys in a folder, and no other user may enter the
+private folder. An interrupted `manyhands keys` can be repeated: every private key is whole or absent, and the public
+keys, which make the keys known, are written last.
 """
 
 from __future__ import annotations
@@ -54,10 +51,10 @@ SUFFIX: Final = ".key"
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """While entered, no other run makes keys in this folder, which is made if absent.
+    """While entered, no other process makes keys in this folder, which is made if absent.
 
     Raises:
-        KeyFileError: another one does, others can write to it, or there is something other than a folder.
+        KeyFileError: another process does, other users can write to the folder, or the path is no folder.
     """
     try:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -71,8 +68,8 @@ def alone_in(folder: Path) -> Iterator[None]:
         except BlockingIOError as error:
             raise KeyFileError(f"{folder}: found another run that makes keys there; expected to be alone") from error
         except OSError as error:
-            # some network file systems lock no folders; two runs at once would then end in keys that disagree, which
-            # every reader reports
+            # some network file systems lock no folders; two simultaneous runs could then make keys that disagree,
+            # which every reader reports
             if error.errno not in (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP):
                 raise
         yield
@@ -81,12 +78,12 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def require_folder(folder: Path, *, private: bool) -> None:
-    """Refuse a folder that others could enter, where it is of private keys, or write to.
+    """Refuse a folder to which other users can write, or a ``private`` one that they can enter.
 
     Raises:
-        KeyFileError: it is such a folder, or none.
+        KeyFileError: it is such a folder, or no folder.
     """
-    # the private folder must be one itself; the outer one may be a link to wherever the user keeps it
+    # the private folder must not be a link; the outer one may link to any place where the user keeps it
     problem = problem_of_folder(os.lstat(folder) if private else os.stat(folder), os.geteuid(), private=private)
     if problem is not None:
         raise KeyFileError(f"{folder}: {problem}")
@@ -96,18 +93,18 @@ def private_folder(folder: Path) -> Path:
     """The folder of private keys in a folder of keys, made if absent.
 
     Raises:
-        KeyFileError: there is something else, or others can enter it.
+        KeyFileError: something else has its name, or other users can enter it.
     """
     private = folder / PRIVATE
     if not os.path.lexists(private):
         private.mkdir(mode=0o700)
-        private.chmod(0o700)  # the umask may have taken from it
+        private.chmod(0o700)  # the umask may have removed bits
     require_folder(private, private=True)
     return private
 
 
 def held_names(private: Path) -> frozenset[str]:
-    """The names in a folder of private keys, as far as they can be shown."""
+    """The names of the keys in a folder of private keys, without names that cannot be printed."""
     names = (path.name.removesuffix(SUFFIX) for path in private.iterdir() if path.name.endswith(SUFFIX))
     return frozenset(name for name in names if name.isprintable() and not name.startswith("."))
 
@@ -118,24 +115,24 @@ def private_path(private: Path, name: str) -> Path:
 
 
 class KeyState(StrEnum):
-    """What became of a process's key when keys were made."""
+    """What `manyhands keys` did with a process's key."""
 
     NEW = "new"
     KEPT = "kept"
     RENEWED = "renewed"
-    ELSEWHERE = "elsewhere"  # known, but its private key is not in this folder: moved to its machine, or lost
+    ELSEWHERE = "elsewhere"  # only the public key is in this folder: the private key was moved to its machine, or lost
 
 
 @dataclass(frozen=True)
 class Made:
-    """What making keys did, names in the order of :func:`roster`.
+    """What :func:`make_keys` did; names in the order of :func:`roster`.
 
     Attributes:
-        new: keys made for processes that had none.
-        kept: keys that were there.
-        renewed: keys made in place of others.
-        elsewhere: public keys kept whose private keys are not in this folder.
-        stale: names of keys that the session no longer has; they are left where they are.
+        new: processes that had no key and got one.
+        kept: processes whose keys were kept.
+        renewed: processes whose keys were replaced.
+        elsewhere: processes whose public keys were kept, and whose private keys are not in this folder.
+        stale: names of keys that the session no longer has; their files are left in place.
     """
 
     new: tuple[str, ...]
@@ -146,7 +143,7 @@ class Made:
 
 
 class Keys:
-    """A session's keys, from wherever they are kept.
+    """A session's keys, from a folder or from memory.
 
     Attributes:
         public: the public keys.
@@ -159,9 +156,13 @@ class Keys:
         find: Callable[[str], KeyPair],
         private: Path | None = None,
     ) -> None:
-        """Keys whose pairs ``find`` gives by one of ``names``, or raises :class:`KeyFileError`.
+        """Keys of the processes ``names``.
 
-        ``private``: the folder of their files, if they have any.
+        Args:
+            public: the public keys.
+            names: the processes that have keys.
+            find: returns the pair of a name, or raises :class:`KeyFileError`.
+            private: the folder of the private keys' files; None for keys in memory.
         """
         self.public = public
         self._private = private
@@ -172,9 +173,9 @@ class Keys:
         """The pair of a process.
 
         Raises:
-            KeyFileError: no such process, no key of it here, or another than the public keys say.
+            KeyFileError: there is no such process or no key of it here, or its key is not that of the public keys.
         """
-        if name not in self._names:  # a name from elsewhere must not become a path
+        if name not in self._names:  # an unchecked name must not become a path
             raise KeyFileError(f"{self.public.session}: found no {name!r}; expected {one_of(self._names, name)}")
         pair = self._find(name)
         if pair.public != self.public.keys.get(name):
@@ -182,7 +183,7 @@ class Keys:
         return pair
 
     def ring(self, name: str, peers: Iterable[str]) -> KeyRing:
-        """What a process holds that talks to these peers.
+        """The key ring of a process that communicates with these peers.
 
         Raises:
             KeyFileError: as :meth:`pair`, or a peer has no public key.
@@ -190,7 +191,7 @@ class Keys:
         return ring_of(name, self.pair(name), self.public, peers)
 
     def file(self, name: str, folder: Path) -> Path:
-        """The file of the private key of a process: where it is kept, or else written to ``folder`` for this run.
+        """The file of a process's private key: in the folder of keys, or written to ``folder`` for this run.
 
         Raises:
             KeyFileError, OSError: as :meth:`write`.
@@ -205,7 +206,7 @@ class Keys:
 
         Raises:
             KeyFileError: as :meth:`pair`.
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         path = folder / f"{name}{SUFFIX}"
         save_private(self.pair(name), self.public.session, name, path)
@@ -213,19 +214,20 @@ class Keys:
 
 
 def make_keys(session: Session, folder: Path, renew: Sequence[str] = ()) -> Made:
-    """Make the keys of a session that are missing in a folder, and keep those that are there.
+    """Make the keys of a session that a folder lacks, and keep those that it has.
 
-    Everything that is there is checked before anything is written.
+    All existing keys are checked before anything is written.
 
     Args:
         session: the session.
-        folder: where its keys are; made if absent.
+        folder: the folder of its keys; made if absent.
         renew: names whose keys are to be replaced.
 
     Raises:
-        KeyFileError: ``renew`` names nobody; the folder is another session's, open to others, or in use by another such
-            run; a key in it is no key, open to others, or not the one that the public keys say.
-        OSError: something cannot be written.
+        KeyFileError: a name in ``renew`` is not in the session. Or the folder is another session's, open to other
+            users, or in use by another process that makes keys. Or a key in it is invalid, open to other users, or not
+            that of the public keys.
+        OSError: a file cannot be written.
     """
     names = roster(session)
     for name in renew:
@@ -239,8 +241,8 @@ def make_keys(session: Session, folder: Path, renew: Sequence[str] = ()) -> Made
         _public(session, folder, keys)
         if len(keys.keys() | names.keys()) > MAX_KEYS:
             raise KeyFileError(
-                f"{folder / PUBLIC}: found {len(keys)} keys, {len(stale)} of them of nobody in the session; "
-                f"expected at most {MAX_KEYS} with those to be made; begin in another folder"
+                f"{folder / PUBLIC}: found {len(keys)} keys, {len(stale)} of them with names that the session does not "
+                f"have; expected at most {MAX_KEYS} together with the new ones; begin in another folder"
             )
         for name, state in states.items():
             if state in (KeyState.NEW, KeyState.RENEWED):
@@ -261,11 +263,11 @@ def make_keys(session: Session, folder: Path, renew: Sequence[str] = ()) -> Made
 
 
 def load_folder(session: Session, folder: Path) -> Keys:
-    """The keys of a session from a folder; a private key is read when it is asked for.
+    """The keys of a session from a folder; a private key is read at its first use.
 
     Raises:
-        KeyFileError: the public keys are not readable, another session's, or lack one; or the private ones are open to
-            others.
+        KeyFileError: the public keys are not readable, another session's, or incomplete; or other users can enter the
+            folder of private keys.
     """
     path, private, names = folder / PUBLIC, folder / PRIVATE, roster(session)
     public = _of_session(session, PublicKeys.load(path), path)
@@ -273,7 +275,7 @@ def load_folder(session: Session, folder: Path) -> Keys:
     if missing:
         raise KeyFileError(
             f"{path}: found no key of {missing[0]!r}{f' and {len(missing) - 1} more' if missing[1:] else ''}; expected "
-            "one for everybody in the session; make them with manyhands keys, which keeps those that are there"
+            "one for every process of the session; make them with manyhands keys, which keeps existing keys"
         )
     if os.path.lexists(private):
         require_folder(private, private=True)
@@ -281,7 +283,7 @@ def load_folder(session: Session, folder: Path) -> Keys:
 
 
 def ephemeral(names: Iterable[str], session_name: str) -> Keys:
-    """New keys for one run, in memory.
+    """New keys for one run, which exist in memory only.
 
     Raises:
         KeyFileError: the installed libzmq has no CURVE.
@@ -292,7 +294,7 @@ def ephemeral(names: Iterable[str], session_name: str) -> Keys:
 
 
 def _known_keys(session: Session, folder: Path) -> Mapping[str, str]:
-    """The public keys that are in a folder already."""
+    """The public keys that a folder already has."""
     path = folder / PUBLIC
     return _of_session(session, PublicKeys.load(path), path).keys if os.path.lexists(path) else {}
 
@@ -314,7 +316,7 @@ def _public(session: Session, folder: Path, keys: Mapping[str, str]) -> PublicKe
 
 
 def _state(session: Session, name: str, private: Path, keys: dict[str, str], renew: Sequence[str]) -> KeyState:
-    """What is to become of a key; one that is kept enters ``keys``."""
+    """What to do with a process's key; the public key of one that is kept is added to ``keys``."""
     path = private_path(private, name)
     there = os.path.lexists(path)
     if name in renew:
@@ -330,7 +332,7 @@ def _state(session: Session, name: str, private: Path, keys: dict[str, str], ren
 
 
 def _place_new(session: str, name: str, path: Path) -> str:
-    """Make a pair, put its private key in its place, whole or not at all, and return the public one."""
+    """Make a pair, write its private key to ``path``, whole or not at all, and return the public key."""
     pair = new_pair()
     partial = path.with_name(f".{path.name}.part")
     partial.unlink(missing_ok=True)  # of a run that was killed
@@ -344,17 +346,17 @@ def _place_new(session: str, name: str, path: Path) -> str:
 
 def _disagreement(place: Path | str, name: str) -> str:
     return (
-        f"{place}: found a private key of {name!r} that is not the one of its public key in {PUBLIC}; expected a pair; "
-        f"put back what was replaced, or make both anew with manyhands keys --renew {name}"
+        f"{place}: found a private key of {name!r} that does not match its public key in {PUBLIC}; expected a pair; "
+        f"restore the file that was replaced, or make a new pair with manyhands keys --renew {name}"
     )
 
 
 def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console, err: Console, as_json: bool) -> int:
-    """Make a session's keys, and tell what was made and what to do with it.
+    """Make a session's keys, and print what was made and where each file must go.
 
     Args:
         session: the session.
-        folder: where its keys are, or are to be.
+        folder: the folder of its keys; made if absent.
         renew: names whose keys are to be replaced.
         out: for the table.
         err: for what to do next.
@@ -365,7 +367,7 @@ def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console,
 
     Raises:
         KeyFileError: as :func:`make_keys`.
-        OSError: something cannot be written.
+        OSError: a file cannot be written.
     """
     made = make_keys(session, folder, renew)
     states = {name: state for state in KeyState for name in getattr(made, state.value)}
@@ -383,7 +385,7 @@ def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console,
 
 
 def _object(session: Session, folder: Path, made: Made, states: dict[str, KeyState]) -> dict[str, object]:
-    """The object that ``--json`` prints; it names files, and no key."""
+    """The object that ``--json`` prints; it has the paths of the files, and no key."""
     private = folder / PRIVATE
     return {
         "session": session.name,
@@ -409,10 +411,12 @@ def _say_next(session: Session, folder: Path, made: Made, err: Console) -> None:
         "with its bundle (manyhands invite)",
     )
     if made.new or made.renewed:
-        say(
-            err, f"the public keys have changed: an older {PUBLIC} elsewhere, and older bundles, are of no use any more"
-        )
+        say(err, f"the public keys have changed: older copies of {PUBLIC} and older bundles are no longer valid")
     for name in made.elsewhere:
-        say(err, f"{name}: its private key is not here: on its own machine, or lost; then make it anew: --renew {name}")
+        say(
+            err,
+            f"{name}: its private key is not in this folder: it is on its own machine, or lost; "
+            f"replace a lost key with --renew {name}",
+        )
     if made.stale:
-        say(err, f"not in {session.name} any more, and left where they are: {', '.join(made.stale)}")
+        say(err, f"no longer in {session.name}, and left in place: {', '.join(made.stale)}")

@@ -1,4 +1,4 @@
-"""A session and what follows from its structure alone: derived once, where it is asked for first, and carried along."""
+"""A session and what follows from its structure alone: each part is derived once, at its first use, and kept."""
 
 from __future__ import annotations
 
@@ -33,5 +33,5 @@ class Plan:
 
     @cached_property
     def peers(self) -> Mapping[str, frozenset[str]]:
-        """By node, supervisor and observer, those with whom it shares a channel: whose public keys it holds."""
+        """The processes with which each node, the supervisor and each observer share a channel, and so public keys."""
         return peers(self.access)

@@ -1,9 +1,8 @@
-"""Between a session file and a run: the coupling that will be in force, and what proves it.
+"""From a session to the coupling of its run and the certificate that proves it.
 
-A run needs a certificate, designed now or read from a file and proved again. Without one it is refused, unless
-the user says that nothing needs to be proved.
-
-From a session to the haptic loop that design knows, and to what is asked of its coupling.
+A run needs a certificate, which is designed now or read from a file and proved again. Without a certificate the run is
+refused, unless the user asks for an uncertified run. :func:`haptic_loop` and :func:`coupling_request` translate a
+session into the types of ``design``: the loop, and what is asked of its coupling.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ def haptic_loop(session: Session) -> HapticLoop:
 
 
 def _environment(session: Session) -> Environment:
-    """The environment as design knows it."""
+    """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
     if isinstance(given, PythonEnvironment):
         return DeclaredEnvironment(ports, given.level_matrix(len(ports)), given.enforce)
@@ -93,10 +92,10 @@ def _environment(session: Session) -> Environment:
 
 
 def _system(given: GivenMatrices | BlockMatrices, what: str, *, continuous: bool) -> StateSpace:
-    """The matrices, with D as stated or from the static gain that is stated in its place.
+    """The matrices, with D as stated, or computed from the static gain that is stated in its place.
 
     Raises:
-        Infeasible: a static gain is stated, and a pole at s = 0 or z = 1 leaves none.
+        Infeasible: a static gain is stated, but a pole at s = 0 or z = 1 permits none.
     """
     A, B, C, last = given.arrays()
     if given.static is None:
@@ -159,20 +158,20 @@ UNCERTIFIED = "uncertified-"
 
 
 class NotCertified(Exception):
-    """A run was refused because its session is not certified; the text says why and what could be done."""
+    """A run was refused because its session is not certified; the text states the reason and a remedy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared(Plan):
-    """A planned session with the coupling it will run under.
+    """A planned session with the coupling of its run.
 
     Attributes:
-        loop: its haptic loop.
+        loop: the session's haptic loop.
         blocks: the realisation of each block of V, in the session's order.
-        certificate: what proves it stable; None for a run that nothing proves.
-        id: what all processes of the run must agree on.
+        certificate: the certificate of the loop's stability; None for an uncertified run.
+        id: the certificate's id, or one of the uncertified session; all processes of the run must agree on it.
         ladder: the certificate and those for longer delays; None where there are none.
-        notes: why a delay of the ladder has none, a sentence each.
+        notes: one sentence for each delay of the ladder without a certificate: why it has none.
     """
 
     loop: HapticLoop
@@ -187,7 +186,7 @@ def certify(session: Session, progress: Progress | None = None) -> Designed:
     """Design the session's coupling, or take the given one, and prove it.
 
     Raises:
-        DesignError: it cannot be certified.
+        DesignError: the session cannot be certified.
     """
     from manyhands.design.synthesis import design  # the solver takes a second to import; a proof does not need it
 
@@ -199,9 +198,9 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
 
     Raises:
         CertificateError: the file is not a certificate.
-        NotCertified: it does not hold, is another session's, or would not keep its id when it is written again.
+        NotCertified: it does not hold, is another session's, or would have another id if it were written again.
     """
-    from manyhands.design.proof import ProofInputError, prove  # what only runs need not import
+    from manyhands.design.proof import ProofInputError, prove  # imported here: not every command proves
 
     certificate, data = load(path)
     try:
@@ -225,9 +224,9 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
 
 
 def _foreign(certificate: Certificate, session: Session) -> str:
-    """Why a certificate is another session's; empty where it is this one's.
+    """How a certificate's session differs from this one; empty where it does not.
 
-    A block that would need ports outside its process is told as that: it could not run there, whatever was proved.
+    A block that needs ports outside its process is reported first, as that: it could not run there, proved or not.
     """
     found = differences(certificate, haptic_loop(session), coupling_request(session))
     loop = certificate.loop
@@ -244,19 +243,20 @@ def prepare(
     uncertified: bool = False,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Settle the coupling of a run, and the ladder of softer ones that it may change to.
+    """Settle the coupling of a run, and the ladder of softer couplings to which it may change.
 
-    A certificate's file holds no ladder: one is designed for it here, and the same again wherever it is read.
+    A certificate's file holds no ladder. The ladder is designed here for the certificate; every reading of that file
+    designs the same one.
 
     Args:
         session: the session.
         certificate: a certificate file to run under, instead of designing.
         uncertified: run even if nothing proves the session stable.
-        progress: told what the design is doing.
+        progress: called with each step of the design, as a text.
 
     Raises:
         CertificateError: the certificate cannot be read.
-        NotCertified: no certificate, and ``uncertified`` was not said, or there is no coupling to run.
+        NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
     """
     loop = haptic_loop(session)
     try:
@@ -274,7 +274,7 @@ def prepare(
 
 
 def _ladder(session: Session, first: Certificate, progress: Progress | None) -> tuple[Ladder | None, tuple[str, ...]]:
-    """The ladder that the session asks for, with ``first`` as its rung 0, and what it lacks."""
+    """The ladder that the session asks for, with ``first`` as its rung 0, and notes on the delays that it lacks."""
     stated = session.design.ladder
     if stated == () or (stated is None and first.tau == first.loop.period):
         return None, ()
@@ -285,11 +285,11 @@ def _ladder(session: Session, first: Certificate, progress: Progress | None) -> 
 
 
 def unproved(session: Session, why: DesignError | None = None) -> Prepared:
-    """A run of the coupling that the session states, which nothing proves.
+    """An uncertified run of the coupling that the session states.
 
     Args:
         session: the session.
-        why: what is known of why nothing does.
+        why: the error of the design, if one was tried.
 
     Raises:
         NotCertified: the session states no coupling, or one that cannot be realised.

@@ -20,12 +20,12 @@ _MAX_PORT: Final = 65535
 
 
 class ReachError(Exception):
-    """The processes cannot be reached as asked: what was found, and what would be right."""
+    """The options about transport, addresses or remote nodes contradict each other or the session."""
 
 
 @dataclass(frozen=True)
 class Listen:
-    """Where a session listens: an address of this machine, and the first of its TCP ports (0: any)."""
+    """Where a session listens: an address of this machine, and the first of its TCP ports (0: any free ones)."""
 
     host: str = LOOPBACK
     port: int = 0
@@ -35,7 +35,7 @@ class Listen:
         """From ``HOST:PORT``.
 
         Raises:
-            ReachError: it is none, or names every address of the machine, which is no address to tell others.
+            ReachError: the text has another form, or 0.0.0.0, to which other machines cannot connect.
         """
         if not is_address(text):
             raise ReachError(f"--listen: found {text!r:.100}; expected HOST:PORT, such as 192.0.2.7:7400")
@@ -50,7 +50,7 @@ class Listen:
 
 
 ANYWHERE: Final = Listen()
-"""Any ports of the loopback."""
+"""Any free ports of the loopback address."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ class Reach:
 
     Attributes:
         transport: "ipc" or "tcp".
-        keys: the session's keys; None for one that is not encrypted.
-        listen: where its supervisor, and what remote nodes connect to, listens (tcp).
-        remote: nodes that are started elsewhere, by invitation.
-        allowed: whom each process shares a channel with, the supervisor and observers among them.
+        keys: the session's keys; None for a session without encryption.
+        listen: where the supervisor listens, and every process to which a remote node connects (tcp).
+        remote: nodes that are started on other machines, by invitation.
+        allowed: the processes with which each process shares a channel, supervisor and observers among them.
     """
 
     transport: str
@@ -72,19 +72,20 @@ class Reach:
     allowed: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     def address(self, graph: Topology, index: int) -> str:
-        """Where the link of this index in ``graph`` is bound; the ports follow the hub's, in the graph's order.
+        """The address at which the link of this index in ``graph`` is bound; empty for ipc.
 
-        Links between processes of this machine stay on its loopback.
+        The TCP ports of the links follow the hub's, in the graph's order. Links between processes of this machine stay
+        on its loopback address.
         """
         connector = graph.links[index].connector
         return self._at(1 + index, self.listen.host if connector in self.remote else LOOPBACK)
 
     def hub_address(self) -> str:
-        """Where the hub is bound."""
+        """The address at which the supervisor's hub is bound; empty for ipc."""
         return self._at(0, self.listen.host)
 
     def observer_address(self, graph: Topology, index: int) -> str:
-        """Where the observer of this index is served."""
+        """The address at which the observer of this index is served; empty for ipc."""
         return self._at(1 + len(graph.links) + index, self.listen.host)
 
     def _at(self, offset: int, host: str) -> str:
@@ -93,19 +94,19 @@ class Reach:
         return f"{host}:{self.listen.port + offset}" if self.listen.port else f"{host}:*"
 
     def public(self, name: str) -> Mapping[str, str]:
-        """The public keys that a process is given: its own, and those of whom it shares a channel with."""
+        """The public keys that a process receives: its own, and those of all with which it shares a channel."""
         if self.keys is None:
             return {}
         keys = self.keys.public.keys
         return {one: keys[one] for one in sorted({name, *self.allowed[name]})}
 
     def ring(self) -> KeyRing | None:
-        """The supervisor's own."""
+        """The supervisor's key ring; None without encryption."""
         return None if self.keys is None else self.keys.ring(SUPERVISOR, self.allowed[SUPERVISOR])
 
 
 IPC: Final = Reach("ipc")
-"""Over Unix-domain sockets: all on one machine, and for one user."""
+"""Unix-domain sockets: every process on one machine, and for one user."""
 
 
 def reach(
@@ -117,25 +118,25 @@ def reach(
     listen: Listen | None = None,
     remote: frozenset[str] = frozenset(),
 ) -> Reach:
-    """How a run of a session is carried: TCP encrypted, with keys made for this one run if none are given.
+    """How the processes of a run reach each other. TCP is encrypted; keys are made for this run if none are given.
 
     Args:
-        plan: the session.
+        plan: the planned session.
         transport: "ipc" or "tcp".
-        insecure: TCP without keys.
+        insecure: TCP without encryption and keys.
         keys: the keys to use.
-        listen: where to listen; by default on any port of the loopback.
-        remote: nodes that are started elsewhere.
+        listen: where to listen; by default on free ports of the loopback address.
+        remote: nodes that are started on other machines.
 
     Raises:
-        ReachError: the wishes do not go together.
+        ReachError: the options contradict each other or the session.
     """
     if transport != "tcp" and (insecure or keys or listen or remote):
         raise ReachError(
-            f"--transport: found {transport}; expected tcp, which --insecure, --keys, --listen and --remote are about"
+            f"--transport: found {transport}; expected tcp, which --insecure, --keys, --listen and --remote need"
         )
     if insecure and keys is not None:
-        raise ReachError("found both --insecure and --keys; expected one: without encryption keys are of no use")
+        raise ReachError("found both --insecure and --keys; expected one of them: without encryption keys have no use")
     session = plan.session
     nodes = session.roles
     for name in remote:
@@ -153,7 +154,7 @@ def reach(
     if remote and not insecure and keys is None:
         raise ReachError(
             "--remote: found no --keys; expected the folder that the invitation was made with (manyhands keys); "
-            "keys made for one run are known to nobody else"
+            "the remote node cannot know keys that are made for one run"
         )
     if transport == "tcp" and not insecure and keys is None:
         keys = ephemeral(roster(session), session.name)

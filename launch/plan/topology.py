@@ -1,18 +1,17 @@
-"""Which processes a session has and which links join them: derived from its couplings, and nowhere else.
+"""The processes of a session, the links between them, and the processor on which each process runs.
 
-A device is linked to every coupling that holds one of its ports, unless the two are one process; every coupling is
-linked to the environment. A link carries exactly the ports that both its ends may see.
+Processes and links follow from the couplings. A device is linked to every coupling that has one of its ports, unless
+the two are one process; every coupling is linked to the environment. A link carries exactly the ports that both its
+ends may see.
 
-Which processor each process runs on: a user's device and coupling share one, so that a tick does not travel.
+Passing a tick from one process to the next is cheaper within one processor than between two, the more so where
+processors are few (docs/decisions/0006-the-tick.md has figures). Linked devices and couplings, directly or through
+others, form one user's chain. A chain runs on one processor, and the chains are assigned to the processors in turn. A
+single chain is left to the kernel, which can spread it.
 
-Handing a tick from one process to the next is cheaper within a processor than between two, more so where
-processors are few (docs/decisions/0006-the-tick.md has figures). Devices and couplings that are linked, directly or
-through others, are one user's chain; chains are dealt to the processors in turn. A single chain is left to the
-kernel, which can spread it.
-
-The environment, on which all wait, goes wherever there is room. Where processes come before all others (SCHED_FIFO,
-which is for pinned ones alone) it gets a processor, too: the one with the fewest processes
-(docs/decisions/0017-timing.md).
+All processes wait for the environment, so it stays free to run on any processor. Where processes have a real-time
+priority (SCHED_FIFO, which only pinned processes get), the environment is pinned, too: to the processor with the fewest
+processes (docs/decisions/0017-timing.md).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from manyhands.protocol.transport.descriptors import node_needs, require_descrip
 
 @dataclass(frozen=True)
 class LinkPlan:
-    """One link: ``binder`` binds it, ``connector`` connects, ``ports`` are its signals' entries in order."""
+    """One link: the process ``binder`` binds it, ``connector`` connects; its signals have one entry for each port."""
 
     binder: str
     connector: str
@@ -41,10 +40,10 @@ class Topology:
     """The graph of a session.
 
     Attributes:
-        nodes: every process's name and role, devices first, then couplings, then the environment.
+        nodes: every node's name and role, devices first, then couplings, then the environment.
         ports: the ports of each node, in order.
         links: in the session's order, which every node follows in its handshakes.
-        carriers: of each coupling that runs in its device's process, the device.
+        carriers: the device of each coupling that runs in its device's process.
     """
 
     nodes: Mapping[str, Role]
@@ -57,17 +56,17 @@ class Topology:
         return tuple(link for link in self.links if node in (link.binder, link.connector))
 
     def together(self, node: str) -> tuple[str, ...]:
-        """The nodes of the process that ``node`` runs in: the one that carries the others first."""
+        """The nodes of the process in which ``node`` runs: first the device that carries the others."""
         leader = self.carriers.get(node, node)
         return (leader, *(name for name, carrier in self.carriers.items() if carrier == leader))
 
 
 class LinkTooWide(Exception):
-    """A link would have to carry more ports than a signal may have values."""
+    """A link would carry more ports than a signal may have values."""
 
 
 def require_runnable(graph: Topology, observers: int = 0) -> None:
-    """Refuse a session that can be designed and simulated, but not be run as processes; before anything is made.
+    """Refuse a session that cannot run as processes; called before anything is made.
 
     Raises:
         LinkTooWide: a link carries more than ``MAX_PORTS`` ports.
@@ -79,15 +78,15 @@ def require_runnable(graph: Topology, observers: int = 0) -> None:
                 f"the link between {link.binder} and {link.connector}: found {len(link.ports)} ports; "
                 f"expected at most {MAX_PORTS}; divide the coupling into more blocks"
             )
-    of_nodes = (node_needs(len(graph.links_of(node))) for node in graph.nodes)  # which inherit the supervisor's limit
+    of_nodes = (node_needs(len(graph.links_of(node))) for node in graph.nodes)  # nodes inherit the supervisor's limit
     require_descriptors(max(node_needs(0) + _A_MEMBER * (len(graph.nodes) + observers), *of_nodes))
 
 
-_A_MEMBER = 8  # descriptors of the supervisor: the process, its connection, an observer's socket and its monitor
+_A_MEMBER = 8  # descriptors of the supervisor for each node or observer: process, connection, socket and its monitor
 
 
 def roster(session: Session) -> Mapping[str, Role]:
-    """Every name of a session that has a key, and its role: the nodes, the supervisor, the observers."""
+    """The name and role of everything that has a key: the nodes, the supervisor, the observers."""
     return {
         **session.roles,
         SUPERVISOR: Role.SUPERVISOR,
@@ -96,7 +95,7 @@ def roster(session: Session) -> Mapping[str, Role]:
 
 
 def topology(session: Session) -> Topology:
-    """The graph of ``session``."""
+    """The processes and links of ``session``."""
     ports = {
         **{device: session.ports_of(device) for device in session.devices},
         **dict(zip(session.couplings, session.blocks, strict=True)),
@@ -116,11 +115,11 @@ def topology(session: Session) -> Topology:
 
 
 def placement(graph: Topology, processors: Sequence[int], raised: bool = False) -> Mapping[str, int]:
-    """The processor of each node that gets one.
+    """The processor of each node that is pinned to one; empty where there is one chain or one processor.
 
     Args:
         graph: the session's nodes and links.
-        processors: those that this process may use.
+        processors: the processors that this process may use.
         raised: whether pinned processes will have a real-time priority
             (:func:`manyhands.nodes.realtime.may_raise`).
     """
