@@ -126,7 +126,7 @@ def top(
 
         from manyhands.launch.design_report import print_json
         from manyhands.launch.observe.sessions import find_session, visiting
-        from manyhands.launch.observe.tables import look_at, picture, quit_key, show_live, tell, top_object
+        from manyhands.launch.observe.tables import look_at, picture, quit_key, show_live, show_repeatedly, top_object
         from manyhands.nodes.observer.scene import Scene
         from manyhands.protocol.clock import RealtimeClock
 
@@ -149,7 +149,7 @@ def top(
 
         with visiting(running, clock) as (scene, seeing):
             if as_json or not out.is_terminal:
-                tell(scene, seeing, show)
+                show_repeatedly(scene, seeing, show)
             else:
                 with quit_key() as stop:
                     show_live(scene, seeing, out, stop)

@@ -1,7 +1,7 @@
-"""What `manyhands graph` shows: a session's nodes and links, or who may read and write what, in several forms.
+"""What `manyhands graph` shows: a session's nodes and links, or its access rights, in several forms.
 
-Read :mod:`parts` first (what every picture is made of), then :mod:`svg` (the drawing), :mod:`text` (tables and
-Mermaid), and :mod:`show` (which of them is asked for).
+Read :mod:`parts` first (the elements of every drawing), then :mod:`svg` (the drawing), :mod:`text` (tables and
+Mermaid), and :mod:`show` (the choice among them).
 """
 
 from manyhands.launch.graph.parts import access_object, graph_object, scene_object

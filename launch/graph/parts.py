@@ -1,8 +1,7 @@
-"""What every picture of a session is made of: nodes in their layers, links between them, and how each is. Pure.
+"""The elements of every drawing of a session: nodes in layers, links between them, and the health of each. Pure.
 
-A picture of a session file knows no healths; one of a running session has them from its scene.
-
-A session's graph and capability table, and a running session's graph, as ``--json`` prints them.
+A drawing of a session file has no health; that of a running session takes it from the session's scene. The same graphs,
+and the capability table, are here as the objects that ``--json`` prints.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from manyhands.nodes.observer.scene import Health, Scene
 from manyhands.protocol.messages import Role
 
 LAYERS: Final = {Role.DEVICE: 0, Role.COUPLING: 1, Role.ENVIRONMENT: 2}
-"""From the hands on the left to the world."""
+"""The layers of a drawing, from the hands on the left to the environment on the right."""
 
 _MOST_PORTS: Final = 4  # named in a label; more are counted
 
@@ -29,12 +28,12 @@ class Part:
     """A node, or an observer.
 
     Attributes:
-        name: its own.
-        role: what it is.
-        ports: in order; none of an observer.
-        note: what else is to be said of it; empty where nothing is.
-        health: how it is; None in a picture of a file.
-        detail: where it stands, in words.
+        name: its name.
+        role: its role.
+        ports: its ports in order; empty for an observer.
+        note: a remark after the role; may be empty.
+        health: its health; None in the drawing of a file.
+        detail: its state or rate, as a text.
     """
 
     name: str
@@ -46,7 +45,7 @@ class Part:
 
     @property
     def label(self) -> tuple[str, ...]:
-        """The lines that stand in its box, its name first."""
+        """The lines in its box, its name first."""
         lines = [self.name, self.role.value if not self.note else f"{self.role.value}, {self.note}"]
         if self.role is not Role.OBSERVER and self.ports:
             lines.append(_few(self.ports))
@@ -56,23 +55,23 @@ class Part:
 
     @property
     def whole(self) -> str:
-        """All that is known of it, in a sentence."""
+        """Everything known about the part, in one sentence."""
         ports = f"; ports {', '.join(self.ports)}" if self.ports else ""
         return f"{': '.join(self.label[:2])}{ports}{''.join(f'; {line}' for line in self.label[3:])}"
 
 
 @dataclass(frozen=True)
 class Tie:
-    """What joins two parts: a link, or a line that is none.
+    """A line between two parts: a link of the session, or another relation.
 
     Attributes:
-        ends: the one nearer to a hand first.
-        ports: of the link.
-        there: what is said from the first end to the second, in the paper's letters; empty where there is no link.
-        back: likewise, from the second to the first.
-        health: how it is; None in a picture of a file.
-        why: what joins them where it is no link.
-        looks: whether it is that the second one looks on at the first.
+        ends: the two parts, the one nearer to a hand first.
+        ports: the ports of the link.
+        there: the signals from the first end to the second, in the paper's letters; empty where there is no link.
+        back: the signals from the second end to the first.
+        health: the link's health; None in the drawing of a file.
+        why: the relation, where the line is no link.
+        looks: whether the relation is that the second part observes the first.
     """
 
     ends: tuple[str, str]
@@ -85,22 +84,22 @@ class Tie:
 
     @property
     def is_shown(self) -> bool:
-        """Whether its label stands beside it; what an observer reads, its own box says."""
+        """Whether the label stands beside the line; an observer's lines have none, for its box lists what it reads."""
         return not self.looks
 
     @property
     def is_link(self) -> bool:
-        """Whether it is a link of the session, with a signal each way."""
+        """Whether the line is a link of the session, with a signal each way."""
         return not self.why
 
     @property
     def label(self) -> str:
-        """What stands beside it."""
+        """The text beside the line."""
         return f"{self.there} → ← {self.back}" if self.is_link else self.why
 
     @property
     def whole(self) -> str:
-        """All that is known of it, in a sentence."""
+        """Everything known about the line, in one sentence."""
         first, second = self.ends
         if not self.is_link:
             return f"{first}, {second}: {self.why}"
@@ -110,7 +109,7 @@ class Tie:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A session's graph; ``health`` is that of the whole, None of a file."""
+    """A session's graph; ``health`` is that of the whole session, None for a file."""
 
     title: str
     parts: tuple[Part, ...]
@@ -158,13 +157,13 @@ def _carried(carrier: str | None) -> str:
 
 
 def _link(ends: tuple[str, str], ports: tuple[str, ...], roles: Mapping[str, Role], health: Health | None) -> Tie:
-    """A link; what its ends say are the channels between such roles."""
+    """A link with its signals, which are the channels between the roles of its ends."""
     there, back = (_signal(roles[sender], roles[hearer]) for sender, hearer in (ends, ends[::-1]))
     return Tie(ends, ports, there, back, health)
 
 
 def _signal(sender: Role, hearer: Role) -> str:
-    """The letters of what one role says to another in every tick."""
+    """The letters of the signals that one role sends to another in every tick."""
     return ", ".join(channel.symbol for channel in DATA if channel.symbol and joins(channel, sender, hearer))
 
 
@@ -177,7 +176,7 @@ def _observers(reads: Mapping[str, tuple[str, ...]]) -> list[Part]:
 
 
 def _looks(reads: Mapping[str, tuple[str, ...]], roles: Mapping[str, Role]) -> list[Tie]:
-    """From whom an observer hears, as far as it reads single nodes; what it reads of all of them, its label says."""
+    """Lines from single nodes to the observers that read them; an observer's label lists what it reads of all nodes."""
     found = []
     for name, what in reads.items():
         of: dict[str, list[str]] = {}
@@ -199,7 +198,7 @@ def graph_object(plan: Plan) -> dict[str, Any]:
     """Nodes, links and observers, as ``--json`` prints them.
 
     ``signals`` of a link are the channels that each of its ends writes; an observer's ``reads`` are as in the session.
-    A node that runs in another one's process has that one's name as its ``process``.
+    The ``process`` of a node that runs in a device's process is the name of that device.
     """
     session, graph = plan.session, plan.graph
     return {
@@ -243,9 +242,9 @@ def access_object(plan: Plan) -> dict[str, Any]:
 
 
 def scene_object(scene: Scene) -> dict[str, Any]:
-    """The graph of a running session: as that of its file, with the health of each node and link.
+    """The graph of a running session: that of its file, with the health of each node and link.
 
-    ``between`` of a link begins with the end that is nearer to the world, as in a file's.
+    ``between`` of a link begins with the end that is nearer to the environment, as in :func:`graph_object`.
     """
     about = scene.about
     roles = {name: node.role for name, node in about.nodes.items()}

@@ -1,4 +1,4 @@
-"""A graph in the form that was asked for, to standard output or into a file."""
+"""A graph in the requested form, to standard output or into a file."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from manyhands.nodes.observer.scene import Scene
 TEXT, JSON = "text", "json"
 
 PICTURES: Final[dict[str, Callable[[Drawing], str]]] = {"mermaid": mermaid, "svg": svg}
-"""The forms that are drawn."""
+"""The drawn forms, and the function that makes each."""
 
 FORMATS: Final = (TEXT, *PICTURES)
-"""What ``--format`` may be."""
+"""The values of ``--format``."""
 
 _SUFFIXES: Final = {".svg": "svg", ".mmd": "mermaid", ".mermaid": "mermaid", ".txt": TEXT, ".json": JSON}
 _FILE_WIDTH = 140
 
 
 def format_of(name: str | None, output: Path | None, as_json: bool) -> str:
-    """The form that is meant: as asked for, or as the file's suffix has it, or text.
+    """The form of the output: the requested one, or that of the file's suffix, or text.
 
     Raises:
-        TargetError: the file's suffix is none that is known, and nothing else was said.
+        TargetError: the file's suffix is unknown, and no form was requested.
     """
     if as_json:
         return JSON

@@ -1,8 +1,7 @@
-"""A drawing as SVG: one file without scripts or anything from elsewhere, for light and dark, with text that is text.
+"""A drawing as SVG: one file without scripts or external content, for light and dark displays, with selectable text.
 
-Where each part of a picture stands: in layers from left to right, with as few crossings as some sweeps find. Pure.
-
-Who looks on stands in a row of its own below, so that no line of its need lead through the world.
+The parts stand in layers from left to right. A few sweeps over the layers sort each by its neighbours' positions, which
+leaves few crossings. Observers stand in a row below, so that their lines need not cross the environment. Pure.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from manyhands.launch.graph.parts import LAYERS, Drawing, Part, Tie
 from manyhands.protocol.messages import Role
 
 CHARACTER: Final = 7.25
-"""Width of a character of the labels, px: of a font whose characters are all as wide."""
+"""Width of a character of the labels, px; the font is monospaced."""
 
 LINE: Final = 17.0
 """Height of a line of a label, px."""
@@ -31,10 +30,10 @@ HEAD: Final = 44.0
 """Above the boxes, for the title, px."""
 
 AISLE: Final = 16.0
-"""How far beside a box the lines lead down to who looks on, px."""
+"""Distance from a box to the line that leads down to an observer, px."""
 
 BELOW: Final = 56.0
-"""Between the layers and who looks on, px."""
+"""Between the layers and the row of observers, px."""
 
 _SWEEPS: Final = 4
 _HEALTH: Final = 10  # characters of the longest health, in brackets
@@ -42,7 +41,7 @@ _HEALTH: Final = 10  # characters of the longest health, in brackets
 
 @dataclass(frozen=True)
 class Box:
-    """A part's place, px: the upper left corner, width and height."""
+    """A part's position, px: its upper left corner, width and height."""
 
     x: float
     y: float
@@ -51,13 +50,13 @@ class Box:
 
     @property
     def middle(self) -> float:
-        """The height of its middle."""
+        """The y coordinate of its middle, px."""
         return self.y + self.height / 2
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A picture's size, px, and the places of its parts by name."""
+    """The size of a drawing, px, and the boxes of its parts by name."""
 
     width: float
     height: float
@@ -65,7 +64,7 @@ class Layout:
 
 
 def layout(drawing: Drawing) -> Layout:
-    """Place the parts of a drawing."""
+    """The positions of a drawing's parts."""
     columns = _layers(drawing)
     sizes = {part.name: _size(part) for part in drawing.parts}
     heights = [sum(sizes[one.name][1] for one in column) + GAP * (len(column) - 1) for column in columns]
@@ -75,11 +74,11 @@ def layout(drawing: Drawing) -> Layout:
     x = MARGIN
     for column, height in zip(columns, heights, strict=True):
         width = max(sizes[part.name][0] for part in column)
-        spare = (tallest - height) / len(column)  # spread over the whole height, each in the middle of its share
+        spare = (tallest - height) / len(column)  # spreads the column over the whole height
         y = HEAD + spare / 2
         for part in column:
             own = sizes[part.name][1]
-            if part.role is Role.ENVIRONMENT:  # as high as what leads to it, so that links run level
+            if part.role is Role.ENVIRONMENT:  # as high as the layer before it, so that links run level
                 boxes[part.name] = Box(x, HEAD, width, tallest)
             else:
                 boxes[part.name] = Box(x, y, width, own)
@@ -97,7 +96,11 @@ def layout(drawing: Drawing) -> Layout:
 
 
 def _layers(drawing: Drawing) -> list[list[Part]]:
-    """The parts of each layer that has any, from top to bottom."""
+    """The parts of each layer that is not empty, from top to bottom.
+
+    Each sweep sorts every layer by the mean position of each part's neighbours in the layer before it. The sweeps
+    alternate in direction, so that both neighbouring layers count.
+    """
     columns = [[part for part in drawing.parts if LAYERS.get(part.role) == layer] for layer in range(len(LAYERS))]
     columns = [column for column in columns if column]
     near: dict[str, list[str]] = {}
@@ -154,7 +157,7 @@ _STYLE = """
 
 
 def svg(drawing: Drawing) -> str:
-    """The drawing's text."""
+    """The text of the SVG file."""
     placed = layout(drawing)
     health = "" if drawing.health is None else f": {drawing.health.value}"
     parts = ", ".join(part.whole for part in drawing.parts)
@@ -175,7 +178,7 @@ def svg(drawing: Drawing) -> str:
 
 
 def _tie(tie: Tie, first: Box, second: Box) -> str:
-    """A curve from the first box's right side to the second one's left; level where the second one is tall."""
+    """A curve from the first box's right side to the second box's left; level where the second box is tall enough."""
     if tie.looks:
         return _look(tie, first, second)
     x0, x1 = first.x + first.width, second.x
@@ -196,7 +199,7 @@ def _tie(tie: Tie, first: Box, second: Box) -> str:
 
 
 def _look(tie: Tie, seen: Box, observer: Box) -> str:
-    """From a box's right side down beside it, where no other box is, to the top of the observer's."""
+    """A line from a box's right side down through the aisle, where no box stands, to the top of the observer's box."""
     x0, y0 = seen.x + seen.width, seen.middle + seen.height / 4
     x1, y1 = observer.x + observer.width / 2, observer.y
     down, bend = x0 + AISLE, BELOW / 2
@@ -230,5 +233,5 @@ def _part(part: Part, box: Box) -> str:
 
 
 def _text(text: str) -> str:
-    """Fit for XML: what means something there escaped, what may not stand there replaced."""
+    """A text for XML: special characters escaped, characters that XML forbids replaced."""
     return escape("".join(c if c.isprintable() else "\ufffd" for c in text))

@@ -1,6 +1,6 @@
-"""A session's nodes and links as tables, how they are where it runs, and who may read and write what.
+"""A session's nodes and links as tables, with their health where it runs; its capability table; and Mermaid.
 
-A drawing as Mermaid's flowchart, which many places show that take Markdown.
+A drawing as a Mermaid flowchart can be shown by many programs that display Markdown.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 
 _SAID_ONCE = (
-    "Besides, once: on every link the handshake, in which a coupling tells the environment the D_V of its block; "
-    "between every process and the supervisor what starts and ends the session."
+    "In addition, once: on every link the handshake, in which a coupling sends the D_V of its block to the "
+    "environment; between every process and the supervisor the messages that start and end the session."
 )
 
 
 def print_graph(out: Console, plan: Plan) -> None:
-    """Nodes with their ports, and links with what goes there and back."""
+    """Print nodes with their ports, and links with their signals in both directions."""
     session, graph = plan.session, plan.graph
     nodes = _table(f"{session.name}: nodes", "node", "role", "ports")
     for name, role in graph.nodes.items():
@@ -37,14 +37,14 @@ def print_graph(out: Console, plan: Plan) -> None:
     out.print(nodes)
     links = _table(f"{session.name}: links", "from", "to", "ports", "there", "back")
     for link in graph.links:
-        ends = (link.connector, link.binder)  # from the hand to the world, as the tick goes
+        ends = (link.connector, link.binder)  # from the hand to the environment, the direction of a tick
         there, back = _there_and_back(ends, graph.nodes)
         links.add_row(*ends, ", ".join(link.ports), there, back)
     out.print(links)
 
 
 def print_scene(out: Console, scene: Scene) -> None:
-    """The same of a running session, with the health of each node and link."""
+    """Print the same tables for a running session, with the health of each node and link."""
     about = scene.about
     roles = {name: node.role for name, node in about.nodes.items()}
     nodes = _table(f"{about.session}: nodes", "node", "role", "ports", "state", "health")
@@ -64,7 +64,7 @@ def print_scene(out: Console, scene: Scene) -> None:
 
 
 def print_access(out: Console, plan: Plan) -> None:
-    """Who may read and write what, a row for each node and channel."""
+    """Print the capability table, one row for each node and channel."""
     table = _table(f"{plan.session.name}: who may read and write what", "node", "role", "", "channel", "which ports")
     for rows in _by_node_and_channel(plan.access):
         first = rows[0]
@@ -100,7 +100,7 @@ def _signal(name: str) -> str:
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=escape(title), title_justify="left")
     for column in columns:
-        table.add_column(column, overflow="fold")  # a name is never cut short: who may read it is the point
+        table.add_column(column, overflow="fold")  # a name is folded and never cut, since the tables show access rights
     return table
 
 
@@ -122,7 +122,7 @@ _CLASSES = {
 
 
 def mermaid(drawing: Drawing) -> str:
-    """The drawing's text. Links lead from a hand to the world, and say what goes there and back."""
+    """The text of the flowchart; links lead from a hand to the environment, labelled with the signals both ways."""
     ids = {part.name: f"n{number}" for number, part in enumerate(drawing.parts)}
     lines = ["flowchart LR", f"  accTitle: {_plain(drawing.title)}"]
     for part in drawing.parts:
@@ -145,10 +145,10 @@ def mermaid(drawing: Drawing) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Fit for a quoted label: what means something there as its number."""
+    """A text for a quoted label: special characters as their numbers."""
     return "".join(c if c.isalnum() or c in " .,:_-/→←…" else f"#{ord(c)};" for c in text)
 
 
 def _plain(text: str) -> str:
-    """Fit for a line that is not quoted."""
+    """A text for a line without quotes: special characters as spaces."""
     return "".join(c if c.isalnum() or c in " .,_-" else " " for c in text)

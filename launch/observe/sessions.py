@@ -1,12 +1,10 @@
-"""Which sessions run on this machine under this user, and which of them is meant.
+"""The running sessions of this user on this machine, and the loop that observes one of them.
 
-Each has a directory of its own below the temporary one (:mod:`manyhands.launch.run.directory`), which nobody else may
-enter; there it says what it is (:class:`manyhands.nodes.observer.scene.About`).
+Each session has its own directory below the temporary one (:mod:`manyhands.launch.run.directory`), which no other user
+may enter. A file there describes the session (:class:`manyhands.nodes.observer.scene.About`).
 
-The loop of whoever looks on at one running session: frames of its broadcast, until there is a reason to stop.
-
-It ends when the session says that it is over, when the supervisor's process has ended, or at a deadline. It waits for
-frames alone and reads no clock but the one that it is handed.
+The loop (:func:`watch`) takes frames of the session's broadcast. It ends when the session reports its end, when the
+supervisor's process has ended, or at a deadline. It waits for frames only, and its only clock is the given one.
 """
 
 from __future__ import annotations
@@ -30,25 +28,25 @@ from manyhands.protocol.transport.broadcast import Visit
 
 
 class NoSession(Exception):
-    """The session that was asked for does not run, or several could be meant; says which there are."""
+    """The requested session does not run, or the request fits several; the message lists the running ones."""
 
 
 @dataclass(frozen=True)
 class Running:
-    """A session that runs: its directory, and what it says of itself."""
+    """A session that runs: its directory, and its description of itself."""
 
     directory: Path
     about: About
 
 
 def running_sessions() -> list[Running]:
-    """The sessions that run, the oldest first; one that is just beginning or ending may be left out."""
+    """The sessions that run, the oldest first; a session that is just beginning or ending may be absent."""
     found = []
     for directory in run_directories():
         try:
             found.append(Running(directory, About.load(directory)))
         except AboutError:
-            continue  # not yet begun, over since, or another version's
+            continue  # it has not yet begun, has just ended, or belongs to another version
     return sorted(found, key=lambda running: (running.about.started, running.about.session, running.about.pid))
 
 
@@ -56,10 +54,10 @@ def find_session(name: str | None) -> Running:
     """The running session of this name, or the only one.
 
     Args:
-        name: its name, or its supervisor's process id, which tells two of one name apart; None for the only one.
+        name: its name, or its supervisor's process id, which distinguishes sessions of one name; None for the only one.
 
     Raises:
-        NoSession: there is none, or several.
+        NoSession: no session fits, or several do.
     """
     running = running_sessions()
     if not running:
@@ -77,10 +75,10 @@ def find_session(name: str | None) -> Running:
 
 
 def session_in(directory: Path) -> Running:
-    """The running session of this directory: its own below the temporary one, or the one that its user keeps.
+    """The running session with this directory: its own below the temporary one, or that of ``launch --directory``.
 
     Raises:
-        NoSession: it is of none that runs.
+        NoSession: no running session has this directory.
     """
     running = running_sessions()
     for one in running:
@@ -93,12 +91,12 @@ def session_in(directory: Path) -> Running:
 def _same(one: Path, other: Path) -> bool:
     try:
         return one.samefile(other)
-    except OSError:  # one of them is not there
+    except OSError:  # one of them does not exist
         return False
 
 
 LOOK: Final = from_seconds(0.2)
-"""The longest wait for a frame: so often it is seen to that the session is still there, whatever it says."""
+"""The longest wait for a frame; after each wait without one, the loop checks that the session still exists."""
 
 
 class Source(Protocol):
@@ -111,7 +109,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was seen at an instant: a message, or None where nothing came for a while."""
+    """What was seen at an instant: a message, or None where none came within :data:`LOOK`."""
 
     at: Instant
     message: Observation | Condition | None
@@ -121,18 +119,18 @@ Seeing: TypeAlias = Iterator[Seen]
 
 
 def watch(source: Source, scene: Scene, clock: Clock, gone: Callable[[], bool], until: Instant | None = None) -> Seeing:
-    """Take what comes into ``scene``, and tell of each, in order.
+    """Take the frames of ``source`` into ``scene``, and yield each message in order.
 
     Args:
         source: where frames come from.
-        scene: of the session.
-        clock: what tells when they came.
-        gone: whether the session's supervisor is no more.
+        scene: the scene of the session.
+        clock: the clock that gives the instant of each frame.
+        gone: whether the session's supervisor has ended.
         until: when to stop; None for the session's end.
 
     Yields:
-        Each message, and one without a message at least every :data:`LOOK` where none comes, so that whoever watches
-        can look at other things too. The last is the Condition that says that the session is over, if it was heard.
+        Each message; where none comes, a Seen without a message at least every :data:`LOOK`, so that the caller can
+        check other things. The last message is the Condition that reports the session's end, if it was received.
     """
     while True:
         now = clock.now()
@@ -154,12 +152,15 @@ def watch(source: Source, scene: Scene, clock: Clock, gone: Callable[[], bool], 
 
 @contextmanager
 def presence(running: Running) -> Iterator[Callable[[], bool]]:
-    """Whether a session's supervisor is gone; by its process, not by its number, which another one may get."""
+    """Yields a function that returns whether the supervisor has ended.
+
+    It watches the process itself, since the kernel may give the same process id to a new process.
+    """
     about = running.directory / ABOUT
     process: int | None = None
     try:
         process = os.pidfd_open(running.about.pid)
-    except OSError:  # it is gone already, or its process cannot be watched here
+    except OSError:  # the process has ended already, or this kernel cannot watch it
         alive = Path(f"/proc/{running.about.pid}")
     try:
         if process is None:
@@ -174,10 +175,10 @@ def presence(running: Running) -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def visiting(running: Running, clock: Clock, until: Instant | None = None) -> Iterator[tuple[Scene, Seeing]]:
-    """Look on at a running session; yields its scene, and what is seen.
+    """Observe a running session; yields its scene, and the iterator of :func:`watch`.
 
     Raises:
-        TransportError: it cannot be looked at.
+        TransportError: its broadcast cannot be received.
     """
     scene = Scene(running.about)
     with presence(running) as gone:

@@ -1,6 +1,7 @@
-"""What `manyhands list` shows: the sessions that run, how each is, and how its nodes are.
+"""The tables of `manyhands list` and `manyhands top`.
 
-What `manyhands top` shows: every node of a running session, and below them what is not as it should be.
+`list` shows the running sessions with their nodes and states. `top` shows the figures of every node of one session, and
+below them the links that are not well, notices, incidents and faults.
 """
 
 from __future__ import annotations
@@ -34,19 +35,19 @@ from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.broadcast import Visit, await_any
 
 GLANCE: Final = from_seconds(1.5)
-"""The longest that a glance at sessions takes, however little they say."""
+"""The longest time for a glance at sessions, however few messages they send."""
 
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """A session and what is seen of it meanwhile."""
+    """The scene of a session, and the source of its frames, during a glance."""
 
     scene: Scene
     source: Source
 
     @property
     def settled(self) -> bool:
-        """Whether all was seen that a glance can show: how the session is, and the rate of each node that runs."""
+        """Whether the scene has all that a glance can show: the session's condition and each running node's rate."""
         condition, nodes = self.scene.condition, self.scene.nodes.values()
         return condition is not None and all(
             node.rate is not None for node in nodes if node.state == NodeState.RUNNING and not node.silent
@@ -54,12 +55,12 @@ class Glance:
 
 
 def glance(glances: Sequence[Glance], clock: Clock, await_frames: Callable[[Sequence[Glance], Duration], None]) -> None:
-    """Take in what the sessions say until each has settled, or for :data:`GLANCE`.
+    """Take the sessions' frames into their scenes until each has settled, at most for :data:`GLANCE`.
 
     Args:
         glances: the sessions.
-        clock: what tells how late it is.
-        await_frames: returns as soon as any of these sessions says something, or after so long.
+        clock: the clock that bounds the glance.
+        await_frames: returns when any of these sessions has sent a frame, or after the given time.
     """
     until = Instant(clock.now() + GLANCE)
     while (unsettled := [one for one in glances if not one.settled]) and (now := clock.now()) < until:
@@ -73,13 +74,13 @@ def glance(glances: Sequence[Glance], clock: Clock, await_frames: Callable[[Sequ
 
 @contextmanager
 def visits(running: Sequence[Running]) -> Iterator[dict[Glance, Visit]]:
-    """A visit to each of the sessions, left again afterwards; one that cannot be looked at shows nothing."""
+    """A connection to the broadcast of each session, closed on exit; sessions that cannot be observed are left out."""
     with ExitStack() as stack:
         found = {}
         for one in running:
             try:
                 visit = Visit(one.directory)
-            except TransportError:  # it has just ended, or its directory is one that no socket can be in
+            except TransportError:  # it has just ended, or no socket can be in its directory
                 continue
             stack.callback(visit.close)
             found[Glance(Scene(one.about), visit)] = visit
@@ -87,7 +88,7 @@ def visits(running: Sequence[Running]) -> Iterator[dict[Glance, Visit]]:
 
 
 def look_at(running: Sequence[Running], clock: Clock) -> list[Scene]:
-    """How these sessions are, after a glance at all of them at once."""
+    """The scenes of these sessions, after a glance at all of them at once."""
     with visits(running) as found:
 
         def await_frames(glances: Sequence[Glance], timeout: Duration) -> None:
@@ -98,7 +99,7 @@ def look_at(running: Sequence[Running], clock: Clock) -> list[Scene]:
 
 
 def session_object(scene: Scene) -> dict[str, Any]:
-    """A session as ``--json`` prints it."""
+    """The object that ``--json`` prints for a session."""
     about, condition = scene.about, scene.condition
     return {
         "session": about.session,
@@ -124,12 +125,12 @@ def session_object(scene: Scene) -> dict[str, Any]:
 
 
 def rounded(rate: float | None) -> float | None:
-    """A rate to a tenth of a tick a second, which is more than is known."""
+    """A rate rounded to 0.1 Hz, which is finer than its accuracy; None if it is unknown."""
     return None if (known := json_number(rate)) is None else round(known, 1)
 
 
 def print_sessions(out: Console, scenes: Sequence[Scene], time: float) -> None:
-    """Print them as tables; ``time`` is now, seconds since 1970."""
+    """Print the sessions and their nodes as tables; ``time`` is now, in seconds since 1970."""
     sessions = _table("running sessions", "session", "pid", "clock", "up since", "tick", "rate [Hz]", "health")
     for scene in scenes:
         about = scene.about
@@ -151,7 +152,7 @@ def print_sessions(out: Console, scenes: Sequence[Scene], time: float) -> None:
 
 
 def shown(rate: float | None) -> str:
-    """A rate in a table; nothing before it is known."""
+    """A rate in a table; empty while it is unknown."""
     return "" if rate is None else f"{rate:.0f}"
 
 
@@ -169,10 +170,10 @@ def _table(title: str, *columns: str) -> Table:
 
 
 REFRESH: Final = from_seconds(0.2)
-"""The shortest time between two pictures on a terminal."""
+"""The shortest time between two updates on a terminal."""
 
 PRINT_EVERY: Final = from_seconds(2.0)
-"""The same where there is no terminal, and each picture is one more table."""
+"""The same where there is no terminal, and each update prints a table."""
 
 STYLES: Final = {
     Health.OK: "green",
@@ -182,14 +183,14 @@ STYLES: Final = {
     Health.SILENT: "magenta",
     Health.AWAY: "red",
 }
-"""How a terminal shows a health; the word stands beside it."""
+"""The style in which a terminal shows the word for a health."""
 
 _FIXED: Final = ("node", "role", "state", "tick", "rate [Hz]")
-_MOST_SENTENCES: Final = 8  # of a kind, the latest
+_MOST_SENTENCES: Final = 8  # shown of each kind, the latest ones
 
 
 def top_object(scene: Scene) -> dict[str, Any]:
-    """A session as ``--json`` prints it: as in a list, with each node's figures, its links and what was told of it."""
+    """The object that ``--json`` prints: that of :func:`session_object`, with figures, links, notices and faults."""
     found = session_object(scene)
     for name, node in scene.nodes.items():
         keys = {column.figure for column in COLUMNS} & node.figures.keys()
@@ -204,7 +205,7 @@ def top_object(scene: Scene) -> dict[str, Any]:
 
 
 def picture(scene: Scene, width: int) -> RenderableType:
-    """Table and sentences, for a terminal of so many columns; figures that find no room are left out."""
+    """Table and sentences, for a terminal with ``width`` columns; figures without room are left out."""
     about, condition = scene.about, scene.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
     title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {scene.health}"
@@ -223,7 +224,7 @@ def picture(scene: Scene, width: int) -> RenderableType:
 
 
 def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
-    """What is to be told below the table, each with a style: links that are not well, notices, incidents, faults."""
+    """The sentences below the table, each with a style: links that are not well, notices, incidents, faults."""
     for link in scene.about.links:
         health = scene.link_health(link)
         if health is not Health.OK:
@@ -236,8 +237,8 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
     condition = scene.condition
     if condition is None:
         return
-    told = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
-    for texts, kind, style in (*told, (condition.faults, "fault", "red")):
+    shown = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
+    for texts, kind, style in (*shown, (condition.faults, "fault", "red")):
         if len(texts) > _MOST_SENTENCES:
             yield f"{kind}s: {len(texts) - _MOST_SENTENCES} earlier ones", style
         for text in texts[-_MOST_SENTENCES:]:
@@ -251,13 +252,13 @@ def _cells(node: NodeScene) -> list[str]:
 
 
 def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
-    """The places of the columns that find room, the least important left out first."""
+    """The indices of the columns that fit into ``width``; the least important columns are left out first."""
     needed = [
         max(map(cell_len, (*title.replace(" [", "\n[").split("\n"), *(row[place] for row in rows))), default=0) + 3
         for place, title in enumerate(titles)
     ]
     ranks = {len(_FIXED) + place: column.rank for place, column in enumerate(COLUMNS)}
-    ranks[_FIXED.index("role")] = 6  # mostly the name says it
+    ranks[_FIXED.index("role")] = 6  # the name often makes the role clear
     kept = list(range(len(titles)))
     for place in sorted(ranks, key=ranks.__getitem__, reverse=True):
         if sum(needed[one] for one in kept) > width:
@@ -266,7 +267,7 @@ def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
 
 
 def show_live(scene: Scene, seeing: Seeing, console: Console, stop: Callable[[], bool]) -> None:
-    """Show a session on a terminal until it is over, or ``stop`` says that the person has seen enough."""
+    """Show a session on a terminal until it is over, or ``stop`` returns True (the user pressed q)."""
     shown_at: Instant | None = None
     with Live(console=console, auto_refresh=False, screen=True, vertical_overflow="crop") as live:
         for seen in seeing:
@@ -277,8 +278,8 @@ def show_live(scene: Scene, seeing: Seeing, console: Console, stop: Callable[[],
                 live.update(picture(scene, console.width), refresh=True)
 
 
-def tell(scene: Scene, seeing: Seeing, show: Callable[[Scene], None]) -> None:
-    """Show a session where there is no terminal: now and then, and once more at its end."""
+def show_repeatedly(scene: Scene, seeing: Seeing, show: Callable[[Scene], None]) -> None:
+    """Show a session where there is no terminal: every :data:`PRINT_EVERY`, and once more at its end."""
     shown_at: Instant | None = None
     last: Instant | None = None
     for seen in seeing:
@@ -293,14 +294,14 @@ def tell(scene: Scene, seeing: Seeing, show: Callable[[Scene], None]) -> None:
 
 @contextmanager
 def quit_key() -> Iterator[Callable[[], bool]]:
-    """Whether somebody has pressed q at this terminal; never, where standard input is none."""
+    """Yields a function that returns whether q was pressed; always False where standard input is no terminal."""
     if not sys.stdin.isatty():
         yield lambda: False
         return
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     try:
-        tty.setcbreak(fd)  # keys come one by one; Ctrl-C goes on being a signal
+        tty.setcbreak(fd)  # keys are readable one by one, and Ctrl-C is still a signal
         yield lambda: bool(select.select([fd], [], [], 0)[0]) and b"q" in os.read(fd, 64).lower()
     finally:
         termios.tcsetattr(fd, termios.TCSADRAIN, before)

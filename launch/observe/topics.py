@@ -1,12 +1,11 @@
-"""Finding a topic of a running session by its name, however much of it was said. Pure.
+"""Topics of a running session: found by full or short name, printed by `manyhands echo`, timed by `manyhands hz`.
 
-What `manyhands echo` prints: a line of JSON for each value of a topic, as a recording has them.
+`echo` prints a line of JSON for each value of a topic, in the form that recordings use. `hz` finds the rate and the
+regularity of a topic, and each figure names what measured it.
 
-What `manyhands hz` finds: how often a topic is told of, and how evenly, and who measured that. Pure.
-
-Ticks come in batches, one telemetry of about a hundred: when a batch arrives says how fast ticks go, and nothing of
-how evenly. That the device measures itself, from sample to sample, and tells the percentiles since it was started; the
-delays inside its ticks it tells one by one.
+Ticks arrive in batches: one telemetry message holds about a hundred. The arrival times of batches give the rate of
+ticks, but not their regularity. The device itself measures the period from sample to sample, and reports the
+percentiles since its start; it reports the delay inside each tick one by one. Everything here is pure.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _MOST_LISTED = 60  # names in one message
 
 
 class NoTopic(Exception):
-    """There is no such topic; says which there are."""
+    """The session has no such topic; the message lists its topics."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +41,10 @@ class Named:
 
     Attributes:
         session: the session's name.
-        node: whose it is; the supervisor's is the session's condition.
+        node: the node that it belongs to; the supervisor's topic is the session's condition.
         name: last part of its name.
-        topic: its row of the table, or None where it is none of a node's ticks.
-        columns: of a row of it.
+        topic: its row in the table of topics; None for a topic that has no value for each tick.
+        columns: the columns of one tick's values.
     """
 
     session: str
@@ -56,12 +55,12 @@ class Named:
 
     @property
     def full(self) -> str:
-        """Its full name."""
+        """The full name, ``/SESSION/NODE/TOPIC``."""
         return topic_name(self.session, self.node, self.name)
 
 
 def named_topics(about: About) -> dict[str, Named]:
-    """Every topic of a session by ``NODE/TOPIC``, in the session's order. A session without promises has no ledgers."""
+    """Every topic of a session by ``NODE/TOPIC``, in the session's order; an uncertified session has no ledgers."""
     masses = tuple(about.masses)
     found = []
     for name, node in about.nodes.items():
@@ -76,7 +75,7 @@ def named_topics(about: About) -> dict[str, Named]:
 
 
 def session_of(name: str) -> str | None:
-    """The session that a topic's full name, ``/SESSION/NODE/TOPIC``, begins with; None for one that is not full."""
+    """The session in a topic's full name, ``/SESSION/NODE/TOPIC``; None for a short name."""
     parts = name.split("/")
     return parts[1] if len(parts) == 4 and not parts[0] else None
 
@@ -89,7 +88,7 @@ def find_topic(about: About, name: str) -> Named:
         name: ``NODE/TOPIC`` or ``/SESSION/NODE/TOPIC``.
 
     Raises:
-        NoTopic: the session has none of that name.
+        NoTopic: the session has no topic of that name.
     """
     topics = named_topics(about)
     session = session_of(name)
@@ -111,21 +110,22 @@ def find_topic(about: About, name: str) -> Named:
 
 
 class EchoLines:
-    """Makes lines of what is seen.
+    """Turns the messages of a session into lines of JSON for one topic.
 
     Attributes:
         printed: lines made so far.
-        misfits: observations whose trace was not of the topic's columns.
+        misfits: observations whose trace did not have the topic's columns.
     """
 
     def __init__(self, named: Named, period: float, count: int | None = None, every: int = 1) -> None:
-        """Echo a topic.
+        """Lines for a topic.
 
         Args:
             named: the topic.
             period: T, s.
-            count: lines to make; None for no end.
-            every: of a topic of ticks those that are a multiple of it, of another one every so many messages.
+            count: lines to make; None for no limit.
+            every: N; a topic with a value for each tick prints the ticks that are multiples of N, any other topic each
+                Nth message.
         """
         self._named, self._period, self._count, self._every = named, period, count, every
         self._messages = 0
@@ -137,7 +137,7 @@ class EchoLines:
         return self._count is not None and self.printed >= self._count
 
     def lines(self, message: Observation | Condition | None, tick: int) -> Iterator[str]:
-        """The lines of a message, none if it says nothing of the topic; ``tick`` is the session's latest."""
+        """The lines of a message, none if it does not hold the topic; ``tick`` is the session's latest tick."""
         for value in self._values(message, tick):
             if self.done:
                 return
@@ -156,16 +156,16 @@ class EchoLines:
                 figures = {name: json_number(value) for name, value in message.figures.items()}
                 yield {"tick": message.tick, "figures": figures}
 
-    def _rows(self, told: Observation) -> Iterator[dict[str, Any]]:
+    def _rows(self, observation: Observation) -> Iterator[dict[str, Any]]:
         topic = self._named.topic
-        trace = None if topic is None else told.traces.get(topic.trace)
+        trace = None if topic is None else observation.traces.get(topic.trace)
         if topic is None or trace is None:
             return
         rows = trace.shape[0]
-        if trace.ndim != 2 or trace.shape[1] != len(self._named.columns) or rows > told.tick:
+        if trace.ndim != 2 or trace.shape[1] != len(self._named.columns) or rows > observation.tick:
             self.misfits += 1
             return
-        for tick, row in enumerate(trace.tolist(), start=told.tick - rows):
+        for tick, row in enumerate(trace.tolist(), start=observation.tick - rows):
             if tick % self._every == 0:
                 numbers = [json_number(value) for value in row]
                 yield self._at(tick) | {topic.trace: numbers[0] if topic.columns is Columns.ONE else numbers}
@@ -179,12 +179,12 @@ class EchoLines:
 
 
 DEFAULT_WINDOW: Final = 10_000
-"""Messages that figures are taken over, if nothing else is asked for: of a topic of ticks, so many ticks."""
+"""Number of ticks (of messages, for a topic without ticks) over which figures are computed by default."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """What came at once: when, how many messages, which tick they lead up to, and the delays inside their ticks, us."""
+    """One arrival: its instant, the number of ticks or messages in it, its last tick, and its ticks' delays, us."""
 
     at: Instant
     messages: int
@@ -193,15 +193,15 @@ class _Batch:
 
 
 class Pacing:
-    """Takes in what is seen, and says how often and how evenly it came.
+    """Measures the rate and regularity of one topic from the messages of a session.
 
     Attributes:
-        missing: ticks that no telemetry told of, between two that did.
-        restarts: times that the node began anew, at a tick that it had told of.
+        missing: ticks that no telemetry reported, between two that did.
+        restarts: how often the node began anew, at a tick that it had reported before.
     """
 
     def __init__(self, named: Named, window: int = DEFAULT_WINDOW) -> None:
-        """``window``: messages of the topic that the figures are taken over, at least 2."""
+        """``window``: number of ticks or messages over which the figures are computed, at least 2."""
         self._named, self._window = named, window
         self._batches: deque[_Batch] = deque()
         self._kept = 0
@@ -209,7 +209,7 @@ class Pacing:
         self.missing = self.restarts = 0
 
     def take(self, message: Observation | Condition | None, at: Instant) -> bool:
-        """Take in a message that came at ``at``; whether it said anything of the topic."""
+        """Take in a message that came at ``at``; returns whether it held the topic."""
         named = self._named
         if isinstance(message, Condition):
             if named.name != CONDITION:
@@ -250,10 +250,10 @@ class Pacing:
             self._kept -= self._batches.popleft().messages
 
     def found(self) -> dict[str, Any]:
-        """What is known by now, as ``--json`` prints it.
+        """The figures so far, as ``--json`` prints them.
 
-        ``rate`` (messages a second; of a topic of ticks, ticks a second) and ``arrival_ms`` need two arrivals, and are
-        None before. ``period_us`` and ``tau_us`` are there for a device alone, which measures them.
+        ``rate`` (ticks a second, or messages a second for a topic without ticks) and ``arrival_ms`` need two arrivals,
+        and are None before. Only a device, which measures them, has ``period_us`` and ``tau_us``.
         """
         batches = list(self._batches)
         ticks = self._named.topic is not None
@@ -288,7 +288,7 @@ def _spread(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
 
 
 def sentence(found: dict[str, Any]) -> str:
-    """One line for a person; each figure says who measured it."""
+    """The figures in one line; those that the device measured say so."""
     if found["rate"] is None:
         return f"{found['topic']}: waiting for a second message"
     unit = "ticks/s" if found["of"] == "ticks" else "messages/s"

@@ -71,7 +71,7 @@ def test_the_capability_table_has_one_row_a_node_and_channel() -> None:
     assert not [row for row in shown if row[1] == "observer" and row[2] != "reads"]
     named = [(row[0], row[3].split(" ")[0]) for row in shown if row[0]]
     assert named == list(dict.fromkeys((row.node, row.channel) for row in Plan(example()).access))
-    assert "a coupling tells the environment the D_V of its block" in text
+    assert "a coupling sends the D_V of its block to the environment" in text
 
 
 @pytest.mark.parametrize("show_access", [False, True])

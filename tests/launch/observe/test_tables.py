@@ -20,7 +20,7 @@ from manyhands.launch.observe.tables import (
     print_sessions,
     session_object,
     show_live,
-    tell,
+    show_repeatedly,
     top_object,
 )
 from manyhands.launch.run.display import COLUMNS
@@ -186,5 +186,7 @@ def test_a_terminal_is_drawn_at_most_five_times_a_second_until_a_key_is_pressed(
 def test_without_a_terminal_it_is_told_every_two_seconds_and_at_the_end() -> None:
     frames = Frames(minute({5000: [condition("over")]}, seconds=5))
     scene, told = Scene(ABOUT), []
-    tell(scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9))
+    show_repeatedly(
+        scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9)
+    )
     assert told == pytest.approx([0.1 + PRINT_EVERY / 1e9, 0.1 + 2 * PRINT_EVERY / 1e9, 5.0])

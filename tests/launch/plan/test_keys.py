@@ -255,7 +255,7 @@ def test_a_renewal_that_is_interrupted_is_told_and_can_be_repeated(
         with pytest.raises(OSError, match="Input/output"):
             make_keys(ONE, folder, ["dx"])
     said = refusal(ONE, folder)
-    assert "not the one of its public key in public.json" in said
+    assert "does not match its public key in public.json" in said
     assert "--renew dx" in said
     assert make_keys(ONE, folder, ["dx"]).renewed == ("dx",)
     load_folder(ONE, folder).pair("dx")
@@ -368,8 +368,8 @@ def test_a_public_key_that_does_not_belong_is_refused(folder: Path) -> None:
     make_keys(ONE, folder)
     public = PublicKeys.load(folder / "public.json")
     PublicKeys("s", {**public.keys, "dx": new_pair().public}).save(folder / "public.json")
-    assert "found a private key of 'dx' that is not the one of its public key" in refusal(ONE, folder)
-    with pytest.raises(KeyFileError, match="not the one of its public key"):
+    assert "found a private key of 'dx' that does not match its public key" in refusal(ONE, folder)
+    with pytest.raises(KeyFileError, match="not match its public key"):
         load_folder(ONE, folder).pair("dx")
 
 
@@ -399,14 +399,16 @@ def test_too_many_keys_are_refused_before_any_is_made(folder: Path, monkeypatch:
     make_keys(TWO, folder)
     monkeypatch.setattr("manyhands.launch.plan.keys.MAX_KEYS", 8)
     more = session_of(["dx", "dz"], ["watch"])
-    assert "found 7 keys, 2 of them of nobody in the session; expected at most 8" in refusal(more, folder)
+    assert "found 7 keys, 2 of them with names that the session does not have; expected at most 8" in refusal(
+        more, folder
+    )
 
 
 def test_keys_that_are_missing_are_named(folder: Path) -> None:
     with pytest.raises(KeyFileError, match=r"public\.json: found no file"):
         load_folder(ONE, folder)
     make_keys(ONE, folder)
-    with pytest.raises(KeyFileError, match="found no key of 'dy' and 1 more; expected one for everybody"):
+    with pytest.raises(KeyFileError, match="found no key of 'dy' and 1 more; expected one for every process"):
         load_folder(TWO, folder)
 
 
@@ -485,8 +487,8 @@ def test_the_command_tells_who_got_what(folder: Path) -> None:
     _, out, err = command(ONE, folder, "dx")
     states = {row[1].strip(): row[3].strip() for row in (line.split("│") for line in out.splitlines()) if len(row) == 5}
     assert states == {"dx": "renewed", "cdx": "elsewhere", "environment": "kept", "supervisor": "kept", "watch": "kept"}
-    assert "cdx: its private key is not here: on its own machine, or lost" in err
-    assert "not in s any more, and left where they are: cdy, dy\n" in err
+    assert "cdx: its private key is not in this folder: it is on its own machine, or lost" in err
+    assert "no longer in s, and left in place: cdy, dy\n" in err
     key(folder, "cdx").unlink(missing_ok=True)
     assert "have changed" not in command(ONE, folder)[2]
 
