@@ -1,4 +1,4 @@
-"""`manyhands doctor`: what this machine permits, how fast a tick is on it, and what that allows to certify.
+"""`manyhands doctor`: what this machine permits, how long a tick takes on it, and which stiffness that allows.
 
 Read ``machine`` first (what the system permits), then ``examination`` (what is measured) and ``advice`` (what it
 means).

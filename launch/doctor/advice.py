@@ -1,8 +1,8 @@
-"""What the measured delays mean: the stiffness that they leave to be certified, and what would change them.
+"""What the measured delays mean: the stiffness that can be certified with them, and what would reduce them.
 
-A tick's delay tau, from sample to force, is paid in stiffness (:mod:`manyhands.design.budget`). A certificate is about
-a longest delay, so p99.9 is what to design for, with the runtime watching for the rest; the median says what a
-machine without its tail would allow.
+The delay tau inside a tick, from sample to force, reduces the stiffness that can be certified
+(:mod:`manyhands.design.budget`). A certificate covers delays up to a longest one. A design should therefore take p99.9,
+and the runtime watches for the rest. The median shows what the machine would allow without its slowest ticks.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from manyhands.launch.doctor.wakeup import Spread
 from manyhands.nodes.realtime import FIFO_PRIORITY
 
 QUANTILES = ("p50", "p999")
-"""Which delays are turned into stiffness."""
+"""The percentiles of the delay for which a stiffness is computed."""
 
-_STEADY = ("tsc", "arch_sys_counter")  # clock sources that are read without a system call
+_STEADY = ("tsc", "arch_sys_counter")  # clock sources that can be read without a system call
 
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """What a loop's devices could certify.
+    """The stiffness that can be certified for a loop's devices.
 
     Attributes:
         loop: the loop.
-        share: what its environment takes of the devices' levels, at the loop's period.
+        share: the share of the devices' levels that the environment takes, at the loop's period.
     """
 
     loop: HapticLoop
@@ -44,12 +44,12 @@ class Worth:
         """The loop with its environment's share.
 
         Raises:
-            SolverFailure: the search for the share did not end.
+            SolverFailure: the search for the share did not converge.
         """
         return cls(loop, environment_share(loop.environment, loop.Delta_D, loop.period))
 
     def stiffness(self, tau: float) -> dict[str, float]:
-        """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) leaves nothing."""
+        """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) permits none."""
         loop = self.loop
         if tau > loop.period:
             return {device.name: 0.0 for device in loop.devices}
@@ -61,20 +61,20 @@ class Worth:
         }
 
     def weakest(self, tau: float) -> float:
-        """The least of :meth:`stiffness`."""
+        """The smallest value of :meth:`stiffness`, N/m."""
         return min(self.stiffness(tau).values())
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to change, and what that would buy."""
+    """A change to the machine or the session, and its benefit."""
 
     change: str
     buys: str
 
 
 def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, Any]:
-    """Stiffness by device: without a delay, and by way at each of :data:`QUANTILES`; N/m."""
+    """The object that ``--json`` prints: stiffness in N/m by device, without a delay and by way and quantile."""
     limit = worth.stiffness(0.0)
     by_way = {t.way.key: {q: worth.stiffness(getattr(t.tau, q) * 1e-6) for q in QUANTILES} for t in ticking}
     return {
@@ -85,13 +85,13 @@ def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, An
 
 
 def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> tuple[Advice, ...]:
-    """What to change, what helps most first; nothing where there is nothing to be said.
+    """Advice for a machine and a session; the most useful first.
 
     Args:
-        machine: what it is like.
-        measured: what the probe found.
-        worth: the loop, to say what a change is worth.
-        chains: users' chains in the session: devices with their couplings.
+        machine: the machine's properties.
+        measured: what the probe measured.
+        worth: the loop, from which the benefit of a change is computed.
+        chains: number of users' chains in the session: devices with their couplings.
     """
     best = min(measured.ticking, key=lambda t: t.tau.p999)
     found = [*_period(best.tau, worth), *_rights(machine, measured, best, worth)]
@@ -100,8 +100,8 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
     if usable < chains + 1:
         found.append(
             Advice(
-                f"give it more processors: {usable} usable, {chains} users and an environment want {chains + 1}",
-                f"each chain a processor of its own; {tail}",
+                f"give it more processors: {usable} usable, {chains} users and an environment need {chains + 1}",
+                f"a separate processor for each chain; {tail}",
             )
         )
     if machine.virtual is not None:
@@ -122,13 +122,13 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
 
 
 def _tail(tau: Spread, worth: Worth) -> str:
-    """What the tail of a tick costs: the most that whatever makes ticks even can buy."""
+    """The most that removing the slowest ticks can gain in stiffness, as a text."""
     now, even = (worth.weakest(getattr(tau, q) * 1e-6) for q in reversed(QUANTILES))
     return f"at most {now:.0f} -> {even:.0f} N/m, were every tick like the median one"
 
 
 def _period(tau: Spread, worth: Worth) -> list[Advice]:
-    """A tick that does not fit in its period, or one that would fit in half of it."""
+    """Advice on the period: lengthen it where a tick does not fit, halve it where a tick fits in half."""
     T, delay = worth.loop.period, tau.p999 * 1e-6
     if delay > T:
         longer = _round_up(delay)
@@ -149,7 +149,7 @@ def _period(tau: Spread, worth: Worth) -> list[Advice]:
 
 
 def _at(worth: Worth, T: float, tau: float) -> str:
-    """The weakest device's stiffness at another period, where the environment takes nothing at any period."""
+    """The weakest device's stiffness at another period, as a text; only for an environment that takes no share."""
     if worth.share > 0.0:
         return "what manyhands budget shows"
     loop = worth.loop
@@ -158,18 +158,21 @@ def _at(worth: Worth, T: float, tau: float) -> str:
 
 
 def _round_up(seconds: float) -> float:
-    """To a tenth of a millisecond, and one more to spare."""
+    """Round up to a tenth of a millisecond, and add another as a reserve."""
     return (math.ceil(seconds * 1e4 - 1e-6) + 1) / 1e4
 
 
 def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -> list[Advice]:
-    """What the kernel has refused, in the words of whoever can grant it."""
+    """Advice for each right that the kernel refused: the setting with which an administrator grants it."""
     found = []
     grants, tail = measured.waking.granted, _tail(best.tau, worth)
     if not grants["fifo"].granted:
         change = f"permit SCHED_FIFO: 'rtprio {FIFO_PRIORITY}' for this user in /etc/security/limits.conf"
         found.append(
-            Advice(f"{change}, then log in again ({grants['fifo'].said})", f"ticks that others do not delay; {tail}")
+            Advice(
+                f"{change}, then log in again ({grants['fifo'].said})",
+                f"ticks that other programs do not delay; {tail}",
+            )
         )
     if not grants["memory_locked"].granted:
         change = "permit locked memory: 'memlock unlimited' for this user in /etc/security/limits.conf"
@@ -178,7 +181,7 @@ def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -
         late: Mapping[str, Spread] = measured.waking.late
         found.append(
             Advice(
-                f"let timer slack be set: prctl(PR_SET_TIMERSLACK) is refused ({grants['timer_slack'].said})",
+                f"permit setting the timer slack: prctl(PR_SET_TIMERSLACK) is refused ({grants['timer_slack'].said})",
                 f"wake-ups up to 50 us earlier; they are {late['default_slack'].p50:.0f} us late (median)",
             )
         )

@@ -1,7 +1,4 @@
-"""The whole of `manyhands doctor`: look, measure, say what it means.
-
-What a person sees of the doctor: what is being measured, tables, and advice.
-"""
+"""`manyhands doctor` as a whole: examine the machine, measure, and print tables with advice."""
 
 from __future__ import annotations
 
@@ -31,16 +28,16 @@ from manyhands.nodes.realtime import Grant
 
 _WAYS = {
     "default_slack": "timer slack 50 us (the default)",
-    "least_slack": "timer slack 1 ns (what nodes ask for)",
+    "least_slack": "timer slack 1 ns (requested by nodes)",
     "fifo": "SCHED_FIFO",
 }
 
 
 @contextmanager
 def measuring(console: Console) -> Iterator[Callable[[str], None]]:
-    """Show what is being measured; yields a function that says it.
+    """Show what is being measured; yields a function that takes the text.
 
-    Drawn when something is said and at no other time: a spinner's thread would be measured, too.
+    The line is drawn only when the text changes: the thread of a spinner would disturb the measurement.
     """
     if not console.is_terminal:
         yield lambda text: say(console, f"measuring {text}")
@@ -50,7 +47,7 @@ def measuring(console: Console) -> Iterator[Callable[[str], None]]:
 
 
 def print_machine(console: Console, machine: Machine, granted: Mapping[str, Grant]) -> None:
-    """The machine and what it permits."""
+    """Print the machine's properties and what it permits."""
     table = Table(title="this machine", title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(overflow="fold")
@@ -64,8 +61,8 @@ def print_machine(console: Console, machine: Machine, granted: Mapping[str, Gran
 
 
 def machine_rows(machine: Machine) -> dict[str, str]:
-    """What the machine is, row by row."""
-    unknown = "not told"
+    """The machine's properties as texts, by the name of the row."""
+    unknown = "unknown"
     memory = "unlimited" if machine.memory_limit is None else f"{machine.memory_limit / 2**20:g} MiB"
     raises, locks = _capability("CAP_SYS_NICE", machine.may_raise), _capability("CAP_IPC_LOCK", machine.may_lock)
     share = "unbounded" if machine.realtime_share is None else f"{machine.realtime_share:.0%} of a processor"
@@ -73,7 +70,7 @@ def machine_rows(machine: Machine) -> dict[str, str]:
     return {
         "kernel": f"{machine.kernel}, {machine.preemption}",
         "runs on": where
-        + ("hardware, as far as it shows" if machine.virtual is None else f"{machine.virtual} (virtual)"),
+        + ("hardware, as far as can be seen" if machine.virtual is None else f"{machine.virtual} (virtual)"),
         "processors": f"{machine.processors}; usable: {', '.join(map(str, machine.usable))}",
         "frequency governor": unknown if machine.governors is None else ", ".join(machine.governors),
         "clock source": machine.clock_source or unknown,
@@ -86,7 +83,7 @@ def machine_rows(machine: Machine) -> dict[str, str]:
 
 
 def print_measured(console: Console, measured: Measured, period: float) -> None:
-    """How late a process wakes, and how long a tick takes."""
+    """Print how late a process wakes, and how long a tick takes."""
     table = _durations(f"how late a process wakes, T = {period * 1e3:g} ms [µs]", "way")
     for way, spread in measured.waking.late.items():
         table.add_row(_WAYS[way], *_row(spread))
@@ -99,7 +96,7 @@ def print_measured(console: Console, measured: Measured, period: float) -> None:
 
 
 def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple[Advice, ...]) -> None:
-    """What the ticks leave to be certified, and what would change that."""
+    """Print the stiffness that can be certified with the measured delays, and the advice."""
     loop = worth.loop
     table = Table(title=escape(f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"), title_justify="left")
     table.add_column("certified stiffness below [N/m]")
@@ -111,7 +108,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
         values = (worth.weakest(getattr(ticking.tau, q) * 1e-6) for q in QUANTILES)
         table.add_row(ticking.way.text, *(f"{value:.0f}" if value > 0.0 else "none" for value in values))
     console.print(table)
-    say(console, "Here a session is at rest among springs; the report of a run has its own delays (manyhands launch).")
+    say(console, "This session is at rest among springs; the report of a run has its own delays (manyhands launch).")
     for one in found:
         say(console, f"- {one.change}\n    buys: {one.buys}")
 
@@ -144,7 +141,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     """Examine this machine for a session.
 
     Args:
-        session: whose graph, period and devices' levels are taken.
+        session: the session, of which the graph, the period and the devices' levels are used.
         seconds: how long to measure, s.
         out: for the results.
         err: for progress and messages.
@@ -168,7 +165,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         with measuring(err) as show:
             measured = measure(plan, seconds, machine.usable, machine.curve, show)
     except Interrupted as error:
-        say(err, "interrupted before the measurement was done")
+        say(err, "interrupted before the measurement was complete")
         return 128 + error.signal
     except ProbeFailed as error:
         say(err, f"error: the probe failed: {error}")

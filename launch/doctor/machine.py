@@ -1,6 +1,6 @@
-"""What a machine is like, as far as a loop of a millisecond feels it; read, never changed, and never refused.
+"""The properties of a machine that matter for a loop at 1 kHz; they are only read, never changed.
 
-What cannot be read is None: a container may hide it, another kernel may not have it.
+A property that cannot be read is None: a container may hide it, and another kernel may lack it.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ class Machine:
     Attributes:
         kernel: system and release.
         preemption: PREEMPT_RT, PREEMPT_DYNAMIC, PREEMPT, or "voluntary or none".
-        virtual: which kind of virtual machine this is; None for none that shows.
-        container: whether this runs in a container.
-        processors: those of the machine.
-        usable: those that this process may use, by number.
-        governors: of their frequencies; None where that is the host's business.
-        clock_source: of the kernel.
+        virtual: the kind of virtual machine; None where no sign of one is found.
+        container: whether this process runs in a container.
+        processors: number of processors of the machine.
+        usable: the numbers of the processors that this process may use.
+        governors: the different frequency governors of the usable processors; None where they cannot be read.
+        clock_source: the kernel's clock source.
         priority_limit: RLIMIT_RTPRIO.
-        may_raise: CAP_SYS_NICE.
+        may_raise: whether the process has CAP_SYS_NICE.
         memory_limit: RLIMIT_MEMLOCK, bytes; None for no limit.
-        may_lock: CAP_IPC_LOCK.
-        realtime_share: the part of its time that a processor gives to real-time threads at most; None for no limit.
+        may_lock: whether the process has CAP_IPC_LOCK.
+        realtime_share: the greatest part of a processor's time for real-time threads; None for no limit.
         python: implementation, version and compiler.
-        gil: whether one interpreter lock is held at a time.
+        gil: whether the interpreter has a global lock.
         zeromq: version of libzmq.
-        pyzmq: version of its binding.
-        curve: whether libzmq can encrypt.
-        ipc: whether it can use Unix-domain sockets.
+        pyzmq: version of its Python binding.
+        curve: whether libzmq can encrypt (CURVE).
+        ipc: whether libzmq can use Unix-domain sockets.
     """
 
     kernel: str
@@ -67,15 +67,15 @@ class Machine:
     ipc: bool
 
     def plain(self) -> dict[str, Any]:
-        """As the JSON has it."""
+        """The machine as plain data, for ``--json``."""
         return asdict(self) | {"usable": list(self.usable), "governors": self.governors and list(self.governors)}
 
 
 def examine(root: Path = Path("/")) -> Machine:
-    """Look at this machine.
+    """The properties of this machine.
 
     Args:
-        root: where proc and sys are found.
+        root: the folder with proc and sys.
     """
     system, name = Linux(), platform.uname()
     usable = tuple(sorted(os.sched_getaffinity(0)))
@@ -110,9 +110,9 @@ def preemption(version: str) -> str:
 
 
 def virtual(root: Path) -> str | None:
-    """Which kind of virtual machine this is; None for none that shows.
+    """The kind of virtual machine; None where no sign of one is found.
 
-    The processor's flag tells that there is a hypervisor; the firmware's tables, where there are any, tell whose.
+    A flag of the processor shows that there is a hypervisor. The firmware's tables, if there are any, name its product.
     """
     kind = _text(root / "sys/hypervisor/type")
     flags = next((line for line in (_text(root / "proc/cpuinfo") or "").splitlines() if line.startswith("flags")), "")
@@ -123,14 +123,14 @@ def virtual(root: Path) -> str | None:
 
 
 def governors(root: Path, usable: tuple[int, ...]) -> tuple[str, ...] | None:
-    """The different frequency governors of the usable processors."""
+    """The different frequency governors of the usable processors; None where none can be read."""
     paths = (root / f"sys/devices/system/cpu/cpu{n}/cpufreq/scaling_governor" for n in usable)
     found = {text for path in paths if (text := _text(path)) is not None}
     return tuple(sorted(found)) or None
 
 
 def realtime_share(root: Path) -> float | None:
-    """The part of a period that the kernel leaves to real-time threads; None where nothing bounds it."""
+    """The greatest part of a processor's time for real-time threads; None where it is unbounded or unknown."""
     runtime, period = (_text(root / f"proc/sys/kernel/sched_rt_{name}_us") for name in ("runtime", "period"))
     if runtime is None or period is None or int(runtime) < 0:
         return None
@@ -138,14 +138,14 @@ def realtime_share(root: Path) -> float | None:
 
 
 def has_gil() -> bool:
-    """Whether this interpreter runs with its global lock: a free-threaded build may, too."""
+    """Whether this interpreter runs with its global lock; even a free-threaded build may."""
     if not sysconfig.get_config_var("Py_GIL_DISABLED"):
         return True
     return bool(getattr(sys, "_is_gil_enabled", lambda: True)())
 
 
 def _text(path: Path) -> str | None:
-    """A file of the kernel's, in one go; None where it is not there, not ours to read, or empty."""
+    """The text of a file of the kernel; None where it is absent, not readable, or empty."""
     try:
         return path.read_text(errors="replace").strip() or None
     except OSError:

@@ -1,8 +1,8 @@
 """What the doctor measures: how late a process wakes, and how long a tick takes in a session of this machine.
 
-The ticks are those of a session that the ordinary supervisor runs in real time: the devices, couplings and links of
-the user's session, with simulated devices whose hands rest and an environment of springs. Nothing has to be designed
-for it, no code of a model is run, and no force is exerted.
+The ordinary supervisor runs a session in real time. It has the devices, couplings and links of the user's session, but
+its devices are simulated, their hands rest, and its environment consists of springs. This session needs no design, runs
+no model's code, and exerts no force.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from manyhands.protocol.messages import Observation, Role
 
 MOST_PROCESSES = 64
 LEAST_TICKS = 50
-ANSWER_TIME = from_seconds(60.0)  # for a process to start, on a machine that is busy
-SLOWEST = 20  # periods that a wake-up may take on average before the probe is given up
+ANSWER_TIME = from_seconds(60.0)  # for a process to start on a busy machine
+SLOWEST = 20  # periods that a wake-up may take on average; beyond, the probe fails
 
-WAKING_PART = 0.3  # of the seconds; the ways of carrying a tick share the rest
+WAKING_PART = 0.3  # of the measuring time; the ways of carrying a tick share the rest
 
-_WAKING = "waking"  # the name of that process
-_MOST_OUTPUT = 2**16  # bytes, what a pipe holds; percentiles and sentences take two thousand
+_WAKING = "waking"  # name of the process that measures wake-ups
+_MOST_OUTPUT = 2**16  # bytes, the capacity of a pipe; the answer takes about two thousand
 
 
 class ProbeFailed(Exception):
-    """The probe could not be done; says which process did what."""
+    """The probe failed; the message names the process and the reason."""
 
 
 class Interrupted(Exception):
     """The user interrupted the probe.
 
     Attributes:
-        signal: by which signal.
+        signal: the signal that came.
     """
 
     def __init__(self, which: signal.Signals) -> None:
@@ -61,11 +61,11 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True)
 class Way:
-    """A way of carrying a tick.
+    """A way of carrying a tick: a transport, and the processors of the processes.
 
     Attributes:
-        key: its name in the JSON.
-        text: its name for people.
+        key: its name in the JSON object.
+        text: its name in tables.
         transport: "ipc", or "tcp" with CURVE.
         places: the processor of each process that is pinned; pinned processes over ipc run under SCHED_FIFO where
             that is permitted.
@@ -79,13 +79,13 @@ class Way:
 
 @dataclass(frozen=True)
 class Ticking:
-    """One way's ticks.
+    """The measured ticks of one way.
 
     Attributes:
-        way: which.
-        tau: from sampling to applying, over all devices.
-        ticks: ticks of all devices together.
-        late: those that ended after the next was due.
+        way: the way.
+        tau: the delay from sample to force, over all devices, us.
+        ticks: number of ticks of all devices together.
+        late: number of ticks that ended after the next tick was due.
     """
 
     way: Way
@@ -96,17 +96,17 @@ class Ticking:
 
 @dataclass(frozen=True)
 class Measured:
-    """All that the probe has measured."""
+    """All measurements of the probe."""
 
     waking: Waking
     ticking: tuple[Ticking, ...]
 
 
 class Delays(Recorder):
-    """A recorder that keeps the tau of every tick of every device, ns.
+    """A recorder that keeps the delay tau of every tick of every device.
 
     Attributes:
-        tau: in the order in which they were reported.
+        tau: the delays, ns, in the order in which they were reported.
     """
 
     def __init__(self) -> None:
@@ -126,18 +126,18 @@ def measure(
     curve: bool,
     show: Callable[[str], None],
 ) -> Measured:
-    """Measure all of it, one thing after the other.
+    """Measure wake-ups and then each way of carrying a tick, one after the other.
 
     Args:
-        plan: of the session whose period and graph are taken, at most :data:`MOST_PROCESSES` nodes.
-        seconds: how long to measure in all, s; starting the processes comes on top.
-        processors: those that may be used.
+        plan: the session, of which the period and the graph are used; at most :data:`MOST_PROCESSES` nodes.
+        seconds: how long to measure in all, s; the start of the processes takes additional time.
+        processors: the processors that may be used.
         curve: whether ZeroMQ can encrypt.
         show: called with what is being measured.
 
     Raises:
         Interrupted: on Ctrl-C.
-        ProbeFailed: a process did not start, not answer, or ended.
+        ProbeFailed: a process did not start, did not answer, or ended early.
     """
     session = plan.session
     with Interrupt() as interrupt:
@@ -157,9 +157,10 @@ def measure(
 
 
 def _ways(graph: Topology, processors: Sequence[int], fifo: bool, curve: bool) -> list[Way]:
-    """What there is to be compared: the session as `manyhands launch` would run it, and without SCHED_FIFO.
+    """The ways to compare: as `manyhands launch` would run the session, without SCHED_FIFO, and over encrypted tcp.
 
-    A node takes SCHED_FIFO where it is pinned and may: without it, on a machine that permits it, nothing is pinned.
+    A node takes SCHED_FIFO where it is pinned and permitted. To compare without it, nothing is pinned on a machine that
+    permits it.
     """
     pinned, raised = placement(graph, processors), placement(graph, processors, raised=True)
     if fifo and raised:
@@ -176,7 +177,7 @@ def _ticks(seconds: float, period: float) -> int:
 
 
 def at_rest(session: Session) -> Session:
-    """A session of the same processes, ports and links in which nothing moves: it needs no design, and no model."""
+    """A session of the same processes, ports and links in which nothing moves; it needs no design and no model."""
     devices = {
         name: {"dof": device.dof, "axes": device.axes, "osp": 1.0, "driver": "simulated", "mass": 1.0,
                "hand": {"force": 0.0}}
@@ -204,10 +205,10 @@ def measure_waking(
     Args:
         period: T, s.
         seconds: how long to measure, s.
-        processor: where.
-        directory: for the process's error output.
-        interrupt: entered; ends the wait.
-        clock: for the time limit.
+        processor: number of the processor.
+        directory: the folder for the process's error output.
+        interrupt: an entered one; a signal ends the wait.
+        clock: the clock of the time limit; by default the real one.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -237,7 +238,12 @@ def measure_waking(
 
 
 def _end_of(processes: Processes, within: Duration, interrupt: Interrupt, clock: Clock) -> int:
-    """The exit code of the one process."""
+    """The exit code of the only process, once it has ended.
+
+    Raises:
+        Interrupted: on Ctrl-C.
+        ProbeFailed: the process did not end within the given time.
+    """
     poll = select.poll()
     for fd in (*processes.fds, interrupt.fd):
         poll.register(fd, select.POLLIN)
@@ -249,11 +255,11 @@ def _end_of(processes: Processes, within: Duration, interrupt: Interrupt, clock:
         if ended := processes.reap(ready):
             return ended[_WAKING]
         if not ready:
-            raise ProbeFailed(f"{_WAKING}: no answer within {within / 1e9:g} s; see what else runs here")
+            raise ProbeFailed(f"{_WAKING}: no answer within {within / 1e9:g} s; check what else runs on this machine")
 
 
 def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
-    """So many ticks of a session at rest, carried in one way.
+    """Run ``ticks`` ticks of a session at rest in one way, and collect their delays.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -274,8 +280,8 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     if outcome.faults:
         raise ProbeFailed("; ".join(outcome.faults))
     if not delays.tau:
-        raise ProbeFailed(f"{way.text}: found no tick that was answered; see what else runs here")
-    nodes = outcome.report["nodes"]  # one without a last word is not in it
+        raise ProbeFailed(f"{way.text}: found no tick that got a force; check what else runs on this machine")
+    nodes = outcome.report["nodes"]  # a node that sent no last report is absent
     devices = [name for name, role in rested.graph.nodes.items() if role is Role.DEVICE]
     late = sum(nodes[name][names.LATE] for name in devices if name in nodes)
     return Ticking(way, Spread.of(delays.tau), len(delays.tau), late)

@@ -1,7 +1,7 @@
 """How late a process wakes: ``python -m manyhands.launch.doctor.wakeup PERIOD PARENT_PID TICKS PRIORITY``.
 
-A probe of the machine alone, without a session: the kernel's timer slack, the least slack, and SCHED_FIFO are compared
-in one process, by turns, which no node does. It prints one line of JSON.
+This process probes the machine alone, without a session. It compares the kernel's default timer slack, the least slack,
+and SCHED_FIFO, by turns in one process; a node uses only one of them. It prints one line of JSON.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from manyhands.protocol.clock import Instant, RealtimeClock
 
 DEFAULT_SLACK = 50_000  # ns, the kernel's own
 LEAST_SLACK = 1
-BLOCK = 50  # ticks after which the next way of waking is tried: all of them see the same weather
+BLOCK = 50  # ticks before the next way takes its turn, so that other load affects all ways alike
 
 _EXIT_OK = 0
 _EXIT_BAD_INPUT = 2
@@ -33,7 +33,7 @@ _RANKS = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 @dataclass(frozen=True)
 class Spread:
-    """Percentiles of a duration, us; what lies between two values counts as the greater."""
+    """Percentiles of a duration, us; a percentile between two values is the greater of them."""
 
     p50: float
     p99: float
@@ -42,12 +42,12 @@ class Spread:
 
     @classmethod
     def of(cls, nanoseconds: Sequence[int]) -> Self:
-        """The percentiles of some durations, at least one."""
+        """The percentiles of at least one duration, given in ns."""
         values = np.quantile(np.array(nanoseconds, dtype=np.float64), [_RANKS[p] for p in PERCENTILES], method="higher")
         return cls(*(float(value) / 1e3 for value in values))
 
     def plain(self) -> dict[str, float]:
-        """As the JSON has it."""
+        """The percentiles as plain data, for ``--json``."""
         return {name: getattr(self, name) for name in PERCENTILES}
 
 
@@ -56,34 +56,34 @@ class Waking:
     """How late a process wakes.
 
     Attributes:
-        late: by way of waking: ``default_slack``, ``least_slack``, and ``fifo`` where it is permitted.
-        granted: what the kernel granted to the process, by wish.
+        late: the lateness by way: ``default_slack``, ``least_slack``, and ``fifo`` where it is permitted.
+        granted: what the kernel granted to the process, by requested right.
     """
 
     late: dict[str, Spread]
     granted: dict[str, Grant]
 
     def to_json(self) -> str:
-        """One line, which :meth:`from_json` reads."""
+        """One line of JSON, which :meth:`from_json` reads."""
         granted = {name: [grant.granted, grant.said] for name, grant in self.granted.items()}
         return json.dumps({"late": {way: spread.plain() for way, spread in self.late.items()}, "granted": granted})
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """What a process of this module has printed."""
+        """The result in the line that a process of this module printed."""
         plain: dict[str, Any] = json.loads(line)
         granted = {name: Grant(bool(yes), str(text)) for name, (yes, text) in plain["granted"].items()}
         return cls({way: Spread(**percentiles) for way, percentiles in plain["late"].items()}, granted)
 
 
 def wake(period: int, ticks: int, priority: int, life: Life) -> Waking:
-    """Wake so many times in each way, in turns of :data:`BLOCK` ticks.
+    """Wake ``ticks`` times in each way, in turns of :data:`BLOCK` ticks.
 
     Args:
-        period: ns.
-        ticks: number of times.
-        priority: of SCHED_FIFO for the last of the ways; 0 leaves it out.
-        life: says whether to go on.
+        period: time between wake-ups, ns.
+        ticks: number of wake-ups in each way.
+        priority: SCHED_FIFO priority of the last way; 0 leaves this way out.
+        life: the lifetime of the process, which ends with its parent.
 
     Raises:
         Stopped: the process is to end.
@@ -121,23 +121,23 @@ def _wake_block(period: int, clock: RealtimeClock, late: array[int]) -> None:
         clock.sleep_until(due)
         woke = clock.now()
         late.append(woke - due)
-        if woke > due + period:  # one bad wake-up is not to be counted in those after it
+        if woke > due + period:  # a wake-up that is late by more than a period must not delay those after it
             due = woke
 
 
 def _with_slack(granted: Granted) -> Granted:
-    """As granted, with what the kernel says of the slack that the clock has asked for."""
+    """``granted`` with the kernel's answer about the timer slack that the clock has requested."""
     slack = prepare(RealtimeWishes(memory=False, priority=0)).timer_slack
     return Granted(granted.memory_locked, granted.fifo, slack, granted.pinned)
 
 
 def set_timer_slack(nanoseconds: int) -> None:
-    """Set this thread's timer slack; a kernel that refuses leaves it as it is, which the figures show."""
+    """Set this thread's timer slack; if the kernel refuses, the slack stays, and the figures show it."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(nanoseconds), 0, 0, 0)
 
 
 def main() -> int:
-    """Measure as the command line says; returns the exit code."""
+    """Measure with the arguments of the command line; returns the exit code."""
     if len(sys.argv) != 5 or not all(argument.isdigit() for argument in sys.argv[1:]):
         print("usage: python -m manyhands.launch.doctor.wakeup PERIOD PARENT_PID TICKS PRIORITY", file=sys.stderr)  # noqa: T201
         return _EXIT_BAD_INPUT
@@ -145,7 +145,7 @@ def main() -> int:
     try:
         found = wake(period, ticks, priority, Life(parent))
     except Stopped:
-        return _EXIT_OK  # as the process that started it wants
+        return _EXIT_OK  # the parent process has asked for the end
     print(found.to_json())  # noqa: T201 -- to the process that started it
     return _EXIT_OK
 

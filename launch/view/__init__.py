@@ -1,6 +1,6 @@
-"""The page of a running session: an observer that serves what the session shows of itself to a browser.
+"""The page of a running session: an observer that shows the session in a browser.
 
-It reads the session's broadcast, as every command that observes does, and sends one thing: where a person's hand, on
-the page, moves a device (:mod:`manyhands.protocol.transport.pointer`). Read ``server``, ``feed``, ``pointer``,
+It reads the session's broadcast, as every observing command does. It sends one thing only: the position to which a
+person drags a device on the page (:mod:`manyhands.protocol.transport.pointer`). Read ``server``, ``feed``, ``pointer``,
 ``security``.
 """

@@ -1,9 +1,10 @@
-"""What a page is told: once what does not change, and then pictures, each with what is new since the last. Pure.
+"""The messages that a page receives, and the task that follows one session for all pages.
 
-A picture is made when a page can take it, from rings of bounded length: a page that does not read for a while misses
-nothing but what has left the rings since, and nothing waits for it in memory.
+A page receives what never changes once, in its first message, and then pictures, each with what is new since the last
+(:class:`Feed`, which is pure). A picture is made when the page can take it, from rings of bounded length. A page that
+does not read for a while therefore misses only what has left the rings, and no messages wait for it in memory.
 
-Looking on at one session within an event loop: its broadcast and the end of its supervisor, until the loop ends.
+:class:`Watch` follows the session's broadcast in an event loop, and notices the end of its supervisor.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ from manyhands.protocol.messages import Observation, Role
 from manyhands.protocol.transport.broadcast import Visit
 
 ALARMS_SHOWN: Final = 100
-"""So many alarms a page is told of, the gravest."""
+"""Number of alarms that a page receives at most, the gravest ones."""
 
 _DIGITS: Final = 6
-"""Significant digits of what is drawn: a picture has a thousand lines."""
+"""Significant digits of the values that a page draws; a plot has about a thousand lines of pixels."""
 
 
 @dataclass
 class Cursor:
-    """How much a page has been told."""
+    """What one page has received so far."""
 
     buckets: dict[str, int] = field(default_factory=dict)
     heard: dict[str, Instant] = field(default_factory=dict)
@@ -45,25 +46,25 @@ class Cursor:
 
 
 class Feed:
-    """A session as pages are told of it.
+    """Makes the messages about one session for its pages.
 
     Attributes:
-        scene: what is known of it.
-        over: whether it is over.
+        scene: the state of the session as far as it is known.
+        over: whether the session is over.
     """
 
     def __init__(self, about: About, wall: float) -> None:
-        """Nothing has been seen yet.
+        """A feed that has not received a frame.
 
         Args:
             about: the session.
-            wall: seconds since 1970 at the clock's instant 0, for what people are told the time of.
+            wall: seconds since 1970 at the clock's instant 0, from which pages show the time of day.
         """
         self.scene, self.over = Scene(about), False
         self._tracks, self._alarms, self._wall = Tracks(about), Alarms(), wall
 
     def take(self, frame: bytes, now: Instant) -> None:
-        """A frame of the broadcast's."""
+        """Take in a frame of the broadcast that came at ``now``."""
         message = self.scene.take(frame, now)
         if isinstance(message, Observation):
             self._tracks.take(message)
@@ -71,12 +72,12 @@ class Feed:
             self.over = True
 
     def look(self, now: Instant) -> None:
-        """Raise and clear alarms; what a session did that is over is not judged any more."""
+        """Raise and clear alarms; once the session is over, alarms stay as they are."""
         if not self.over:
             self._alarms.look(self.scene, now)
 
     def session(self) -> str:
-        """What does not change, as a page is told it first."""
+        """The first message of a page, with what does not change (JSON)."""
         tracks = {
             key.name: {
                 "node": key.node,
@@ -92,9 +93,9 @@ class Feed:
         return json.dumps({"type": "session", **about, **seen})
 
     def picture(self, cursor: Cursor, held: dict[str, str]) -> str:
-        """How the session is now, with what is new since ``cursor``, which is moved on."""
+        """The session's present state with what is new since ``cursor``, which is moved on (JSON)."""
         scene = self.scene
-        told: dict[str, Any] = {
+        message: dict[str, Any] = {
             "type": "picture",
             "over": self.over,
             "phase": "" if scene.condition is None else scene.condition.phase,
@@ -111,8 +112,8 @@ class Feed:
         }
         if cursor.alarms != self._alarms.version:
             cursor.alarms = self._alarms.version
-            told["alarms"] = self._listed()
-        return json.dumps(told)
+            message["alarms"] = self._listed()
+        return json.dumps(message)
 
     def _nodes(self, cursor: Cursor) -> dict[str, Any]:
         scene, out = self.scene, dict[str, Any]()
@@ -131,7 +132,7 @@ class Feed:
             sent = cursor.buckets.get(key.name, 0)
             if track.end == sent:
                 continue
-            # the last one once more: a gap that ended inside it may have added to it
+            # the last bucket is sent again: it may have grown after a gap that ended inside it
             new = track.since(max(sent - 1, 0))
             cursor.buckets[key.name] = track.end
             out[key.name] = _piece(new)
@@ -152,7 +153,7 @@ class Feed:
 
 
 def _piece(new: Decimated) -> list[Any]:
-    """First bucket, and of each column its values, two a bucket."""
+    """The number of the first bucket, and the values of each column, two for each bucket."""
     columns = new.values.reshape(-1, new.values.shape[2]).T.tolist()
     return [new.first, [[_rounded(value) for value in column] for column in columns]]
 
@@ -162,25 +163,25 @@ def _rounded(value: float | None) -> float | None:
 
 
 LOOK_EVERY: Final = 0.25
-"""How often alarms and pointers are looked after, s."""
+"""How often alarms and holds are checked, s."""
 
-_MOST_AT_ONCE: Final = 64  # frames that are taken in before pages get their turn
+_MOST_AT_ONCE: Final = 64  # frames that are taken in before other tasks get their turn
 
 
 class Watch:
-    """What is known of a session, and what is held of it.
+    """Follows one session for all pages, and keeps the devices that the pages hold.
 
     Attributes:
-        clock: what it and the pages' bounds go by.
-        feed: what pages are told.
-        holding: which page holds what.
+        clock: the clock for it and for the limits of the pages.
+        feed: the messages for the pages.
+        holding: which page holds which device.
     """
 
     def __init__(self, running: Running, clock: Clock) -> None:
-        """Enter the session's broadcast.
+        """Connect to the session's broadcast.
 
         Raises:
-            TransportError: there can be none.
+            TransportError: the broadcast, or a device's pointer, cannot be connected.
         """
         self._running, self.clock = running, clock
         self.feed = Feed(running.about, time.time() - clock.now() / 1e9)
@@ -188,7 +189,7 @@ class Watch:
         self._visit = Visit(running.directory)
 
     async def run(self) -> None:
-        """Look on until cancelled; a session that is over stays as it was last seen."""
+        """Follow the session until cancelled; when it is over, its last state stays."""
         loop = asyncio.get_running_loop()
         with self._reading(loop), self._until_its_end(loop):
             while True:
@@ -199,7 +200,7 @@ class Watch:
                 self.holding.expire(now)
 
     def close(self) -> None:
-        """Let go of everything, and leave. A second time does nothing."""
+        """Let go of all devices, and disconnect. A second call does nothing."""
         self.holding.close()
         self._visit.close()
 
@@ -214,7 +215,7 @@ class Watch:
 
     @contextmanager
     def _until_its_end(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
-        """Notice that the supervisor's process ended, which one that was killed does not tell."""
+        """Notice the end of the supervisor's process, which a killed supervisor does not report."""
         try:
             fd = os.pidfd_open(self._running.about.pid)
         except ProcessLookupError:
@@ -234,7 +235,7 @@ class Watch:
             os.close(fd)
 
     def _take_in(self) -> None:
-        """Take in what has come; what is left waits for the next look, which is soon."""
+        """Take in the frames that have come, a bounded number at once; the rest follow soon, after other tasks."""
         now = self.clock.now()
         for _ in range(_MOST_AT_ONCE):
             frame = self._visit.recv(Duration(0))

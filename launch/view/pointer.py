@@ -1,9 +1,8 @@
-"""What a page may say: its token, where a hand wants a device, that it lets go; and how often. Pure.
+"""The messages of a page (its token, hold a device, let go of it), their limits, and which page holds which device.
 
-A page is a stranger until it is proved otherwise: whatever it sends is bounded, checked against the session, and
-answered with a sentence where it is wrong.
-
-Which page holds which device: one at a time, and none for longer than it says so.
+A page is not trusted: the size and number of its messages are bounded, each is checked against the session, and a wrong
+one is answered with a sentence. One page at a time holds a device, and only as long as it keeps saying so. The messages
+are parsed without input or output; :class:`Holding` alone sends to devices.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet
 
 MAX_DEMAND_BYTES: Final = 4096
-"""Longest message of a page: a position of every axis of the largest device that a browser can hold is shorter."""
+"""Longest message of a page, in bytes: the positions of the largest device that a browser can hold take less."""
 
 DEMANDS_PER_S: Final = 100
-"""Messages a second that a page may send in the long run: a pointer tells of its moves at most so often."""
+"""Messages a second that a page may send in the long run: a pointer's moves come at most this often."""
 
 DEMANDS_AT_ONCE: Final = 200
-"""And so many at once, which a page may have in hand when its machine was busy."""
+"""Messages that a page may send at once, as it may after its machine was busy."""
 
 
 @dataclass(frozen=True)
 class Hold:
-    """A hand wants the device there: m, one entry an axis, none beyond the device's reach."""
+    """A request to hold a device at ``position``: m, one entry for each axis, within the device's reach."""
 
     device: str
     position: tuple[float, ...]
@@ -41,14 +40,14 @@ class Hold:
 
 @dataclass(frozen=True)
 class LetGo:
-    """A hand has let go of the device."""
+    """A request to let go of the device."""
 
     device: str
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """A message that is none of a page's; ``why`` in a sentence."""
+    """A message that no page sends, or that does not fit the session; ``why`` is a sentence."""
 
     why: str
 
@@ -57,7 +56,7 @@ Demand: TypeAlias = Hold | LetGo | Wrong
 
 
 def demand_of(text: str, about: About) -> Demand:
-    """What a page's message means in this session."""
+    """The request in a page's message, checked against this session."""
     match _parsed(text):
         case {"grasp": str(device), "position": list(position), **rest} if not rest:
             if device not in about.grips:
@@ -70,7 +69,7 @@ def demand_of(text: str, about: About) -> Demand:
 
 
 def token_of(text: str) -> object:
-    """The token in a page's first message; None where there is none."""
+    """The token in a page's message; None where it has none."""
     match _parsed(text):
         case {"token": token, **rest} if not rest:
             return token
@@ -111,13 +110,13 @@ def _number(entry: object) -> float | None:
 
 
 class MessageAllowance:
-    """How many messages a page may still send: a bucket that fills with time."""
+    """How many messages a page may still send: a token bucket that fills with time."""
 
     def __init__(self, now: Instant) -> None:
         self._left, self._then = float(DEMANDS_AT_ONCE), now
 
     def spend(self, now: Instant) -> bool:
-        """Whether one more may be taken now."""
+        """Whether one more message is allowed now; if so, it is counted."""
         filled = self._left + (now - self._then) / 1e9 * DEMANDS_PER_S
         self._left, self._then = min(float(DEMANDS_AT_ONCE), filled), now
         if self._left < 1.0:
@@ -127,17 +126,17 @@ class MessageAllowance:
 
 
 GRIP_LASTS: Final = from_seconds(3.0)
-"""How long a device is held for a page that says nothing more: a page that holds one says so ten times a second."""
+"""How long a device stays held without a message of its page; a page that holds a device sends ten a second."""
 
 
 class Holding:
     """The devices that can be held, and the pages (by number) that hold them."""
 
     def __init__(self, directory: Path, about: About) -> None:
-        """Nobody holds any.
+        """No device is held.
 
         Raises:
-            TransportError: a device cannot be there.
+            TransportError: the socket to a device cannot be made.
         """
         self._outlets: dict[str, PointerOutlet] = {}
         self._held: dict[str, tuple[int, Instant]] = {}
@@ -145,34 +144,34 @@ class Holding:
             self._outlets[device] = PointerOutlet(directory, device)
 
     def hold(self, page: int, demand: Hold, now: Instant) -> str | None:
-        """Hold a device for a page; returns why not, if not."""
+        """Hold a device for a page; returns None, or why it cannot be held."""
         holder, _ = self._held.get(demand.device, (page, now))
         if holder != page:
             return f"{demand.device} is held by another page"
         if not self._outlets[demand.device].say(Grasp(np.array(demand.position))):
             self._held.pop(demand.device, None)
-            return f"{demand.device} cannot be held now: it is not there, or does not listen"
+            return f"{demand.device} cannot be held now: its process is not there, or does not receive"
         self._held[demand.device] = page, now
         return None
 
     def let_go(self, page: int, device: str | None = None) -> None:
-        """Let go of what a page holds: of one device, or of all."""
+        """Let go of one device that a page holds, or of all."""
         for held, (holder, _) in list(self._held.items()):
             if holder == page and device in (None, held):
                 self._release(held)
 
     def expire(self, now: Instant) -> None:
-        """Let go of what pages hold that have said nothing for a while."""
+        """Let go of the devices whose pages have sent nothing for :data:`GRIP_LASTS`."""
         for device, (_, said) in list(self._held.items()):
             if now - said > GRIP_LASTS:
                 self._release(device)
 
     def of(self, page: int) -> dict[str, str]:
-        """Of each device that is held, whether it is held ``here`` or ``elsewhere``, as seen from a page."""
+        """For each held device, whether this page holds it (``here``) or another page does (``elsewhere``)."""
         return {device: "here" if holder == page else "elsewhere" for device, (holder, _) in self._held.items()}
 
     def close(self) -> None:
-        """Let go of everything. A second time does nothing."""
+        """Let go of every device, and close the sockets. A second call does nothing."""
         for device in list(self._held):
             self._release(device)
         for outlet in self._outlets.values():
@@ -181,4 +180,4 @@ class Holding:
 
     def _release(self, device: str) -> None:
         del self._held[device]
-        self._outlets[device].say(Release())  # a device that does not hear it lets go by itself, or is gone
+        self._outlets[device].say(Release())  # a device that does not receive it lets go by itself, or has ended

@@ -1,8 +1,9 @@
-"""Who may open the page: by which address, from which page, with which token; and what every answer says of itself.
+"""Who may open the page: the checks of Host, Origin and token, and the security headers of every answer.
 
-On the loopback address the machine's users are trusted and no others can come, but for web pages of elsewhere that are
-open in a user's browser: those are told by their Host (DNS rebinding) and Origin (a foreign page's socket), which a
-browser does not let them choose. On any other address a token is asked for as well.
+On the loopback address, only users of this machine can connect, and they are trusted. Foreign web pages that are open
+in a user's browser are not trusted. The Host header reveals DNS rebinding, and the Origin header reveals a foreign page
+that opens a socket; a browser does not let a page choose these headers. On any other address, a token is required as
+well.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ HEADERS: Final = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
-"""What every answer says of itself: it is this page's own, runs nothing else, and is kept by nobody."""
+"""Headers of every answer: load and run nothing but the page's own files, show it in no frame, store it nowhere."""
 
 LEAST_TOKEN: Final = 16
 MOST_TOKEN: Final = 256
@@ -43,11 +44,11 @@ Headers = Iterable[tuple[bytes, bytes]]
 
 
 class ViewError(Exception):
-    """The page cannot be served as it was asked for; says what was found and what would be right."""
+    """The page cannot be served with these options; the message states what was found and what would be right."""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a page that listens there; a name counts if it is ``localhost``."""
+    """Whether only this machine can reach ``host``; of all names, only ``localhost`` counts."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -55,18 +56,18 @@ def is_loopback(host: str) -> bool:
 
 
 def header(headers: Headers, name: bytes) -> str | None:
-    """The value of a header that is there once; None if it is not, or several times."""
+    """The value of a header that occurs exactly once; None if it is absent or repeated."""
     values = [value for key, value in headers if key.lower() == name]
     return values[0].decode("latin-1") if len(values) == 1 else None
 
 
 @dataclass(frozen=True)
 class Doorstep:
-    """By which names the page may be asked for.
+    """The address of the page, and the check that a request is meant for it.
 
     Attributes:
-        host: what it listens at.
-        port: likewise.
+        host: the name or address at which the server listens.
+        port: the port at which it listens.
     """
 
     host: str
@@ -75,8 +76,9 @@ class Doorstep:
     def host_is_ours(self, headers: Headers) -> bool:
         """Whether a request names this page as its host.
 
-        A page of elsewhere whose name was made to lead here (DNS rebinding) bears that name; an address cannot be made
-        to lead anywhere else, so on an outside address every address is ours, and every name but this machine's is not.
+        A foreign page whose DNS name was redirected to this machine (DNS rebinding) still has that name as its host. An
+        address cannot be redirected. Beyond loopback, any address is therefore accepted, and of names only this
+        machine's.
         """
         given = header(headers, b"host")
         if given is None:
@@ -95,7 +97,7 @@ class Doorstep:
         return _is_address(name) or name in (self.host.lower(), socket.gethostname().lower())
 
     def origin_is_ours(self, headers: Headers) -> bool:
-        """Whether the page that opens a socket is this one; what says nothing of where it is from is not."""
+        """Whether this page opens the socket; a request without an Origin is refused."""
         host, origin = header(headers, b"host"), header(headers, b"origin")
         return host is not None and origin == f"http://{host}"
 
@@ -109,17 +111,17 @@ def _is_address(name: str) -> bool:
 
 
 class Token:
-    """What opens the page where not only this machine can reach it; never shown but by :meth:`told`."""
+    """The secret that opens the page where other machines can reach it; only :meth:`told` shows it."""
 
     def __init__(self, text: str) -> None:
         self._text = text
 
     def fits(self, given: object) -> bool:
-        """Whether this is it; the time that takes tells nothing."""
+        """Whether ``given`` is this token; the comparison takes the same time for every wrong token of its length."""
         return isinstance(given, str) and hmac.compare_digest(given.encode(), self._text.encode())
 
     def told(self) -> str:
-        """As it stands in the address that is printed once."""
+        """The token as text, for the address that is printed once."""
         return self._text
 
     def __repr__(self) -> str:
@@ -127,7 +129,7 @@ class Token:
 
 
 def new_token() -> Token:
-    """A token that nobody can guess."""
+    """A new random token of 24 bytes."""
     return Token(secrets.token_urlsafe(24))
 
 
@@ -135,14 +137,14 @@ def read_token(path: Path) -> Token:
     """The token in a file that only its user may read.
 
     Raises:
-        ViewError: the file is not there, is others' to read, or holds no token.
+        ViewError: the file cannot be read, other users may read it, or it holds no token.
     """
     try:
         with open_regular(path) as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
                 found = f"mode {stat.S_IMODE(about.st_mode):04o} of user {about.st_uid}"
-                raise ViewError(f"{path}: found {found}; expected a file of yours that only you may read: chmod 600")
+                raise ViewError(f"{path}: found {found}; expected a file that you own and only you may read: chmod 600")
             text = file.read(MOST_TOKEN + 2).decode("ascii").strip()
     except OSError as error:
         raise ViewError(f"{path}: cannot be read: {error.strerror}; expected a file with a token") from error

@@ -1,16 +1,13 @@
-"""The page's server: one process, one event loop, from its address being free to Ctrl-C.
+"""The page's server: one process with one event loop, which ends on Ctrl-C.
 
-What the page's server answers: the page's files, and one socket over which a page is told, and may hold devices.
+It serves the page's files, which are read once and served from memory, and one web socket for each page. Over it a page
+receives messages (:mod:`manyhands.launch.view.feed`) and may hold devices (:mod:`manyhands.launch.view.pointer`). Every
+request passes :class:`RequestGuard` first.
 
-Everything goes through :class:`RequestGuard` first. What a page says goes through :mod:`manyhands.launch.view.pointer`.
-
-Which connections the page's server keeps, so that those who say nothing do not keep out those who do. Pure.
-
-A connection is *open to question* until a page has been admitted over it. Until then it has a deadline for each request
-and its answer, and it is the first to go when there is no room for another: a browser asks as soon as it has connected,
-so a crowd of silent connections pushes itself out.
-
-The page's own files: read once, served from memory, and none but these.
+:class:`Connections` bounds the connections, so that silent ones do not keep out those that send requests. A connection
+is *unproven* until a page has been admitted over it. Until then it has a deadline for each request and its answer, and
+the oldest unproven connection is ended when there is no room for a new one. A browser sends its request as soon as it
+has connected, so a crowd of silent connections displaces only itself.
 """
 
 from __future__ import annotations
@@ -42,33 +39,33 @@ from manyhands.launch.view.security import HEADERS, Doorstep, Token, ViewError
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 
 MOST_CONNECTIONS: Final = 64
-"""Connections at a time, of which pages are some."""
+"""Connections at a time, pages included."""
 
 MOST_OF_AN_ADDRESS: Final = 32
 """Connections of one address at a time: a browser has six, and one for each page."""
 
 ANSWERED_WITHIN: Final = from_seconds(10.0)
-"""How long a request may take from the connection, or from the answer before, until its own answer was taken."""
+"""Longest time from the connection, or from the previous answer, until the client has taken the next answer."""
 
 
 class Connection(Protocol):
-    """What is asked of a connection; asyncio's transports are some."""
+    """The interface of a connection; asyncio's transports have it."""
 
     def is_closing(self) -> bool:
-        """Whether it is over, or will be."""
+        """Whether the connection is closed, or about to be."""
         ...
 
     def abort(self) -> None:
-        """End it at once."""
+        """End the connection at once."""
         ...
 
 
 Client = tuple[str, int]
-"""Address and port of whoever has connected."""
+"""Address and port of a client."""
 
 
 class Connections:
-    """The connections of a server.
+    """The connections of a server. Pure: it only calls the connections' own methods.
 
     Attributes:
         refused: connections that were ended, by reason.
@@ -77,10 +74,10 @@ class Connections:
     def __init__(self, refused: Counter[str]) -> None:
         self.refused = refused
         self._all: dict[Client, Connection] = {}
-        self._since: dict[Client, Instant] = {}  # of those open to question, the longest first
+        self._since: dict[Client, Instant] = {}  # the unproven ones, in the order of their waiting time
 
     def opened(self, client: Client, connection: Connection, now: Instant) -> None:
-        """Somebody has connected: where there is no room, end the connection that has been silent for longest."""
+        """A client has connected; where there is no room, end the unproven connection that has waited longest."""
         self._forget_closed()
         self._all[client], self._since[client] = connection, now
         if sum(host == client[0] for host, _ in self._all) > MOST_OF_AN_ADDRESS:
@@ -89,12 +86,12 @@ class Connections:
             self._end(next(iter(self._since)), "too_many")
 
     def answered(self, client: Client, now: Instant) -> None:
-        """A request was answered; the next one has as long again."""
+        """A request was answered; the deadline of the next request begins."""
         if self._since.pop(client, None) is not None:
             self._since[client] = now
 
     def admitted(self, client: Client) -> None:
-        """It carries a page now, which is looked after elsewhere."""
+        """The connection carries a page now; :class:`Pages` has the deadlines of pages."""
         self._since.pop(client, None)
 
     def end_overdue(self, now: Instant) -> None:
@@ -122,14 +119,14 @@ TYPES: Final[Mapping[str, str]] = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-"""The kinds of files that are served; what else lies in the folder (a license) is not."""
+"""The types of files that are served; others in the folder (a license) are not."""
 
 INDEX: Final = "/index.html"
 
 
 @dataclass(frozen=True)
 class Asset:
-    """A file of the page: its type and what is in it."""
+    """A file of the page: its media type and its content."""
 
     type: str
     content: bytes
@@ -139,7 +136,7 @@ def load_assets() -> dict[str, Asset]:
     """Every file of the page, by the path of its address; the page itself also by ``/``.
 
     Raises:
-        OSError: one cannot be read.
+        OSError: a file cannot be read.
     """
     found = {
         f"/{path.relative_to(STATIC).as_posix()}": Asset(TYPES[path.suffix], path.read_bytes())
@@ -150,33 +147,33 @@ def load_assets() -> dict[str, Asset]:
 
 
 PICTURE_EVERY: Final = 0.05
-"""How often a page is told, s."""
+"""Time between two pictures for a page, s."""
 
 OVER_EVERY: Final = 1.0
-"""The same when the session is over and nothing changes any more, s."""
+"""The same after the end of the session, when nothing changes any more, s."""
 
 TAKES_AT_MOST: Final = 30.0
-"""How long a page may take to take a picture, or to say its token, before it is given up, s."""
+"""Longest time that a page may take to receive a picture, or to send its token, s; then its socket is closed."""
 
 MOST_PAGES: Final = 16
-"""Pages at a time; those that wait to be admitted are none yet."""
+"""Pages at a time, without those that have not been admitted yet."""
 
 WRONG_TOKEN_COSTS: Final = 1.0
-"""How long the answer to a wrong token takes, s."""
+"""Delay of the answer to a wrong token, s."""
 
 TOO_MANY, NOT_ADMITTED, TOO_OFTEN, GIVEN_UP = 1013, 4401, 1008, 4408
-"""Why a page's socket is closed: try again later; no token, or a wrong one; more messages than a page sends; it did
-not take what it was told, or said what is no text."""
+"""Codes with which a page's socket is closed: too many pages, try again later; no token or a wrong one; more messages
+than a page sends; the page took too long, or sent something other than text."""
 
 
 class RequestGuard:
-    """Refuses who asks by another name or from another page, and gives every answer its headers."""
+    """Refuses requests to a foreign host name or from a foreign page, and adds the headers to every answer."""
 
     def __init__(self, app: ASGIApp, doorstep: Doorstep) -> None:
         self._app, self._doorstep = app, doorstep
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Serve one request, or refuse it."""
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -196,14 +193,14 @@ class RequestGuard:
 
 
 class Pages:
-    """The pages that are open."""
+    """The open pages, each with its own web socket."""
 
     def __init__(self, watch: Watch, token: Token | None, connections: Connections) -> None:
         self._watch, self._token, self._connections = watch, token, connections
         self._count = self._last = 0
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve one page until it goes or is given up."""
+        """Serve one page until it disconnects, or its socket is closed."""
         await socket.accept()
         try:
             if await self._admitted(socket):
@@ -244,32 +241,32 @@ class Pages:
         return False
 
     async def _serve(self, socket: WebSocket, page: int) -> None:
-        telling = asyncio.create_task(self._tell(socket, page))
-        hearing = asyncio.create_task(self._hear(socket, page))
+        sender = asyncio.create_task(self._send_pictures(socket, page))
+        receiver = asyncio.create_task(self._receive(socket, page))
         try:
-            done, _ = await asyncio.wait((telling, hearing), return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait((sender, receiver), return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
             self._watch.holding.let_go(page)
-            for task in (telling, hearing):
+            for task in (sender, receiver):
                 task.cancel()
-            await asyncio.wait((telling, hearing))
-            for task in (telling, hearing):
+            await asyncio.wait((sender, receiver))
+            for task in (sender, receiver):
                 if not task.cancelled():
-                    task.exception()  # which the first of them to end has told already
+                    task.exception()  # marks it as retrieved; the first task to end has raised it already
 
-    async def _tell(self, socket: WebSocket, page: int) -> None:
-        """Tell a page what is so, one picture after another; the next is made when it has taken the last."""
+    async def _send_pictures(self, socket: WebSocket, page: int) -> None:
+        """Send one picture after another; a picture is made only when the page has taken the last one."""
         feed, cursor = self._watch.feed, Cursor()
-        await _told(socket, feed.session())
+        await _send(socket, feed.session())
         while True:
             picture = feed.picture(cursor, self._watch.holding.of(page))
-            await _told(socket, picture)
+            await _send(socket, picture)
             await asyncio.sleep(OVER_EVERY if feed.over else PICTURE_EVERY)
 
-    async def _hear(self, socket: WebSocket, page: int) -> None:
-        """Do what a page asks, and say what is wrong with what it asks."""
+    async def _receive(self, socket: WebSocket, page: int) -> None:
+        """Carry out a page's requests, and answer a wrong request with the reason."""
         watch, allowance = self._watch, MessageAllowance(self._watch.clock.now())
         while True:
             text = await _text(socket)
@@ -279,7 +276,7 @@ class Pages:
                 await socket.close(TOO_OFTEN, "more messages than a page sends")
                 return
             if token_of(text) is not None:
-                continue  # a page says the one that it has, not knowing whether it is asked for
+                continue  # a page sends its token even where none is required
             why: str | None = None
             match demand_of(text, watch.feed.scene.about):
                 case Hold() as demand:
@@ -289,19 +286,19 @@ class Pages:
                 case Wrong(sentence):
                     why = sentence
             if why is not None:
-                await _told(socket, json.dumps({"type": "refused", "why": why}))
+                await _send(socket, json.dumps({"type": "refused", "why": why}))
 
 
 class NoText(Exception):
-    """A page sent bytes."""
+    """A page sent bytes instead of text."""
 
 
 async def _text(socket: WebSocket) -> str:
     """The next message of a page.
 
     Raises:
-        WebSocketDisconnect: it went.
-        NoText: it is none of text.
+        WebSocketDisconnect: the page has disconnected.
+        NoText: the message is not text.
     """
     message = await socket.receive()
     if message["type"] == "websocket.disconnect":
@@ -312,21 +309,23 @@ async def _text(socket: WebSocket) -> str:
     return text
 
 
-async def _told(socket: WebSocket, text: str) -> None:
-    """Tell a page, and be cancelled while it takes it: ``wait_for`` may lose that (Python 3.11), and go on for ever.
+async def _send(socket: WebSocket, text: str) -> None:
+    """Send a text to a page.
+
+    This uses ``timeout``, since ``wait_for`` may lose a cancellation (Python 3.11) and then continue for ever.
 
     Raises:
-        TimeoutError: it does not take it.
+        TimeoutError: the page does not take the text within :data:`TAKES_AT_MOST`.
     """
     async with asyncio.timeout(TAKES_AT_MOST):
         await socket.send_text(text)
 
 
 async def _closed(socket: WebSocket, why: str) -> None:
-    """Close what may be closed already."""
+    """Close a socket that may be closed already."""
     try:
         await socket.close(GIVEN_UP, why)
-    except (RuntimeError, WebSocketDisconnect):  # it is: starlette's word for a socket that was closed before
+    except (RuntimeError, WebSocketDisconnect):  # starlette's errors for a socket that was closed before
         return
 
 
@@ -336,17 +335,17 @@ def application(
     """The server's application.
 
     Args:
-        watch: what pages are told of.
-        doorstep: by which names it may be asked for.
-        token: what opens a page, where something has to.
-        connections: of the server, which learns here which of them carry pages, and what was refused.
+        watch: the session that the pages show.
+        doorstep: the address of the page.
+        token: the token that pages must send; None where none is required.
+        connections: the server's connections, which learn from the application which of them carry pages.
 
     Raises:
         OSError: a file of the page cannot be read.
     """
 
     def file_route(path: str, asset: Asset) -> Route:
-        async def answer(_request: Request) -> Response:  # a function would be run in a thread
+        async def answer(_request: Request) -> Response:  # a plain function would run in a thread
             return Response(asset.content, media_type=asset.type)
 
         return Route(path, answer, methods=["GET"])
@@ -359,14 +358,14 @@ def application(
 LOOK_EVERY: Final = 1.0
 """How often connections that take too long are ended, s."""
 
-_LEAVES_WITHIN: Final = 2  # s that open pages have to notice that the server ends
+_LEAVES_WITHIN: Final = 2  # s, for open pages to notice that the server ends
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there; 0 is any free port.
+    """A socket that listens at ``host`` and ``port``; port 0 stands for any free one.
 
     Raises:
-        ViewError: it cannot.
+        ViewError: the address is not this machine's, or the port is not free.
     """
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
@@ -380,7 +379,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def address_of(doorstep: Doorstep, token: Token | None) -> str:
-    """What is opened in a browser; the token stands where no server and no log sees it."""
+    """The page's address for a browser; the token is its fragment, which browsers send to no server."""
     host = socket.gethostname() if doorstep.host in ("", "0.0.0.0", "::") else doorstep.host  # noqa: S104 -- compared
     shown = f"[{host}]" if ":" in host else host
     return f"http://{shown}:{doorstep.port}/" + ("" if token is None else f"#token={token.told()}")
@@ -397,12 +396,12 @@ class _Server(uvicorn.Server):
 
 
 def _http_of(connections: Connections, clock: Clock) -> type[H11Protocol]:
-    """The protocol of a server that keeps these connections, and no others."""
+    """The protocol class of a server that reports its connections to ``connections``."""
 
     class Http(H11Protocol):
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as its own does
             super().connection_made(transport)
-            if self.client is not None:  # it is gone already
+            if self.client is not None:  # None where it has disconnected already
                 connections.opened(self.client, transport, clock.now())
 
         def on_response_complete(self) -> None:
@@ -414,7 +413,7 @@ def _http_of(connections: Connections, clock: Clock) -> type[H11Protocol]:
 
 
 class _NoText(logging.Filter):
-    """Counts messages that are no UTF-8, which uvicorn closes the socket for, and would show with a traceback each."""
+    """Counts messages that are not UTF-8; uvicorn closes their socket, and would log a traceback for each."""
 
     def __init__(self, refused: Counter[str]) -> None:
         super().__init__()
@@ -429,7 +428,7 @@ class _NoText(logging.Filter):
 
 @contextmanager
 def without_tracebacks(refused: Counter[str]) -> Iterator[None]:
-    """Meanwhile, count messages that are no UTF-8 in place of showing them."""
+    """While entered, messages that are not UTF-8 are counted in ``refused``, and not logged."""
     log, counting = logging.getLogger("uvicorn.error"), _NoText(refused)
     log.addFilter(counting)
     try:
@@ -441,19 +440,19 @@ def without_tracebacks(refused: Counter[str]) -> Iterator[None]:
 def serve(
     running: Running, host: str, port: int, token: Token | None, ready: Callable[[str], None], refused: Counter[str]
 ) -> None:
-    """Serve the page until a signal ends it.
+    """Serve the page until a signal ends the server.
 
     Args:
         running: the session.
-        host: where to listen.
-        port: likewise; 0 for any that is free.
-        token: what opens the page; None where its address is enough.
-        ready: called with the page's address as soon as it can be opened.
-        refused: counts what was refused, by reason.
+        host: the name or address to listen at.
+        port: the port to listen at; 0 for any free one.
+        token: the token that opens the page; None where its address is enough.
+        ready: called with the page's address as soon as the page can be opened.
+        refused: counts refused connections and messages, by reason.
 
     Raises:
-        ViewError: it cannot listen there.
-        TransportError: the session has no broadcast.
+        ViewError: the server cannot listen at this address.
+        TransportError: the session's broadcast cannot be received.
     """
     with listen(host, port) as listening, without_tracebacks(refused):
         doorstep = Doorstep(host, listening.getsockname()[1])
@@ -467,7 +466,7 @@ def serve(
 
 
 def config_of(app: ASGIApp, connections: Connections, clock: Clock) -> uvicorn.Config:
-    """How the server is run: within bounds, silent, and without what a page does not need."""
+    """The server's configuration: bounded, silent, and without features that the page does not need."""
     return uvicorn.Config(
         app,
         http=_http_of(connections, clock),
@@ -486,20 +485,20 @@ def config_of(app: ASGIApp, connections: Connections, clock: Clock) -> uvicorn.C
 
 
 async def until_told(server: uvicorn.Server, watch: Watch, connections: Connections, listening: socket.socket) -> None:
-    """Serve, look on, and end connections that take too long, until the server is asked to end."""
+    """Serve, follow the session, and end connections that take too long, until the server is asked to end."""
 
-    async def looking() -> None:
+    async def follow() -> None:
         try:
             await watch.run()
         finally:
-            server.should_exit = True  # a page that nobody keeps up to date is not served
+            server.should_exit = True  # a page without updates is not served
 
-    async def ending() -> None:
+    async def end_overdue() -> None:
         while True:
             await asyncio.sleep(LOOK_EVERY)
             connections.end_overdue(watch.clock.now())
 
-    beside = [asyncio.create_task(looking()), asyncio.create_task(ending())]
+    beside = [asyncio.create_task(follow()), asyncio.create_task(end_overdue())]
     try:
         await server.serve(sockets=[listening])
     finally:

@@ -201,7 +201,7 @@ def test_nothing_is_advised_where_nothing_is_to_be_gained(worth: Worth) -> None:
     [
         ({"preemption": "PREEMPT_DYNAMIC"}, "PREEMPT_RT"),
         ({"virtual": "KVM"}, "KVM"),
-        ({"usable": (0, 1)}, "3 users and an environment want 4"),
+        ({"usable": (0, 1)}, "3 users and an environment need 4"),
         ({"governors": ("powersave",)}, "found powersave"),
         ({"clock_source": "hpet"}, "found hpet"),
         ({"curve": False}, "CURVE"),
@@ -225,7 +225,7 @@ def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says:
 def test_a_processor_for_each_chain_and_one_for_the_environment_are_enough(worth: Worth) -> None:
     assert advice(a_machine(usable=(0, 1, 2, 3)), measurement(510.0, 600.0), worth, chains=3) == ()
     (one,) = advice(a_machine(usable=(0, 1, 2)), measurement(510.0, 600.0), worth, chains=3)
-    assert one.change == "give it more processors: 3 usable, 3 users and an environment want 4"
+    assert one.change == "give it more processors: 3 usable, 3 users and an environment need 4"
 
 
 def test_what_a_tail_costs_is_told_in_newtons(worth: Worth) -> None:
