@@ -1,7 +1,7 @@
-"""`manyhands budget`: what a session's devices could certify, against the delay inside the tick and the period.
+"""`manyhands budget`: the stiffness that can be certified for each device, over delay inside the tick and period.
 
-The numbers are :mod:`manyhands.design.budget`'s; here is which ones a person is shown, and how. Nothing is designed:
-a budget says before any design what faster transport or a shorter period would buy.
+:mod:`manyhands.design.budget` computes the numbers; this module selects and shows them. Nothing is designed: a budget
+shows before any design how much stiffness a faster transport or a shorter period would gain.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from manyhands.design.problem import HapticLoop
 from manyhands.launch.files import TargetError, require_target
 from manyhands.nodes.json_number import json_number
 
-TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # of a period: the delays shown, besides the session's own
-PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: shown besides the session's own
+TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
+PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
-_PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # of the session's
+_PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # multiples of the session's period
 _PLOTTED_DELAYS = 101  # points of a curve
 _MOST_ROWS = 12  # different levels shown in a table, weakest first; --json has all
-_MOST_PANELS = 4  # of them in a picture
+_MOST_PANELS = 4  # different levels shown in a plot
 
 
 @dataclass(frozen=True, eq=False)
 class DeviceBudget:
-    """What one device could certify.
+    """The stiffness that can be certified for one device.
 
     Attributes:
         name: the device.
         level: Delta_Di with the coupling's structure, m_i x m_i, N*s/m.
         against_delay: at the session's period, delays ascending, the session's own among them.
-        against_period: periods ascending; for each the delays 0, the session's own (where the period holds it)
-            and the whole period.
+        against_period: periods ascending; for each period the delays 0, the session's own (unless it exceeds the
+            period) and the whole period.
     """
 
     name: str
@@ -55,14 +55,14 @@ class DeviceBudget:
 
 @dataclass(frozen=True, eq=False)
 class DelayBudget:
-    """What a session could certify.
+    """The stiffness that can be certified for a session.
 
     Attributes:
         loop: the session's loop.
-        periods: those looked at, s, ascending.
+        periods: the periods examined, s, ascending.
         share_at: the share of the devices' levels that the environment takes at a period (s); 0 for a passive
-            one, infinite for one that nothing can be certified with.
-        devices: one for each device.
+            environment, infinite for one with which nothing can be certified.
+        devices: one budget for each device.
     """
 
     loop: HapticLoop
@@ -76,7 +76,7 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
 
     Args:
         loop: the loop; its coupling does not matter.
-        share_at: the share that the environment takes at a period (s), where the caller knows it already.
+        share_at: the share that the environment takes at a period (s); computed where the caller does not give it.
     """
     T, tau = loop.period, loop.tau
     share = cache(share_at or (lambda period: environment_share(loop.environment, loop.Delta_D, period)))
@@ -98,7 +98,7 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
 
 
 def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
-    """The periods to look at: an environment that was given in discrete time has only its own."""
+    """The periods to examine; an environment given in discrete time has only its own period."""
     environment = loop.environment
     if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
         return (loop.period,)
@@ -106,11 +106,11 @@ def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
 
 
 def _limits(level: Matrix, T: float, tau: float, share: float) -> Stiffness:
-    return stiffest(level, T, tau, min(share, 1.0))  # a share of 1 leaves nothing, nor does more
+    return stiffest(level, T, tau, min(share, 1.0))  # a share of 1 or more leaves nothing
 
 
 def budget_object(found: DelayBudget) -> dict[str, Any]:
-    """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where nothing is left."""
+    """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where it is infinite."""
     loop = found.loop
     return {
         "session": loop.session,
@@ -136,7 +136,7 @@ def _plain(row: Stiffness) -> dict[str, float | None]:
 
 
 def print_budget(console: Console, found: DelayBudget) -> None:
-    """Two tables: stiffness against delay, and against period; devices of one level share their rows."""
+    """Print two tables, stiffness over delay and over period; devices with equal levels share their rows."""
     loop = found.loop
     groups = _groups(found.devices)
     shown = groups[:_MOST_ROWS]
@@ -185,10 +185,10 @@ def _environment_text(found: DelayBudget) -> str:
 
 
 def plot_budget(found: DelayBudget, path: Path) -> None:
-    """A picture: stiffness against the delay for several periods, certified and Colgate's, a panel for each level.
+    """Plot the stiffness over the delay for several periods, certified and Colgate's, with a panel for each level.
 
     Raises:
-        TargetError: not a name of a picture, or no folder to put it in.
+        TargetError: the suffix is not that of a plot, or the folder does not exist.
     """
     require_picture(path)
     # the plotter takes most of a second to import; the tables do not need it
@@ -235,10 +235,10 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
 
 
 def require_picture(path: Path) -> None:
-    """Refuse a name that no picture can be written to; before the work, not after it.
+    """Refuse an output file for a plot that cannot be written; a command calls this before its work.
 
     Raises:
-        TargetError: no such folder, or another suffix than one of :data:`PLOT_SUFFIXES`.
+        TargetError: the folder does not exist, or the suffix is not one of :data:`PLOT_SUFFIXES`.
     """
     require_target(path)
     if path.suffix not in PLOT_SUFFIXES:
@@ -246,7 +246,7 @@ def require_picture(path: Path) -> None:
 
 
 def _groups(devices: Sequence[DeviceBudget]) -> list[tuple[str, DeviceBudget]]:
-    """Devices with one limit under one heading, weakest first."""
+    """Devices with equal limits under one heading, weakest first."""
     by_limit: dict[float, list[DeviceBudget]] = {}
     for device in devices:
         by_limit.setdefault(device.against_delay[0].colgate, []).append(device)

@@ -1,6 +1,7 @@
-"""Example 1 of the paper from start to picture: design, seven processes, and its Figs. 5-7.
+"""`manyhands demo`: Example 1 of the paper, from the design through a run of seven processes to plots.
 
-Pictures of the demonstration, in the manner of the paper's Figs. 5-7: velocities of the devices over time.
+The plots follow the paper's Figs. 5-7: velocities of the devices over time, without coupling, with the decentralised
+coupling, and with a centralised one.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.4  # inches
 
 
 def plot_velocities(recording: Recording, title: str, path: Path) -> None:
-    """One picture with the velocity of every port."""
+    """Plot the velocity of every port into one file."""
     save_picture(_figure([(title, recording)], _ONE), path)
 
 
 def plot_comparison(runs: Sequence[tuple[str, Recording]], path: Path) -> None:
-    """The velocities of several runs, one above the other, over the same time."""
+    """Plot the velocities of several runs, one above the other, over the same time axis."""
     save_picture(_figure(runs, _OF_SEVERAL), path)
 
 
@@ -49,7 +50,7 @@ def _figure(runs: Sequence[tuple[str, Recording]], height: float) -> Figure:
     return figure
 
 
-SETTLED = 1e-3  # of its peak: the speed below which a device counts as come to rest
+SETTLED = 1e-3  # a device is at rest when its speed is below this part of its peak speed
 
 
 def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder: Path, ticks: int, clock: str) -> int:
@@ -59,8 +60,8 @@ def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder
         sessions: ``example1``, ``example1-centralised`` and ``example1-uncoupled``.
         out: for results.
         err: for progress.
-        folder: where certificate, plots and report go; made if absent.
-        ticks: how long to run.
+        folder: the folder for certificate, plots and report; made if absent.
+        ticks: number of ticks to run.
         clock: "realtime" or "simulated".
 
     Returns:
@@ -104,7 +105,7 @@ def _simulated(session: Session, ticks: int) -> Recording:
 
 
 def _judge(nodes: Mapping[str, Mapping[str, float]], out: Console, folder: Path) -> int:
-    """Say whether every device came to rest, and where the pictures are."""
+    """Print whether every device came to rest, and where the plots are; returns the exit code."""
     ratios = {name: node["final_speed"] / node["peak_speed"] for name, node in nodes.items() if "peak_speed" in node}
     text = ", ".join(f"{name} {ratio:.1e}" for name, ratio in ratios.items())
     settled = all(ratio < SETTLED for ratio in ratios.values())

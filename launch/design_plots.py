@@ -1,10 +1,9 @@
-"""`manyhands design --plot DIR`: a finished design as four pictures.
+"""`manyhands design --plot DIR`: a finished design as four plots, and the frequency responses in them.
 
-What the certificate claims in matrix inequalities is seen here over frequency: transparency as singular values under
-a level, passivity as least eigenvalues above zero, the structure of V as a map, and how the synthesis got there.
-The pictures prove nothing and need no solver: they are made from the systems themselves.
-
-What a design does over frequency: the responses that its pictures draw, for many frequencies at once.
+The plots show over frequency what the certificate claims by matrix inequalities: transparency as singular values below
+a level, and passivity as least eigenvalues above zero. Two more show the structure of V as a map, and the convergence
+of the synthesis. The plots prove nothing and need no solver: they are computed from the systems themselves, for many
+frequencies at once.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ Complex = NDArray[np.complex128]
 Filter = Callable[[complex], complex]
 """A weight's response at a point of the z plane."""
 
-_DECADES, _PER_DECADE = 4.0, 100  # of a grid up to pi/T, evenly spaced in the logarithm
-_MOST_RESONANCES = 40  # poles, nearest to the circle first, whose neighbourhood is looked at besides
+_DECADES, _PER_DECADE = 4.0, 100  # of a logarithmic grid up to pi/T
+_MOST_RESONANCES = 40  # poles, nearest to the unit circle first, around which the grid is refined
 _CHUNK = 4_000_000  # complex numbers that are solved for at once, 64 MB
 
 
 def frequencies(systems: Sequence[StateSpace], T: float) -> Matrix:
-    """Frequencies (rad/s, ascending, up to pi/T) that show what the discrete ``systems`` do, their resonances too."""
+    """Frequencies (rad/s, ascending, up to pi/T) that resolve the responses of ``systems``, resonances included."""
     grid = np.pi * np.logspace(-_DECADES, 0.0, round(_DECADES * _PER_DECADE) + 1)
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in systems])
     poles = poles[(np.abs(poles) > 0.5) & (poles.imag > 0.0)]  # a pole far from the circle has no peak on it
@@ -48,7 +47,7 @@ def frequencies(systems: Sequence[StateSpace], T: float) -> Matrix:
 
 
 def response(system: StateSpace, angles: Matrix) -> Complex:
-    """C (zI - A)^-1 B + D at z = e^{j angle}, angles x m x p, a part at a time so that memory stays bounded."""
+    """C (zI - A)^-1 B + D at z = e^{j angle}, angles x m x p; solved in parts, so that memory stays bounded."""
     size = max(1, _CHUNK // max(1, system.order * (system.order + system.inputs)))
     parts = [frequency_response(system, angles[at : at + size]) for at in range(0, len(angles), size)]
     return np.concatenate(parts)
@@ -70,13 +69,13 @@ def closed_loop(E: Complex, V: Complex) -> Complex:
 def shaped_response(
     E: Complex, V: Complex, F: Complex, points: Complex, W1: Filter | None, W2: Filter | None, objective: str | None
 ) -> tuple[str, Complex]:
-    """What the objective keeps small, with its name: W1 E V W2, W1 (F - E) W2, or E V where there is no objective.
+    """The response that the objective keeps small, and its name: W1 E V W2, W1 (F - E) W2, or E V without one.
 
     Args:
         E: response of the environment, points x m x m.
-        V: of the coupling.
-        F: of the closed loop.
-        points: z of each.
+        V: response of the coupling, points x m x m.
+        F: response of the closed loop, points x m x m.
+        points: z at each point.
         W1: weight on the left; None for 1.
         W2: weight on the right; None for 1.
         objective: "loop-shaping", "closed-loop", or anything else.
@@ -89,14 +88,14 @@ def shaped_response(
     return "W₁ E V W₂", weight * (E @ V)
 
 
-MOST_STATES, MOST_PORTS = 400, 100  # of E; above, the pictures over frequency would take minutes and gigabytes
+MOST_STATES, MOST_PORTS = 400, 100  # of E; above, the plots over frequency would take minutes and gigabytes
 
-# Okabe and Ito's colours, told apart by every kind of colour vision
+# Okabe and Ito's colours, which every kind of colour vision can distinguish
 BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 
 _DPI = 130
-_ROUNDING = 1e-12  # of V_hat: what V - K, a difference of near ones, may have lost
-_NAMED_PORTS, _NAMED_BLOCKS, _WRITTEN_PORTS = 40, 24, 8  # above which a map is not labelled
+_ROUNDING = 1e-12  # relative rounding error of V_hat, from the difference V - K of nearly equal matrices
+_NAMED_PORTS, _NAMED_BLOCKS, _WRITTEN_PORTS = 40, 24, 8  # above these numbers, a map has no such labels
 
 
 def plot_design(
@@ -127,9 +126,9 @@ def plot_design(
         E: the environment, discrete, from displacement (m) to force (N).
         blocks: the blocks of V, discrete, from force (N) to displacement (m), in the partition's order.
         partition: the structure of V.
-        K: of the loop transformation, m x m, m/N.
-        Delta_V: m x m, N*s/m.
-        Phi_E: m x m, N*s/m.
+        K: gain of the loop transformation, m x m, m/N.
+        Delta_V: level of the coupling, m x m, N*s/m.
+        Phi_E: level of the environment, m x m, N*s/m.
         Delta_G: share Delta_D, the level of G_hat, m x m, N*s/m.
         T: period, s.
         ports: names of the m ports.
@@ -138,36 +137,36 @@ def plot_design(
         objective: "loop-shaping" for W1 E V W2, "closed-loop" for W1 (F(E,V) - E) W2; anything else shows E V.
         gamma: the level of the objective.
         history: one number for each iteration of the synthesis.
-        history_label: what it is.
-        progress: told what is being drawn.
+        history_label: name of the quantity in ``history``.
+        progress: called with what is being drawn, as a text.
 
     Returns:
-        The paths of the pictures.
+        The paths of the plots.
     """
-    tell = progress or (lambda _text: None)
+    report = progress or (lambda _text: None)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     if E.order > MOST_STATES or len(ports) > MOST_PORTS:
-        tell("pictures: none over frequency, the environment is too large")
+        report("pictures: none over frequency, the environment is too large")
     else:
-        tell("pictures: frequency responses")
+        report("pictures: frequency responses")
         omega = frequencies([E, *blocks], T)
         angles = omega * T
         points = np.exp(1j * angles)
         E_z, V_z = response(E, angles), coupling_response(blocks, partition, angles)
         F_z = closed_loop(E_z, V_z)
         label, shaped = shaped_response(E_z, V_z, F_z, points, W1, W2, objective)
-        tell("pictures: singular values")
+        report("pictures: singular values")
         paths.append(plot_singular_values(folder, omega, {"E": E_z, "F(E,V)": F_z}, label, shaped, gamma))
-        tell("pictures: passivity")
+        report("pictures: passivity")
         E_hat = (T * points / (points - 1.0))[:, None, None] * E_z
         V_hat = ((points - 1.0) / (T * points))[:, None, None] * (V_z - K)
         paths.append(plot_passivity(folder, omega, E_hat, Phi_E, V_hat, Delta_V, Delta_G))
-    tell("pictures: structure")
+    report("pictures: structure")
     static = coupling_response(blocks, partition, np.zeros(1))[0].real
     paths.append(plot_structure(folder, static, partition, ports))
     if len(history):
-        tell("pictures: convergence")
+        report("pictures: convergence")
         paths.append(plot_convergence(folder, history, history_label))
     return tuple(paths)
 
@@ -183,12 +182,12 @@ def plot_singular_values(
     """singular-values.png: what the hands feel, E and F(E,V), above; what the objective keeps small, below.
 
     Args:
-        folder: where it goes.
+        folder: the folder of the file.
         omega: frequencies, rad/s.
         impedances: name and response (points x m x m, N/m).
         label: name of ``shaped``.
         shaped: points x m x m.
-        gamma: the level drawn over it, if there is one.
+        gamma: the level to draw; None for none.
     """
     figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
     above, below = figure.subplots(2, 1, sharex=True)
@@ -223,17 +222,17 @@ def plot_passivity(
 ) -> Path:
     """passivity.png: each party's promise over frequency, as a least eigenvalue that must not be negative.
 
-    Above He E_hat + Phi_E, and how far the devices' level Delta_G reaches below zero; below
+    The upper panel has He E_hat + Phi_E, and how far the devices' level Delta_G reaches below zero. The lower panel has
     He V_hat - V_hat* Delta_V V_hat.
 
     Args:
-        folder: where it goes.
+        folder: the folder of the file.
         omega: frequencies, rad/s.
-        E_hat: points x m x m, N*s/m.
-        Phi_E: m x m, N*s/m.
-        V_hat: points x m x m, m/(N*s).
-        Delta_V: m x m, N*s/m.
-        Delta_G: m x m, N*s/m.
+        E_hat: response of the environment, points x m x m, N*s/m.
+        Phi_E: its level, m x m, N*s/m.
+        V_hat: response of the coupling, points x m x m, m/(N*s).
+        Delta_V: its level, m x m, N*s/m.
+        Delta_G: level of the devices behind their samplers, m x m, N*s/m.
     """
     figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
     above, below = figure.subplots(2, 1, sharex=True)
@@ -244,7 +243,7 @@ def plot_passivity(
     )
     above.axhline(0.0, color="black", linewidth=1.0)
     above.axhline(-bound, color="0.35", linewidth=1.2, linestyle=":", label=f"−(devices' level), {-bound:.3g}")
-    above.set_yscale("symlog", linthresh=max(bound, 1e-300))  # linear where it is decided, whatever comes above
+    above.set_yscale("symlog", linthresh=max(bound, 1e-300))  # linear near zero, logarithmic above
     above.set_ylabel("least eigenvalue of He [N·s/m]")
     above.set_title(
         "environment: passive where Ê is above 0, hopeless below the dotted line", loc="left", fontsize="medium"
@@ -263,12 +262,12 @@ def plot_passivity(
 
 
 def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Sequence[str]) -> Path:
-    """structure.png: |V(1)| entry by entry, the ports of a block side by side, blocks outlined.
+    """structure.png: |V(1)| entry by entry, with the ports of a block side by side and the blocks outlined.
 
     Args:
-        folder: where it goes.
+        folder: the folder of the file.
         static: V(1), m x m, m/N.
-        partition: the structure.
+        partition: the structure of V.
         ports: names of the m ports.
     """
     order = [port for block in partition.blocks for port in block]
@@ -276,7 +275,7 @@ def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Se
     m = len(order)
     figure = Figure(figsize=(7.0, 6.0), layout="constrained", facecolor="white")
     axes = figure.subplots()
-    masked = np.ma.masked_equal(shown, 0.0)  # what is exactly zero stays white
+    masked = np.ma.masked_equal(shown, 0.0)  # exact zeros stay white
     least, most = (float(masked.min()), float(masked.max())) if masked.count() else (1.0, 1.0)
     colours = colormaps["cividis"].reversed()
     image = axes.imshow(masked, cmap=colours, norm=LogNorm(least / 1.001, most * 1.001), interpolation="nearest")
@@ -312,9 +311,9 @@ def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path
     """convergence.png: one number for each iteration.
 
     Args:
-        folder: where it goes.
-        history: the numbers; a logarithmic axis where all are positive.
-        label: what they are.
+        folder: the folder of the file.
+        history: the numbers; the axis is logarithmic if all are positive.
+        label: name of the quantity.
     """
     figure = Figure(figsize=(8.0, 3.6), layout="constrained", facecolor="white")
     axes = figure.subplots()
@@ -332,7 +331,7 @@ def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path
 def _singular_band(
     axes: Axes, omega: NDArray[np.float64], values: Complex, name: str, colour: str, line: str
 ) -> NDArray[np.float64]:
-    """The largest singular value as a line, down to the least one as a band; returns the largest."""
+    """Draw the largest singular value as a line, and the range down to the least one as a band; return the largest."""
     singular = np.linalg.svd(values, compute_uv=False)
     axes.plot(omega, singular[:, 0], color=colour, linewidth=1.8, linestyle=line, label=name)
     if singular.shape[1] > 1:
@@ -354,9 +353,9 @@ def _signed(
     colour: str,
     line: str,
 ) -> None:
-    """Positive values as a line on a logarithmic axis; negative ones as crosses at their magnitude, and named.
+    """Draw positive values as a line on a logarithmic axis, and negative ones as crosses at their magnitude.
 
-    What is smaller than ``rounding`` has no sign and is not drawn.
+    A value whose magnitude is below ``rounding`` has no reliable sign and is not drawn.
     """
     axes.set_yscale("log")
     axes.plot(
@@ -375,7 +374,7 @@ def _finish(axes: Axes) -> None:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    """Write a picture whole or not at all."""
+    """Write a plot whole or not at all; returns ``path``."""
     with replacing(path) as file:
         figure.savefig(file, format=path.suffix[1:], dpi=_DPI)
     return path

@@ -1,6 +1,6 @@
-"""What `manyhands design`, `verify` and `budget` do, from a loaded session or file to what is printed and written.
+"""The commands `manyhands design`, `verify` and `budget`: from a loaded session or file to output and files.
 
-Certificates and reports as a person reads them, and as other programs do (``--json``).
+Certificates and reports are printed as tables for people, or as objects for other programs (``--json``).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 CERTIFIED, INFEASIBLE = "certified", "infeasible"
 CONDITION_10 = "(10)"
-_MOST_FINDINGS = 60  # lines of a proof that are shown; every block has some
-_LARGEST_SHOWN = 8  # ports, above which a matrix is told by its diagonal's range
+_MOST_FINDINGS = 60  # lines of a proof that are shown; every block has several
+_LARGEST_SHOWN = 8  # ports; of a larger matrix only the range of the diagonal is shown
 
 
 def certificate_object(certificate: Certificate, proved: bool = True) -> dict[str, Any]:
@@ -96,9 +96,9 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
 
 
 def print_certificate(console: Console, certificate: Certificate) -> None:
-    """Its id, structure, coupling and margins."""
+    """Print a certificate's id, structure, coupling and margins."""
     loop = certificate.loop
-    console.print(f"certificate {certificate.id}")  # never cut to the width of a table
+    console.print(f"certificate {certificate.id}")  # outside the table, which could cut it
     table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column()
@@ -135,7 +135,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
 
 
 def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
-    """Every condition and how it came out."""
+    """Print every condition and its result."""
     table = Table(show_header=True)
     table.add_column("condition")
     table.add_column("found", justify="right")
@@ -150,7 +150,7 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
 
 
 def print_report(console: Console, report: Mapping[str, Any]) -> None:
-    """Ticks, lateness, percentiles, ledgers and speeds of every node."""
+    """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped."""
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
     table = Table(title=title, title_justify="left")
     for column in ("node", "ticks", "late", "τ p50/p99/p99.9/max [µs]", "period p50/p99/p99.9/max [µs]",
@@ -172,8 +172,8 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         counts = {**node.get("refused", {}), **node.get("dropped", {})}
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
         if counts:
-            told = ", ".join(f"{kind} {count}" for kind, count in counts.items())
-            console.print(f"{name}: not admitted, or not as it came: {told}", markup=False, soft_wrap=True)
+            listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+            console.print(f"{name}: not admitted, or not as it came: {listed}", markup=False, soft_wrap=True)
 
 
 def _coupling_rows(table: Table, coupling: SpringDamper) -> None:
@@ -200,7 +200,7 @@ def _structure(loop: HapticLoop) -> list[list[str]]:
 
 
 def _shortened(findings: tuple[Finding, ...]) -> list[Finding]:
-    """All that fail, and the first few that hold."""
+    """All findings that fail, and the first :data:`_MOST_FINDINGS` that hold."""
     failing = [finding for finding in findings if not finding.holds]
     return failing + [finding for finding in findings if finding.holds][:_MOST_FINDINGS]
 
@@ -217,14 +217,14 @@ def run_design(
 ) -> int:
     """Design, prove, write and show a session's coupling.
 
-    Ctrl-C ends a search and keeps the best coupling so far, proved like any other; a second one ends at once.
+    Ctrl-C ends a search and keeps the best coupling so far, proved like any other; a second Ctrl-C ends at once.
 
     Args:
         session: the session.
         out: for results.
         err: for progress and messages.
-        output: where the certificate goes.
-        pictures: folder for pictures.
+        output: the file for the certificate; None for none.
+        pictures: the folder for plots; None for none.
         as_json: print one JSON object instead of tables.
 
     Returns:
@@ -255,7 +255,7 @@ def run_design(
         if output is not None:
             say(err, f"written to {output}; prove it again with: manyhands verify {output}")
     if pictures is not None and certificate.loop.enforced:
-        say(err, "no pictures: they show how the environment responds, and of a model no more than its level is known")
+        say(err, "no pictures: they show the environment's response, and of a model only its level is known")
     elif pictures is not None:
         with progress_on(err, "drawing") as progress:
             paths = _draw(designed, pictures, progress)
@@ -267,7 +267,7 @@ def run_design(
 
 
 def _draw(designed: Designed, folder: Path, progress: Progress) -> tuple[Path, ...]:
-    """The four pictures of a design."""
+    """Draw the four plots of a design; returns their paths."""
     from manyhands.launch.design_plots import plot_design  # matplotlib takes a while to import
 
     certificate = designed.certificate
@@ -299,13 +299,13 @@ def _at_points(weight: Filter) -> Callable[[complex], complex]:
 
 
 def run_verify(file: Path, session: Session | None, out: Console, err: Console, as_json: bool) -> int:
-    """Prove a certificate again, and that it is the session's where one is given.
+    """Prove a certificate again, and compare it with the session where one is given.
 
     Returns:
         The exit code.
 
     Raises:
-        CertificateError: the file is no certificate.
+        CertificateError: the file is not a certificate.
     """
     from manyhands.design.proof import Finding, ProofInputError, prove
 
@@ -338,7 +338,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
 
 
 def _say_what_was_asked(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
-    """Beside what is proved: what is only recorded, or not even that."""
+    """Print what the certificate records of the request; this is not proved, and may be absent."""
     if certificate.asked is not None:
         say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
         return
@@ -349,7 +349,7 @@ def _say_what_was_asked(out: Console, file: Path, certificate: Certificate, sess
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:
-    """Show what stiffness the session's devices could certify against delay and period.
+    """Show the stiffness that can be certified for the session's devices, over delay and period.
 
     Returns:
         The exit code.
@@ -368,26 +368,26 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
 
 
 def print_json(data: object) -> None:
-    """One JSON object on standard output."""
+    """Print one JSON object on standard output."""
     typer.echo(json.dumps(data, indent=2, allow_nan=False))
 
 
 @contextmanager
 def progress_on(err: Console, what: str) -> Iterator[Progress]:
-    """A status line with what is being done, on a terminal."""
+    """Show a status line on a terminal; yields a function that takes the present step as a text."""
     with status(err, what) as update:
         yield lambda text: update(f"{what}: {text}")
 
 
 @contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """While entered, the first Ctrl-C is a KeyboardInterrupt, which a search may answer with its best so far.
+    """While entered, the first Ctrl-C raises KeyboardInterrupt; a search may catch it and return its best result.
 
     Yields:
-        The signals that came, so that a request is known even where something on its way has caught it.
+        The signals that came, so that a request is known even where other code has caught the exception.
 
     Raises:
-        KeyboardInterrupt: it came, and nobody answered it; also where something on its way made another error of it.
+        KeyboardInterrupt: a signal came and no search caught it, or other code turned the exception into its own.
     """
     asked: list[int] = []
 

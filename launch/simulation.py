@@ -1,10 +1,10 @@
 """The sampled-data loop of a session in one process: the cores of the nodes without their processes.
 
-It starts from the same bundles and takes the same steps in the same order as the processes do, so that a
-run of the processes under the simulated clock has the same numbers.
+The simulation starts from the same bundles and takes the same steps in the same order as the processes. A run of the
+processes under the simulated clock therefore has the same numbers, bit for bit.
 
-A plan of faults tells when a user falls silent: the environment freezes the coupling's ports and sends them no force,
-the devices' hands go on without one, and who returns starts with a coupling at rest, as a new process would.
+A list of faults states when a coupling falls silent. The environment then freezes the coupling's ports and sends them
+no force, and the devices' hands go on without a force. A coupling that returns starts at rest, as a new process would.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _PROGRESS_TICKS = 1000
 
 @dataclass(frozen=True)
 class Silence:
-    """A coupling of which nothing is heard for some ticks.
+    """A coupling that sends nothing for some ticks.
 
     Attributes:
-        coupling: its name.
+        coupling: the coupling's name.
         begin: the first tick at which it is frozen.
         end: the tick at which it is back, at rest, and engaged; None for never.
     """
@@ -52,11 +52,11 @@ class Simulation:
 
     Attributes:
         devices: the devices' cores by name.
-        guards: what watches over the devices' limits, by name.
-        couplings: the blocks' cores by name; one that has been silent has another core than before.
+        guards: the guards of the devices' limits, by name.
+        couplings: the blocks' cores by name; a coupling that returns from silence has a new core.
         environment: the environment's core; its blocks are ``couplings``, in this order.
-        ledgers: every party's energy ledger by node, a coupling's since it was last at rest; parties that promised
-            nothing are absent.
+        ledgers: every party's energy ledger by node, a coupling's since it last started; parties without a promised
+            level are absent.
     """
 
     def __init__(self, prepared: Prepared, drivers: Mapping[str, Driver] | None = None) -> None:
@@ -64,7 +64,7 @@ class Simulation:
 
         Args:
             prepared: the session with its coupling and certificate.
-            drivers: by device, what moves it in place of what its session says.
+            drivers: for some devices, the driver to use in place of the session's.
         """
         given = {} if drivers is None else drivers
         session = prepared.session
@@ -106,7 +106,7 @@ class Simulation:
             self.ledgers[ENVIRONMENT] = self.environment.ledger
 
     def _set_out(self, name: str) -> None:
-        """A coupling starts at rest."""
+        """Start a coupling at rest, with a new core and ledger."""
         bundle = self._coupling_bundles[name]
         coupling = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
         self.couplings[name] = coupling
@@ -114,7 +114,7 @@ class Simulation:
             self.ledgers[name] = coupling.ledger
 
     def traces(self, ticks: int) -> Traces:
-        """Room for what all nodes tell of a run of ``ticks`` ticks; hand it to :meth:`run`."""
+        """Empty traces for what all nodes report in a run of ``ticks`` ticks; pass them to :meth:`run`."""
         return Traces(self._prepared, self.ledgers, ticks)
 
     def run(
@@ -127,23 +127,26 @@ class Simulation:
         """Run ``ticks`` ticks.
 
         Args:
-            ticks: how many.
-            progress: told now and then how many are done.
-            faults: who falls silent, and when; ticks count from the beginning of this run.
-            traces: filled with what each node would tell of its ticks.
+            ticks: number of ticks.
+            progress: called every 1000 ticks with the number of ticks that are done.
+            faults: which couplings fall silent, and when; ticks count from the beginning of this run.
+            traces: filled with what each node would report of its ticks.
+
+        Returns:
+            x and f_v of every port at every tick.
 
         Raises:
-            ModelFailure: the environment's model gave no usable forces, which would end it too.
-            ValueError: a fault of no coupling, that ends before it begins, or two of one coupling at a time.
+            ModelFailure: the environment's model gave no usable forces, which would also end its process.
+            ValueError: a fault names no coupling, ends before it begins, or overlaps another of the same coupling.
         """
         begins, ends = _by_tick(faults, tuple(self.couplings))
         blocks = {name: block for block, name in enumerate(self.couplings)}
         session = self._prepared.session
         m = len(session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
-        said, p = np.zeros(m), np.zeros(m)
+        reported, p = np.zeros(m), np.zeros(m)
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
-        couplings = self._heard(())
+        couplings = self._active(())
         silent: set[str] = set()
         model = self.environment if isinstance(self.environment, EnforcedCore) else None
         for k in range(ticks):
@@ -155,14 +158,14 @@ class Simulation:
                 for name in begins.get(k, ()):
                     silent.add(name)
                     self.environment.clutches.freeze(blocks[name])
-                couplings = self._heard(silent)
+                couplings = self._active(silent)
             for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k)))
                 device.sample(displacement)
                 x[k, ports] = displacement
-                said[ports] = guard.tell(displacement)
+                reported[ports] = guard.tell(displacement)
             for _, coupling, ports in couplings:
-                p[ports] = coupling.free_position(said[ports].tolist())
+                p[ports] = coupling.free_position(reported[ports].tolist())
             f_v[k] = self.environment.react(p.tolist())
             if model is not None and model.failure is not None:
                 raise ModelFailure(model.failure)
@@ -185,7 +188,7 @@ class Simulation:
                 progress(k + 1)
         return Recording(session.name, self._prepared.id, session.period, session.ports, x, f_v)
 
-    def _heard(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
+    def _active(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
         """The couplings that are not silent, with their ports."""
         return [(name, core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
 
@@ -193,7 +196,7 @@ class Simulation:
 def _by_tick(
     faults: Sequence[Silence], couplings: tuple[str, ...]
 ) -> tuple[dict[int, list[str]], dict[int, list[str]]]:
-    """Who falls silent and who returns, by tick.
+    """The couplings that fall silent and those that return, by tick.
 
     Raises:
         ValueError: see :meth:`Simulation.run`.

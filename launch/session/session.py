@@ -270,7 +270,7 @@ class Session(SessionModel):
     design: Design = Field(description="what the coupling is, or how it is found")
     observers: Annotated[
         dict[str, Observer], BeforeValidator(NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0))
-    ] = Field(default={}, description="who may look on, by name, and at what")
+    ] = Field(default={}, description="the observers by name, and the channels that each may read")
     colocate: Flag = Field(default=False, description="whether each coupling runs in its device's process")
     faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")
 

@@ -41,7 +41,7 @@ class Cursor:
     """What one page has received so far."""
 
     buckets: dict[str, int] = field(default_factory=dict)
-    heard: dict[str, Instant] = field(default_factory=dict)
+    received: dict[str, Instant] = field(default_factory=dict)
     alarms: int = -1
 
 
@@ -121,8 +121,8 @@ class Feed:
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
             if node.role is Role.DEVICE and scene.about.certificate is not None:
                 out[name]["covered"] = covered_tau(scene, name)
-            if node.heard is not None and cursor.heard.get(name) != node.heard:
-                cursor.heard[name] = node.heard
+            if node.heard is not None and cursor.received.get(name) != node.heard:
+                cursor.received[name] = node.heard
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}
         return out
 

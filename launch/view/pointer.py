@@ -162,8 +162,8 @@ class Holding:
 
     def expire(self, now: Instant) -> None:
         """Let go of the devices whose pages have sent nothing for :data:`GRIP_LASTS`."""
-        for device, (_, said) in list(self._held.items()):
-            if now - said > GRIP_LASTS:
+        for device, (_, latest) in list(self._held.items()):
+            if now - latest > GRIP_LASTS:
                 self._release(device)
 
     def of(self, page: int) -> dict[str, str]:

@@ -111,7 +111,7 @@ def _is_address(name: str) -> bool:
 
 
 class Token:
-    """The secret that opens the page where other machines can reach it; only :meth:`told` shows it."""
+    """The secret that opens the page where other machines can reach it; only :meth:`reveal` shows it."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -120,7 +120,7 @@ class Token:
         """Whether ``given`` is this token; the comparison takes the same time for every wrong token of its length."""
         return isinstance(given, str) and hmac.compare_digest(given.encode(), self._text.encode())
 
-    def told(self) -> str:
+    def reveal(self) -> str:
         """The token as text, for the address that is printed once."""
         return self._text
 

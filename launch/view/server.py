@@ -382,7 +382,7 @@ def address_of(doorstep: Doorstep, token: Token | None) -> str:
     """The page's address for a browser; the token is its fragment, which browsers send to no server."""
     host = socket.gethostname() if doorstep.host in ("", "0.0.0.0", "::") else doorstep.host  # noqa: S104 -- compared
     shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{doorstep.port}/" + ("" if token is None else f"#token={token.told()}")
+    return f"http://{shown}:{doorstep.port}/" + ("" if token is None else f"#token={token.reveal()}")
 
 
 class _Server(uvicorn.Server):
@@ -460,7 +460,7 @@ def serve(
         try:
             config = config_of(application(watch, doorstep, token, connections), connections, watch.clock)
             server = _Server(config, lambda: ready(address_of(doorstep, token)))
-            asyncio.run(until_told(server, watch, connections, listening))
+            asyncio.run(run_until_stopped(server, watch, connections, listening))
         finally:
             watch.close()
 
@@ -484,7 +484,9 @@ def config_of(app: ASGIApp, connections: Connections, clock: Clock) -> uvicorn.C
     )
 
 
-async def until_told(server: uvicorn.Server, watch: Watch, connections: Connections, listening: socket.socket) -> None:
+async def run_until_stopped(
+    server: uvicorn.Server, watch: Watch, connections: Connections, listening: socket.socket
+) -> None:
     """Serve, follow the session, and end connections that take too long, until the server is asked to end."""
 
     async def follow() -> None:

@@ -317,7 +317,7 @@ def test_an_interrupted_session_interrupts_the_probe(monkeypatch: pytest.MonkeyP
 
 
 def test_a_session_without_an_answered_tick_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ProbeFailed, match="ipc: found no tick that was answered"):
+    with pytest.raises(ProbeFailed, match="ipc: found no tick that got a force"):
         ended(monkeypatch, 0)()
 
 

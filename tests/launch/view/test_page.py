@@ -375,8 +375,8 @@ def test_elsewhere_a_token_is_drawn_and_printed_once(told: list[tuple[str, Token
     done = CliRunner().invoke(app, ["view", "--host", "192.0.2.7"])
     [(_, token)] = told
     assert token is not None
-    assert done.output.count(token.told()) == 1
-    assert f"page: http://192.0.2.7:80/#token={token.told()}" in done.output
+    assert done.output.count(token.reveal()) == 1
+    assert f"page: http://192.0.2.7:80/#token={token.reveal()}" in done.output
     assert "without encryption" in done.output
 
 

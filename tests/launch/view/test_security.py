@@ -78,10 +78,10 @@ def test_what_is_loopback() -> None:
 
 def test_a_token_fits_itself_alone_and_is_not_shown() -> None:
     token = new_token()
-    assert token.fits(token.told())
-    assert not any(map(token.fits, (token.told() + "x", "", None, 7, "é", [token.told()])))
-    assert token.told() not in repr(token)
-    assert new_token().told() != token.told()
+    assert token.fits(token.reveal())
+    assert not any(map(token.fits, (token.reveal() + "x", "", None, 7, "é", [token.reveal()])))
+    assert token.reveal() not in repr(token)
+    assert new_token().reveal() != token.reveal()
 
 
 def token_file(folder: Path, text: str, mode: int = 0o600) -> Path:
@@ -94,7 +94,7 @@ def token_file(folder: Path, text: str, mode: int = 0o600) -> Path:
 def test_a_token_is_read_from_a_file(tmp_path: Path) -> None:
     token = read_token(token_file(tmp_path, "0123456789abcdef\n"))
     assert isinstance(token, Token)
-    assert token.told() == "0123456789abcdef"
+    assert token.reveal() == "0123456789abcdef"
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o620])

@@ -25,7 +25,7 @@ from manyhands.launch.view.server import (
     application,
     config_of,
     listen,
-    until_told,
+    run_until_stopped,
     without_tracebacks,
 )
 from manyhands.protocol.clock import Instant, RealtimeClock
@@ -178,7 +178,7 @@ def serving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
             port = listening.getsockname()[1]
             app = application(watch, Doorstep(host, port), token, connections)
             server = uvicorn.Server(config_of(app, connections, clock))
-            task = asyncio.create_task(until_told(server, watch, connections, listening))
+            task = asyncio.create_task(run_until_stopped(server, watch, connections, listening))
             made = Served(port, refused, clock)
             try:
                 yield made
