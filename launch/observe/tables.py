@@ -237,8 +237,8 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
     condition = scene.condition
     if condition is None:
         return
-    shown = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
-    for texts, kind, style in (*shown, (condition.faults, "fault", "red")):
+    warnings = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
+    for texts, kind, style in (*warnings, (condition.faults, "fault", "red")):
         if len(texts) > _MOST_SENTENCES:
             yield f"{kind}s: {len(texts) - _MOST_SENTENCES} earlier ones", style
         for text in texts[-_MOST_SENTENCES:]:

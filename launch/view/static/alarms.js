@@ -1,10 +1,10 @@
-/** The list of alarms: those that stand, with what to do; below, folded, those that are over or were withstood a while ago. */
+/** The list of present alarms, each with advice; below it, folded, the alarms that are over or whose cause was handled a while ago. */
 
 import { byId, html, say } from "./elements.js";
 
-const FRESH = 60; // s that what was withstood stands among the others, so that it is seen
+const FRESH = 60; // s for which an alarm whose cause was handled stays among the present ones, so that it is seen
 
-const shown = new Map(); // by key: the element, and what it was made from
+const shown = new Map(); // by key: the element, and the alarm from which it was made
 
 const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString();
 
@@ -20,7 +20,7 @@ function item(alarm) {
   );
 }
 
-/** Bring the lists to `alarms`; what has not changed keeps its element, so that it is not read out again. */
+/** Update the lists to `alarms`; an unchanged alarm keeps its element, so that screen readers do not read it again. */
 export function showAlarms(alarms) {
   const standing = byId("alarms-list");
   const past = byId("alarms-past-list");

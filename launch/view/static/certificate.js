@@ -1,4 +1,4 @@
-/** What the certificate says, beside what is measured. */
+/** The values of the certificate, beside the measured values. */
 
 import { byId, html, say } from "./elements.js";
 import { number, quantity } from "./format.js";
@@ -24,7 +24,7 @@ export class Certificate {
       ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
       row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
       row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),
-      row("enforced", certificate.enforced.join(", ") || "nobody: all is proved"),
+      row("enforced", certificate.enforced.join(", ") || "none: everything is proved"),
     ];
     byId("certificate-table").tBodies[0].replaceChildren(...rows);
     this.parties = Object.keys(about.nodes).map((name) => this.party(name, certificate));

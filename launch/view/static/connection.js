@@ -1,4 +1,4 @@
-/** The page's socket: opened again by itself when it is lost, and a token where one is needed. */
+/** The page's socket: it reconnects by itself, and sends the token where one is needed. */
 
 const LATER = [0.5, 1, 2, 5]; // s until the next attempt
 
@@ -6,13 +6,13 @@ function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
     sessionStorage.setItem("token", given);
-    history.replaceState(null, "", location.pathname); // not to be seen, nor kept with a bookmark
+    history.replaceState(null, "", location.pathname); // hides the token, and keeps it out of bookmarks
   }
   return sessionStorage.getItem("token");
 }
 
 export class Connection {
-  /** `told` gets every message; `changed` the state (live, lost, refused) and why. */
+  /** `told` is called with every message; `changed` with the state (live, lost, refused) and its reason. */
   constructor(told, changed) {
     this.told = told;
     this.changed = changed;
@@ -26,7 +26,7 @@ export class Connection {
     const socket = new WebSocket(`ws://${location.host}/socket`);
     this.socket = socket;
     socket.onopen = () => {
-      socket.send(JSON.stringify({ token: this.token ?? "" })); // whether one is asked for the server knows
+      socket.send(JSON.stringify({ token: this.token ?? "" })); // only the server knows whether a token is required
     };
     socket.onmessage = (event) => {
       this.attempts = 0;

@@ -1,4 +1,4 @@
-/** Making elements. What a session says becomes text, never markup. */
+/** Functions that make elements. Texts of a session become text nodes, never markup. */
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -12,7 +12,7 @@ export const html = (name, attributes = {}, ...children) => filled(document.crea
 export const svg = (name, attributes = {}, ...children) => filled(document.createElementNS(SVG, name), attributes, children);
 export const byId = (id) => document.getElementById(id);
 
-/** Set a text, but not where it is so already: a live region speaks of every change. */
+/** Set a text unless it is unchanged: a screen reader reads every change in a live region. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }

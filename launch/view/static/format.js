@@ -1,8 +1,8 @@
-/** Numbers as people read them: three digits, a prefix where one helps. */
+/** Numbers for people: three digits, and a unit prefix where one helps. */
 
 const PREFIXES = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
 
-/** The prefix in which values up to `most` are short: its factor and its letter. Delays are in µs already. */
+/** The unit prefix, as factor and letter, that makes values up to `most` short. Delays are in µs already. */
 export function prefixOf(most, unit) {
   if (unit === "us" || !(most > 0)) return [1, ""];
   return PREFIXES.find(([factor]) => most >= factor * 0.9995) ?? PREFIXES.at(-1);
@@ -10,14 +10,14 @@ export function prefixOf(most, unit) {
 
 export const unitOf = (unit) => (unit === "us" ? "µs" : unit);
 
-/** A value with its unit; a dash where there is none. */
+/** A value with its unit; a dash where there is no value. */
 export function quantity(value, unit) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   const [factor, letter] = prefixOf(Math.abs(value), unit);
   return `${number(value / factor)} ${letter}${unitOf(unit)}`;
 }
 
-/** Three digits; of large numbers all. */
+/** A number with three digits; a large number with all its digits. */
 export function number(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (value === 0) return "0";

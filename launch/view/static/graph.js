@@ -61,7 +61,7 @@ export class Graph {
       box.setAttribute("data-health", health);
       word.setAttribute("class", `health-${health}`);
       say(word, health);
-      say(title, `${name}: ${state || "not heard of"}, tick ${tick}${rate ? `, ${rate.toFixed(0)} ticks/s` : ""}`);
+      say(title, `${name}: ${state || "no message yet"}, tick ${tick}${rate ? `, ${rate.toFixed(0)} ticks/s` : ""}`);
     }
     session.picture.links.forEach((health, i) => {
       this.links[i].line.setAttribute("class", `link health-${health}`);

@@ -1,10 +1,10 @@
-/** Holding devices: by pointer or by keys; said again ten times a second, for who falls silent has let go. */
+/** Holds devices by pointer or by keys. The page repeats each hold ten times a second, since a hold that is not repeated ends. */
 
 import { byId, say } from "./elements.js";
 import { quantity } from "./format.js";
 
 const AGAIN = 100; // ms
-const STEPS = 40; // key presses from the middle to the end of what is drawn
+const STEPS = 40; // key presses from the middle to the edge of the drawing
 const KEYS = {
   ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowUp: [1, 1], ArrowDown: [1, -1], PageUp: [2, 1], PageDown: [2, -1],
 };
@@ -13,7 +13,7 @@ export class Grips {
   constructor(session, send) {
     this.session = session;
     this.send = send;
-    this.held = new Map(); // by device: where it is wanted, m, an entry an axis
+    this.held = new Map(); // by device: the wanted position, m, one entry for each axis
     setInterval(() => this.held.forEach((position, grasp) => this.send({ grasp, position })), AGAIN);
     document.addEventListener("visibilitychange", () => document.hidden && this.releaseAll());
     addEventListener("pagehide", () => this.releaseAll());
@@ -23,7 +23,7 @@ export class Grips {
     return this.held.has(device);
   }
 
-  /** Hold a device, or hold it elsewhere. */
+  /** Hold a device, or move it to another position. */
   hold(device, position) {
     const ports = this.session.about.nodes[device].ports;
     const within = position.map((x, axis) => {
@@ -45,13 +45,13 @@ export class Grips {
     for (const device of [...this.held.keys()]) this.release(device);
   }
 
-  /** The server said no. */
+  /** The server has refused a hold. */
   refused(why) {
     this.held.clear();
     say(byId("grip-status"), why);
   }
 
-  /** Where a device is now, m, an entry an axis. */
+  /** The present position of a device, m, one entry for each axis. */
   position(device) {
     const axes = this.session.about.nodes[device].ports.length;
     return Array.from({ length: axes }, (_, axis) => {
@@ -60,7 +60,7 @@ export class Grips {
     });
   }
 
-  /** Let a handle be held; `scale()` gives px per m and the greatest displacement drawn, `place(event)` px. */
+  /** Make a handle draggable; `scale()` returns px per m and the greatest displacement drawn, `place(event)` a position in px. */
   attach(handle, device, scale, place) {
     const axes = this.session.about.nodes[device].ports.length;
     let from = null;
@@ -102,7 +102,7 @@ export class Grips {
     this.hold(device, position);
   }
 
-  /** What a screen reader says of a handle. */
+  /** The text of a handle for screen readers. */
   text(device) {
     const where = this.position(device).map((x) => quantity(x, "m")).join(", ");
     const wanted = this.held.get(device);

@@ -1,4 +1,4 @@
-/** The page's head: which session, and how it is. */
+/** The page's header: the session and its health. */
 
 import { byId, say } from "./elements.js";
 
@@ -7,7 +7,7 @@ const CONNECTION = {
   over: "the session is over",
 };
 
-/** Write a health with its sign; what it is never hangs on the colour alone. */
+/** Write a health with its sign, so that the colour alone never carries the meaning. */
 export function showHealth(element, health) {
   const wanted = `health health-${health}`;
   if (element.getAttribute("class") !== wanted) element.setAttribute("class", wanted);

@@ -1,12 +1,12 @@
-/** Where the bodies of the virtual world stand: tools at the left, then masses by how many springs away, then ground.
+/** The positions of the bodies of the virtual world: tools at the left, then masses by the number of springs between, then ground.
 
 A body is what is drawn as one: a device's tool with its first two axes, a mass, or masses that are the axes of one
-body, told by their names (`ball.x`, `ball.y`). Columns and rows are counted from 0; what moves, moves about its place.
+body, recognised by their names (`ball.x`, `ball.y`). Columns and rows are counted from 0; a body moves about its position.
 */
 
 const stem = (mass) => mass.replace(/[._-]?([xyz012])$/, "") || mass;
 
-/** By mass, the axis along which it moves: that of the nearest ports; and how many springs away they are. */
+/** For each mass, the axis along which it moves (that of the nearest ports), and the number of springs to these ports. */
 function reachedFrom(ports, springs) {
   const found = new Map(ports.map(({ port, axis }) => [port, { axis, far: 0 }]));
   let edge = [...found.keys()];
@@ -25,7 +25,7 @@ function reachedFrom(ports, springs) {
   return found;
 }
 
-/** Bodies, and the pairs of them that springs join. */
+/** The bodies, and the pairs of bodies that springs join. */
 export function layout(about) {
   const devices = Object.entries(about.nodes).filter(([, node]) => node.role === "device");
   const ports = devices.flatMap(([device, node]) => node.ports.map((port, axis) => ({ device, port, axis })));
@@ -62,7 +62,7 @@ export function layout(about) {
   return { bodies, pairs: [...pairs.values()], columns: Math.max(...[...bodies.values()].map((b) => b.column)) + 1, rows: devices.length };
 }
 
-/** Every mass stands between those that it is joined with to its left; none on another. */
+/** Each mass stands at the mean height of its neighbours to the left; no two masses overlap. */
 function settleRows(bodies, pairs, rows) {
   const columns = Map.groupBy
     ? Map.groupBy(bodies.values(), (body) => body.column)

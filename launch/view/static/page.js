@@ -1,4 +1,4 @@
-/** The page: told by its socket, drawn once a frame. */
+/** The page: messages come from its socket, and it is drawn once for each frame of the screen. */
 
 import { showAlarms } from "./alarms.js";
 import { Certificate } from "./certificate.js";
@@ -11,10 +11,10 @@ import { Plots } from "./plots.js";
 import { Session } from "./session.js";
 import { World, worldLegend } from "./world.js";
 
-const DRAW_EVERY = 30; // ms: a screen may be faster, a hand's motion is not
+const DRAW_EVERY = 30; // ms: a screen may be faster, but a hand's motion is not
 const PLOT_EVERY = 66; // ms
 const WORDS_EVERY = 250; // ms: figures that change faster cannot be read
-const CALM_EVERY = 500; // ms, for who asks for less motion
+const CALM_EVERY = 500; // ms, for people who have asked their system for less motion
 
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let session = null;
@@ -24,7 +24,7 @@ let pictures = 0;
 function begin(told) {
   const same = session && session.about.pid === told.pid && session.about.started === told.started;
   if (same) {
-    session.about = told; // the socket was lost for a while: what was drawn goes on
+    session.about = told; // the socket was lost for a while: the same session continues
     return;
   }
   session = new Session(told);

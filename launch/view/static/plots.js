@@ -1,4 +1,4 @@
-/** The plots: one quantity at a time, its traces by choice, drawn through the extremes of every bucket. */
+/** The plots: one quantity at a time, with the traces that the person chose, drawn through the extremes of every bucket. */
 
 import { byId, html, say, svg } from "./elements.js";
 import { prefixOf, quantity, unitOf } from "./format.js";
@@ -12,17 +12,17 @@ const QUANTITIES = [
 ];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const COLOURS = 8;
-const AT_FIRST = 8; // traces that are shown before anybody has chosen
+const AT_FIRST = 8; // traces that are shown before the person has chosen any
 
 const variable = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** Whose a trace is: a port's, where its device or the world moves it; else a node's. */
+/** The owner of a trace: a port, where a device or the environment moves it; otherwise a node. */
 function nameOf(role, track, column) {
   if (column === track.symbol) return track.node;
   return role === "coupling" ? `${track.node} ${column}` : column;
 }
 
-/** The traces of a quantity: a column of a track each, with its name, colour and dash. */
+/** The traces of a quantity: each is a column of a track, with its name, colour and dash. */
 function tracesOf(quantity_, session) {
   const traces = [];
   for (const topic of quantity_.topics) {
@@ -151,7 +151,7 @@ export class Plots {
     return splits.map((v) => `${Number((v / factor).toPrecision(4))}${v === 0 ? "" : ` ${letter}${unitOf(this.unit)}`}`);
   }
 
-  /** What uPlot draws: times, and of each trace that is shown its values; null where there is none. */
+  /** The data for uPlot: times, and the values of each shown trace; null where there is no value. */
   data() {
     const { about, bucket } = this.session;
     const end = Math.floor(bucket) + 1;

@@ -1,8 +1,8 @@
-/** A session as the page knows it: what it was told first, the latest of everything, and the instant that is drawn. */
+/** A session as the page knows it: the first message, the latest values, and the instant that is drawn. */
 
 import { Track } from "./tracks.js";
 
-const BEHIND = 0.2; // s of the session that the drawing is behind the latest: telemetry comes ten times a second
+const BEHIND = 0.2; // s by which the drawing stays behind the latest values: telemetry comes ten times a second
 
 export class Session {
   constructor(told) {
@@ -25,7 +25,7 @@ export class Session {
     for (const [key, piece] of Object.entries(picture.tracks)) this.tracks.get(key)?.add(piece);
   }
 
-  /** Move the drawn instant on by `passed` s of the person's time: as fast as the session goes, a little behind it. */
+  /** Move the drawn instant on by `passed` s of real time, at the session's speed and a little behind it. */
   advance(passed) {
     if (!this.picture || this.paused) return;
     const second = 1 / this.about.period;
@@ -41,7 +41,7 @@ export class Session {
     return this.head === null ? 0 : this.head / this.about.bucket;
   }
 
-  /** What a column of a track is at the drawn instant; NaN where that is not known. */
+  /** The value of a track's column at the drawn instant; NaN where it is not known. */
   now(key, column) {
     return this.tracks.get(key)?.at(column, this.bucket) ?? NaN;
   }

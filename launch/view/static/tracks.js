@@ -1,14 +1,14 @@
-/** The last seconds of every trace: rings of buckets, two values each, as the server sends them. */
+/** The last seconds of every trace: rings of buckets with two values each, in the form that the server sends. */
 
 export class Track {
   constructor(facts, buckets) {
     Object.assign(this, facts); // node, topic, symbol, unit, columns
     this.buckets = buckets;
-    this.begin = this.end = 0; // of buckets: the first that is kept, and the one after the latest
+    this.begin = this.end = 0; // numbers of the first kept bucket, and of the one after the latest
     this.rings = facts.columns.map(() => new Float64Array(2 * buckets).fill(NaN));
   }
 
-  /** Add buckets from `first` on: of each column a list of values, two a bucket. */
+  /** Add buckets from `first` on: for each column a list of values, two for each bucket. */
   add([first, columns]) {
     const count = columns.length ? columns[0].length / 2 : 0;
     if (this.end === 0 || first > this.end + this.buckets || first + count < this.begin) {
@@ -30,7 +30,7 @@ export class Track {
     this.begin = Math.max(this.begin, this.end - this.buckets);
   }
 
-  /** One of the two values of a bucket; NaN where there is none. */
+  /** One of the two values of a bucket; NaN where there is no value. */
   value(column, bucket, half) {
     if (bucket < this.begin || bucket >= this.end) return NaN;
     return this.rings[column][2 * (bucket % this.buckets) + half];
@@ -53,7 +53,7 @@ export class Track {
     return (this.value(column, bucket, 0) + this.value(column, bucket, 1)) / 2;
   }
 
-  /** The greatest size of a column's values in the last `buckets` of them. */
+  /** The greatest magnitude of a column's values in the last `buckets` buckets. */
   most(column, buckets) {
     let most = 0;
     for (let b = Math.max(this.begin, this.end - buckets); b < this.end; b += 1) {

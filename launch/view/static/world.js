@@ -1,14 +1,14 @@
-/** The virtual world, moving: tools, masses and springs, and the devices that lead the tools through their couplings. */
+/** The moving virtual world: tools, masses and springs, and the devices that move the tools through their couplings. */
 
 import { byId, place, say, svg } from "./elements.js";
 import { quantity, rounded } from "./format.js";
 import { layout } from "./layout.js";
 
-const LEAST = 2e-3; // m, the least that fills the drawing: numerical noise is not drawn as motion
-const LEAST_FORCE = 0.1; // N, likewise
+const LEAST = 2e-3; // m, the smallest motion that may fill the drawing: numerical noise must not look like motion
+const LEAST_FORCE = 0.1; // N, the same for forces
 const LIFT = 26; // px that a device of one axis is drawn above its tool
-const ARROW = 60; // px of the longest force
-const LOOK = 500; // ms between two looks at the scale
+const ARROW = 60; // px, length of the arrow for the greatest force
+const LOOK = 500; // ms between two updates of the scale
 
 export class World {
   constructor(parent, session, grips) {
@@ -79,12 +79,12 @@ export class World {
     return handle;
   }
 
-  /** Where an event is, in the drawing's own units. */
+  /** The position of an event in the drawing's own units. */
   point(event) {
     return new DOMPoint(event.clientX, event.clientY).matrixTransform(this.drawing.getScreenCTM().inverse());
   }
 
-  /** Places of columns and rows, for the width there is. */
+  /** The positions of columns and rows for the present width. */
   arrange() {
     const width = Math.max(280, Math.floor(this.parent.clientWidth));
     const spread = this.columns > 1 ? (width - 60) / this.columns : width / 2;
@@ -104,7 +104,7 @@ export class World {
     if (this.pixels) this.draw();
   }
 
-  /** Scales that what moved lately fits into; grown at once, shrunk when it is a third; a held device's is kept. */
+  /** Scales that fit the latest motions: they grow at once, shrink when a third would do, and stay while a device is held. */
   rescale(now) {
     if (now - this.looked < LOOK) return;
     this.looked = now;
@@ -113,7 +113,7 @@ export class World {
     const greatest = (topics) =>
       Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, recent))));
     const fit = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
-    // there is room for a hand's motion, where one can come
+    // where a hand can move a device, its motion has room
     const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;
     if (this.grips.held.size === 0) this.most = fit(this.most, Math.max(LEAST, gripped, greatest(["sample", "tools", "masses"])));
     this.mostForce = fit(this.mostForce, Math.max(LEAST_FORCE, greatest(["force"])));
@@ -123,7 +123,7 @@ export class World {
     return this.most ? this.swing / this.most : 0;
   }
 
-  /** Where a body is now, px. */
+  /** The present position of a body, px. */
   at(id) {
     const body = this.bodies.get(id);
     const spot = this.spots.get(id);
@@ -240,7 +240,7 @@ export class World {
   }
 }
 
-/** A spring between two places, px: it keeps the number of its turns. */
+/** A spring between two positions, px; the number of its turns is constant. */
 function zigzag(a, b) {
   const [dx, dy] = [b.x - a.x, b.y - a.y];
   const length = Math.hypot(dx, dy) || 1;
@@ -255,12 +255,12 @@ function zigzag(a, b) {
   return `${d}L${b.x.toFixed(1)} ${b.y.toFixed(1)}`;
 }
 
-/** What the signs mean, for this session. */
+/** The legend of the drawing for this session. */
 export function worldLegend(about) {
   const held = about.grips.length ? " Drag a filled ring, or focus it and press the arrow keys." : "";
   const springs = about.springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${about.environment}`;
   say(
     byId("world-legend"),
-    `Ring: device (x). Square: its tool in the world (x_e). Dashed: what its coupling lets them differ. Arrow: the force it exerts on the hand (f). The world: ${springs}.${held}`,
+    `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f). The world: ${springs}.${held}`,
   );
 }
