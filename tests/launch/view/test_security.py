@@ -99,7 +99,7 @@ def test_a_token_is_read_from_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o620])
 def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
-    with pytest.raises(ViewError, match=r"found mode 06.*expected a file of yours"):
+    with pytest.raises(ViewError, match=r"found mode 06.*expected a file that you own"):
         read_token(token_file(tmp_path, "0123456789abcdef", mode))
 
 
