@@ -324,7 +324,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
         print_findings(out, findings)
-        _say_what_was_asked(out, file, certificate, session)
+        _print_request(out, file, certificate, session)
     for finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
@@ -337,7 +337,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     return EXIT_OK
 
 
-def _say_what_was_asked(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
+def _print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
     """Print what the certificate records of the request; this is not proved, and may be absent."""
     if certificate.asked is not None:
         say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")

@@ -94,7 +94,7 @@ class Simulation:
                     self.ledgers[name] = device.ledger
                 case CouplingBundle():
                     self._coupling_bundles[name], self._coupling_ports[name] = bundle, ports
-                    self._set_out(name)
+                    self._start_coupling(name)
                     D_V[np.ix_(ports, ports)] = bundle.block.D
                 case EnvironmentBundle():
                     environment = bundle
@@ -105,7 +105,7 @@ class Simulation:
         if self.environment.ledger is not None:
             self.ledgers[ENVIRONMENT] = self.environment.ledger
 
-    def _set_out(self, name: str) -> None:
+    def _start_coupling(self, name: str) -> None:
         """Start a coupling at rest, with a new core and ledger."""
         bundle = self._coupling_bundles[name]
         coupling = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
@@ -153,7 +153,7 @@ class Simulation:
             if k in begins or k in ends:
                 for name in ends.get(k, ()):
                     silent.discard(name)
-                    self._set_out(name)
+                    self._start_coupling(name)
                     self.environment.clutches.engage(blocks[name])
                 for name in begins.get(k, ()):
                     silent.add(name)

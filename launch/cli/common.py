@@ -47,7 +47,9 @@ def running_names(incomplete: str) -> list[str]:
     """Names of running sessions; where several have the same name, their process ids instead."""
     running = [one.about for one in running_sessions()]
     names = [about.session for about in running]
-    return _beginning(incomplete, (str(one.pid) if names.count(one.session) > 1 else one.session for one in running))
+    return _that_begin_with(
+        incomplete, (str(one.pid) if names.count(one.session) > 1 else one.session for one in running)
+    )
 
 
 def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -58,8 +60,8 @@ def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
         return []
     topics = named_topics(about)
     if incomplete.startswith("/"):
-        return _beginning(incomplete, (named.full for named in topics.values()))
-    return _beginning(incomplete, topics)
+        return _that_begin_with(incomplete, (named.full for named in topics.values()))
+    return _that_begin_with(incomplete, topics)
 
 
 def session_files(incomplete: str) -> list[str]:
@@ -80,7 +82,7 @@ def session_files(incomplete: str) -> list[str]:
             here.append(f"{prefix}{path.name}")
         elif path.is_dir():
             here.append(f"{prefix}{path.name}/")
-    return _beginning(incomplete, dict.fromkeys([*here, *names]))
+    return _that_begin_with(incomplete, dict.fromkeys([*here, *names]))
 
 
 def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -92,10 +94,10 @@ def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
         loaded = load_named(session, ctx.params.get("overrides") or [])
     except (SessionError, OSError):
         return []
-    return _beginning(incomplete, [*loaded.roles, *loaded.observers])
+    return _that_begin_with(incomplete, [*loaded.roles, *loaded.observers])
 
 
-def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:
+def _that_begin_with(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)][:_MOST]
 
 

@@ -149,7 +149,10 @@ def _period(tau: Spread, worth: Worth) -> list[Advice]:
 
 
 def _at(worth: Worth, T: float, tau: float) -> str:
-    """The weakest device's stiffness at another period, as a text; only for an environment that takes no share."""
+    """The weakest device's stiffness at another period, as a text.
+
+    Where the environment takes a share, which depends on the period, the text refers to `manyhands budget` instead.
+    """
     if worth.share > 0.0:
         return "what manyhands budget shows"
     loop = worth.loop

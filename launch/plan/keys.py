@@ -380,7 +380,7 @@ def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console,
         for name, role in roster(session).items():
             table.add_row(name, role.value, states[name].value)
         out.print(table)
-    _say_next(session, folder, made, err)
+    _print_next_steps(session, folder, made, err)
     return EXIT_OK
 
 
@@ -402,7 +402,7 @@ def _object(session: Session, folder: Path, made: Made, states: dict[str, KeySta
     }
 
 
-def _say_next(session: Session, folder: Path, made: Made, err: Console) -> None:
+def _print_next_steps(session: Session, folder: Path, made: Made, err: Console) -> None:
     private = folder / PRIVATE
     say(err, f"to machines that launch the session: {folder / PUBLIC}")
     say(

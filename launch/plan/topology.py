@@ -79,10 +79,10 @@ def require_runnable(graph: Topology, observers: int = 0) -> None:
                 f"expected at most {MAX_PORTS}; divide the coupling into more blocks"
             )
     of_nodes = (node_needs(len(graph.links_of(node))) for node in graph.nodes)  # nodes inherit the supervisor's limit
-    require_descriptors(max(node_needs(0) + _A_MEMBER * (len(graph.nodes) + observers), *of_nodes))
+    require_descriptors(max(node_needs(0) + _MEMBER_DESCRIPTORS * (len(graph.nodes) + observers), *of_nodes))
 
 
-_A_MEMBER = 8  # descriptors of the supervisor for each node or observer: process, connection, socket and its monitor
+_MEMBER_DESCRIPTORS = 8  # of the supervisor, for each node or observer: process, connection, socket and its monitor
 
 
 def roster(session: Session) -> Mapping[str, Role]:

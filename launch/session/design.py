@@ -311,7 +311,7 @@ class Design(SessionModel):
         return self.order[block] if isinstance(self.order, dict) else self.order or 0
 
     @model_validator(mode="after")
-    def _given_where_it_belongs(self) -> Self:
+    def _given_fits_the_coupling(self) -> Self:
         given = [name for name in ("stiffness", "damping", "matrices") if getattr(self, name) is not None]
         if self.coupling != "given" and given:
             found = f"{given[0]} with 'coupling: {self.coupling}'"
@@ -324,7 +324,7 @@ class Design(SessionModel):
         return self
 
     @model_validator(mode="after")
-    def _every_key_has_its_use(self) -> Self:
+    def _every_key_is_used(self) -> Self:
         if problems := [*self._search_problems(), *self._objective_problems(), *self._ladder_problems()]:
             raise refusal(*problems)
         return self

@@ -354,7 +354,7 @@ class Device(SessionModel):
         return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
 
     @model_validator(mode="after")
-    def _is_moved_by_its_driver(self) -> Self:
+    def _fits_its_driver(self) -> Self:
         if problems := tuple(self._problems()):
             raise refusal(*problems)
         return self

@@ -151,7 +151,7 @@ class SessionLink(SessionModel):
     damping: UncertainDamping = Field(default=0.0, description="the damping in N·s/m, or an interval")
 
     @model_validator(mode="after")
-    def _does_something(self) -> Self:
+    def _has_spring_or_damper(self) -> Self:
         if self.stiffness == 0.0 and self.damping == 0.0:
             raise refuse(
                 "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
@@ -300,7 +300,7 @@ class TransferFunctionEnvironment(SessionModel):
         return self
 
     @model_validator(mode="after")
-    def _tustin_keeps_it_stable(self) -> Self:
+    def _tustin_has_proper_entries(self) -> Self:
         for i, row in enumerate(self.entries):
             for j, entry in enumerate(row):
                 if self.method == "tustin" and not entry.proper:

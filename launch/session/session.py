@@ -275,7 +275,7 @@ class Session(SessionModel):
     faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")
 
     @model_validator(mode="after")
-    def _hangs_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         device_ports = {name: device.ports(name) for name, device in self.devices.items()}
         problems = list(islice(structure_problems(device_ports, self.couplings), MAX_PROBLEMS))
         for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
@@ -284,7 +284,7 @@ class Session(SessionModel):
         motions = {name: (d.trace, d.limits) for name, d in self.devices.items() if d.trace is not None}
         problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
         if not problems and self.colocate:
-            problems += islice(self._not_to_be_colocated(), MAX_PROBLEMS)
+            problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
             found = self.design.problems(self.ports, self.blocks_by_name, self.period)
             for problem in islice(found, MAX_PROBLEMS):
@@ -307,7 +307,7 @@ class Session(SessionModel):
             ENVIRONMENT: Role.ENVIRONMENT,
         }
 
-    def _not_to_be_colocated(self) -> Iterator[Problem]:
+    def _colocation_problems(self) -> Iterator[Problem]:
         """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""
         for name in self.couplings:
             if len(self.devices_of(name)) > 1:

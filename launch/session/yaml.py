@@ -111,7 +111,7 @@ def parse_tree(text: str, source: str) -> SessionTree:
     Raises:
         SessionError: the text is not acceptable YAML, or not a mapping.
     """
-    with _collector_at_rest():
+    with _without_collector():
         node = _compose(text, source, has_lines=True)
         builder = _Builder(source, has_lines=True)
         data = None if node is None else builder.build(node, ())
@@ -137,14 +137,14 @@ else:  # libyaml, which is in PyYAML's wheels, takes a tenth of the time: PyYAML
 
 
 @contextmanager
-def _collector_at_rest() -> Iterator[None]:
+def _without_collector() -> Iterator[None]:
     """Disable the garbage collector, which would traverse the growing tree again and again: half of the time."""
-    was_at_work = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was_at_work:
+        if was_enabled:
             gc.enable()
 
 

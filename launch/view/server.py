@@ -204,17 +204,17 @@ class Pages:
         await socket.accept()
         try:
             if await self._admitted(socket):
-                await self._serve_one_of_so_many(socket)
+                await self._serve_within_limit(socket)
         except TimeoutError:
             self._connections.refused["too_slow"] += 1
-            await _closed(socket, "the page took too long")
+            await _close(socket, "the page took too long")
         except NoText:
             self._connections.refused["no_text"] += 1
-            await _closed(socket, "found bytes; expected text")
+            await _close(socket, "found bytes; expected text")
         except WebSocketDisconnect:
             return
 
-    async def _serve_one_of_so_many(self, socket: WebSocket) -> None:
+    async def _serve_within_limit(self, socket: WebSocket) -> None:
         if self._count >= MOST_PAGES:
             self._connections.refused["too_many"] += 1
             await socket.close(TOO_MANY, "too many pages")
@@ -321,7 +321,7 @@ async def _send(socket: WebSocket, text: str) -> None:
         await socket.send_text(text)
 
 
-async def _closed(socket: WebSocket, why: str) -> None:
+async def _close(socket: WebSocket, why: str) -> None:
     """Close a socket that may be closed already."""
     try:
         await socket.close(GIVEN_UP, why)
