@@ -27,6 +27,9 @@ applied with s(k-1), so the work that the couplings compute is the work that was
     f(k-1)^T T v'(k) = f_applied(k-1)^T T v(k)  >=  storage difference + T v(k)^T Delta_D v(k),      |v'| <= |v|,
 
 and the device's promise holds of x' and f as it does of x and f_applied, whatever s does (docs/decisions/0029).
+
+A force that comes too late is not decided here: :mod:`manyhands.nodes.device.node` stops waiting for it, and exerts
+none.
 """
 
 from __future__ import annotations

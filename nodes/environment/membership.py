@@ -301,7 +301,7 @@ class Members:
         for member in self.all:
             member.peer_link.gate.forget()
 
-    def let_go(self, tick: int) -> None:
+    def let_in_again(self, tick: int) -> None:
         """Raise every force by the ramp again: the devices have waited too long, and exert no force by now."""
         for member in self.all:
             if member.membership.state is Membership.ACTIVE and member.wanted == member.rung:

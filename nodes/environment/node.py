@@ -204,7 +204,7 @@ class EnvironmentNode:
             if stale is not None and now - self._due > late.allowance:  # otherwise no coupling was late
                 self._judge(members, tick, self._due - answered < CROSSING * period)
             if stale is not None and now - answered > stale:
-                members.let_go(tick)
+                members.let_in_again(tick)
             f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")

@@ -356,7 +356,7 @@ def test_a_flood_ends_the_environment(world: TwoCouplings) -> None:
 
 def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> None:
     world.together(3)
-    world.members.let_go(world.tick)
+    world.members.let_in_again(world.tick)
     first = world.tick
     world.together(2)
     assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
@@ -584,7 +584,7 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
             if world.members.all[NAMES.index(one)].peer_link.handshake is not None:
                 world.come_back(one)
         elif what == "let go":
-            world.members.let_go(world.tick)
+            world.members.let_in_again(world.tick)
         else:
             for _ in range(one):
                 for member in world.members.all:
