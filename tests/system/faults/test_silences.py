@@ -144,7 +144,7 @@ def test_a_device_lets_go_at_the_first_sample_without_answer(tmp_path: Path, mon
 def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
     """The link is encrypted, between a coupling and the environment: both live on and reconnect."""
     cables: list[Cable] = []
-    hear = Conductor.hear
+    hear = Conductor.receive
 
     def rewired(self: Conductor, sender: str, received: Received, now: int) -> list[Instruction]:
         if sender == "environment" and isinstance(received, NodeHello):
@@ -153,7 +153,7 @@ def test_a_link_that_is_cut_and_mended(monkeypatch: pytest.MonkeyPatch) -> None:
             received = dataclasses.replace(received, endpoints=endpoints)
         return hear(self, sender, received, now)
 
-    monkeypatch.setattr(Conductor, "hear", rewired)
+    monkeypatch.setattr(Conductor, "receive", rewired)
     try:
         outcome = play(
             (told_of(100), lambda _: cables[0].cut()),

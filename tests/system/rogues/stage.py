@@ -241,7 +241,7 @@ def _overhear(patch: pytest.MonkeyPatch, stage: RogueSession, forge: Forge) -> N
         }
         return forge(bundles)
 
-    hear = Conductor.hear
+    hear = Conductor.receive
 
     def overhear(self: Conductor, sender: str, received: Received, now: int) -> list[Instruction]:
         if isinstance(received, NodeHello):
@@ -250,4 +250,4 @@ def _overhear(patch: pytest.MonkeyPatch, stage: RogueSession, forge: Forge) -> N
         return hear(self, sender, received, now)
 
     patch.setattr(supervisor_module, "cut", cut_and_forge)
-    patch.setattr(Conductor, "hear", overhear)
+    patch.setattr(Conductor, "receive", overhear)
