@@ -37,7 +37,11 @@ if hasattr(providers, "_get_local_constants"):
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every property of random cases as one that `make test-long` searches more widely."""
+    """Mark every property of random cases as one that `make test-long` searches more widely.
+
+    The suite of processes comes first: its files take longest, and at the end one worker would wait for the other.
+    """
+    items.sort(key=lambda item: "tests/system/" not in item.nodeid)
     for item in items:
         if isinstance(item, pytest.Function) and hypothesis.is_hypothesis_test(item.obj):
             item.add_marker(pytest.mark.wide)
