@@ -28,6 +28,7 @@ from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.enforced import EnforcedCore, environment_core
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
+from manyhands.protocol.clock import Instant, from_seconds
 
 _PROGRESS_TICKS = 1000
 
@@ -149,7 +150,9 @@ class Simulation:
         couplings = self._active(())
         silent: set[str] = set()
         model = self.environment if isinstance(self.environment, EnforcedCore) else None
+        period = from_seconds(session.period)
         for k in range(ticks):
+            now, due = Instant(k * period), Instant((k + 1) * period)
             if k in begins or k in ends:
                 for name in ends.get(k, ()):
                     silent.discard(name)
@@ -160,7 +163,7 @@ class Simulation:
                     self.environment.clutches.freeze(blocks[name])
                 couplings = self._active(silent)
             for driver, device, guard, ports in devices:
-                displacement = list(map(float, driver.sample(k)))
+                displacement = list(map(float, driver.sample(k, now)))
                 device.sample(displacement)
                 x[k, ports] = displacement
                 reported[ports] = guard.tell(displacement)
@@ -179,8 +182,8 @@ class Simulation:
                     traces.keep(name, k, p[ports].tolist(), applied)
             for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
                 f_v[k, ports] = force = guard.clip(f_v[k, ports].tolist())
-                driver.apply(force)
-                driver.idle()
+                driver.apply(force, now)
+                driver.idle(due)
                 device.apply(force, driver.intended_work())
                 if traces is not None:
                     traces.keep(name, k, x[k, ports].tolist(), force)

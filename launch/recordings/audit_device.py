@@ -24,6 +24,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import Driver
+from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]
 
@@ -37,24 +38,29 @@ class _State:
     def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
         """Device and hand begin at rest."""
         self._bundle, self._driver, self._turn = bundle, driver, 0
+        self._period = from_seconds(bundle.common.period)
         self._zero: Floats = [0.0] * len(bundle.common.ports)
         self.core = DeviceCore(bundle.level, bundle.K, bundle.common.period)
 
     def free(self) -> None:
         """Compute a period without force, as the device's loop does it."""
-        x = list(self._driver.sample(self._turn))
+        x = list(self._driver.sample(self._turn, self._now))
         self._step(x, self._zero)
 
     def row(self, x: Floats, f: Floats) -> Floats:
         """Compute a period in which the force f (N) was applied; x (m) was recorded. Returns the computed position,
         m.
         """
-        moved = list(self._driver.sample(self._turn))
+        moved = list(self._driver.sample(self._turn, self._now))
         self._step(x, f)
         return moved
 
+    @property
+    def _now(self) -> Instant:
+        return Instant(self._turn * self._period)
+
     def _step(self, x: Floats, f: Floats) -> None:
-        self._driver.apply(f)
+        self._driver.apply(f, self._now)
         self.core.sample(x)
         self.core.apply(f, self._driver.intended_work())
         self._turn += 1

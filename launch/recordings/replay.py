@@ -29,6 +29,7 @@ from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.recorder.coverage import Coverage
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
+from manyhands.protocol.clock import Instant
 
 COMPUTED: Final = frozenset({"simulated", "trace"})
 """Drivers whose motion follows from the session and the forces alone."""
@@ -55,7 +56,7 @@ class GivenMotion:
 
     def __init__(self, x: NDArray[np.float64]) -> None:
         """The motion ``x``: ticks x axes, m."""
-        self._x = x
+        self._x, self._tick = x, 0
         holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
         self.ticks = int(holes[0]) if len(holes) else len(x)
 
@@ -64,18 +65,22 @@ class GivenMotion:
         """Number of axes."""
         return int(self._x.shape[1])
 
-    def sample(self, tick: int) -> list[float]:
+    def sample(self, tick: int, at: Instant) -> list[float]:
         """The position at that tick, m."""
+        self._tick = tick
         row: list[float] = self._x[tick].tolist()
         return row
 
-    def apply(self, f: Sequence[float]) -> None:
-        """The force has no effect."""
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> list[float]:
+        """The force has no effect; returns the position at the last sample, m."""
+        row: list[float] = self._x[self._tick].tolist()
+        return row
 
-    def release(self) -> None:
-        """There is no force to release."""
+    def release(self, at: Instant) -> list[float]:
+        """There is no force to release; returns the position at the last sample, m."""
+        return self.apply((), at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """There is no deferred work."""
 
     def intended_work(self) -> float:

@@ -25,30 +25,44 @@ from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, Si
 from manyhands.nodes.device.intent import SampledSignal
 from manyhands.nodes.device.pointer import BrowserDriver, pointer_of
 from manyhands.nodes.device.simulated import simulated_driver
+from manyhands.protocol.clock import Instant
 
 
 class Driver(Protocol):
-    """A force-feedback device: displacement out, force in, one of each a tick."""
+    """A force-feedback device: displacement out, force in, one of each a tick.
+
+    Instants count from tick 0's instant, ns, and never decrease from call to call; an instant before that of the last
+    call counts as that one. A driver in its own time ignores them.
+    """
 
     @property
     def axes(self) -> int:
         """Number of axes."""
         ...
 
-    def sample(self, tick: int) -> Sequence[float]:
-        """The displacement x(k), m, at this moment, one entry for each axis; ``tick`` counts the calls from 0."""
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        """The displacement at the instant ``at``, m, one entry for each axis; ``tick`` counts the calls from 0."""
         ...
 
-    def apply(self, f: Sequence[float]) -> None:
-        """Exert the force f (N) and hold it until the next call."""
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
+        """Exert the force f (N) from the instant ``at`` on, and hold it until the next call.
+
+        Args:
+            f: the force, N, one entry for each axis.
+            at: the instant of the call.
+            until: from this instant on the device by itself exerts no force, even if no call follows; None to hold f.
+
+        Returns:
+            The displacement at ``at``, m; where the driver cannot measure it, that of the last sample.
+        """
         ...
 
-    def release(self) -> None:
-        """Exert no force until the next :meth:`apply`; the loop calls this when it has no force in time."""
+    def release(self, at: Instant) -> Sequence[float]:
+        """Exert no force from ``at`` on, as :meth:`apply`; the loop calls this when it has no force in time."""
         ...
 
-    def idle(self) -> None:
-        """Do the work that was put off: the tick's force is applied, and the next sample is not yet due."""
+    def idle(self, due: Instant) -> None:
+        """Do the work that was put off: the tick's force is applied, and the next sample is due at ``due``."""
         ...
 
     def intended_work(self) -> float:
@@ -89,23 +103,24 @@ class TraceDriver:
         """Number of axes."""
         return len(self._traces)
 
-    def sample(self, tick: int) -> Floats:
+    def sample(self, tick: int, at: Instant) -> Floats:
         """The displacement r(kT), m."""
         x = self._next if tick == self._tick else self._at(tick)
-        moved = [at - last for at, last in zip(x, self._x, strict=True)]
+        moved = [now - last for now, last in zip(x, self._x, strict=True)]
         self._work = dot(moved, self._friction(moved)) - dot(self._f, moved)
         self._x, self._next, self._tick = x, x, tick
         return x.copy()
 
-    def apply(self, f: Sequence[float]) -> None:
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats:
         """Take f (N) as the force over the period that begins; the motion does not yield to it."""
         self._f = list(map(float, f))
+        return self._x.copy()
 
-    def release(self) -> None:
+    def release(self, at: Instant) -> Floats:
         """Take zero force."""
-        self._f = [0.0] * len(self._traces)
+        return self.apply([0.0] * len(self._traces), at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Compute the next sample of the motion, before it is due."""
         if self._next is self._x:
             self._tick += 1

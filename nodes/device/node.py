@@ -59,6 +59,7 @@ class DeviceNode:
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
         self._life: Life | None = None  # until the loop begins
+        self._epoch = Instant(0)
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
@@ -76,14 +77,14 @@ class DeviceNode:
         try:
             self._run(start, life, control)
         finally:
-            self._driver.release()
+            self._driver.release(self._now())
         self._account.publish_rest(control, self._core, self._guard, self.peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
         account, peer_links = self._account, self.peer_links
         self._life, give_way = life, way_giver()
-        epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
+        epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
@@ -97,7 +98,8 @@ class DeviceNode:
             ready = clock.now()
             clock.sleep_until(due)
             sampled = clock.now()
-            x = list(map(float, driver.sample(turns)))  # a copy: a driver may fill the same list or array every time
+            # a copy: a driver may fill the same list or array every time
+            x = list(map(float, driver.sample(turns, Instant(sampled - epoch))))
             let_go = guard.let_go
             told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
@@ -119,10 +121,10 @@ class DeviceNode:
                 return
             received = clock.now()
             if told is None:  # no force in time: the tick is not counted, and comes again in the next period
-                driver.apply(self._zero)
+                driver.apply(self._zero, Instant(received - epoch))
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
-                driver.idle()
+                driver.idle(Instant((slot + 1) * period))
                 account.release(tick)
                 slot += 1
                 continue
@@ -130,14 +132,14 @@ class DeviceNode:
                 self._jump(control)
                 tick = told
             held = guard.clip(f.copy())  # a copy, for telemetry keeps it and f is written again in the next tick
-            driver.apply(held)
+            driver.apply(held, Instant(received - epoch))
             applied = clock.now()
             give_way()
             core.sample(x)  # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
             core.apply(held, driver.intended_work())
             for peer_link in peer_links:
                 peer_link.settle(tick)
-            driver.idle()
+            driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
             account.tick(tick, x, held, core, (due, ready, sampled, sent, received, applied))
@@ -231,10 +233,14 @@ class DeviceNode:
         """Whether there is a peer to wait for."""
         return any(peer_link.reachable for peer_link in self.peer_links)
 
+    def _now(self) -> Instant:
+        """The present instant, since tick 0's."""
+        return Instant(self._clock.now() - self._epoch)
+
     def _let_go(self) -> None:
         """Exert no force: the last one is stale, and no force is safer than an old one."""
         if not self._free:
-            self._driver.release()
+            self._driver.release(self._now())
             self._account.stale += 1
         self._free = True
 

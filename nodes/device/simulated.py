@@ -20,6 +20,7 @@ from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats, dot, linear_map
 from manyhands.nodes.bundle import SimulatedHand
 from manyhands.nodes.device.intent import Intent, intent_from
+from manyhands.protocol.clock import Instant
 
 
 class Intention(NamedTuple):
@@ -89,21 +90,22 @@ class PlantDriver(ABC):
         """Number of axes."""
         return self._m
 
-    def sample(self, tick: int) -> Floats:
+    def sample(self, tick: int, at: Instant) -> Floats:
         """The displacement at the instant kT, m: where the force of the last period has moved the device."""
         self._state, self._work = self._next if self._next is not None else self._advanced()
         self._tick, self._next, self._intention = tick, None, None
         return self._state[: self._m]
 
-    def apply(self, f: Sequence[float]) -> None:
-        """Hold f (N) over the period that begins."""
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats:
+        """Hold f (N) over the period that begins; returns the displacement of the last sample, m."""
         self._f, self._next = list(map(float, f)), None  # a float of numpy is slow in the products
+        return self._state[: self._m]
 
-    def release(self) -> None:
+    def release(self, at: Instant) -> Floats:
         """Hold zero force."""
-        self.apply(self._zero)
+        return self.apply(self._zero, at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Compute the next state before its sample is due, when this costs the loop no latency."""
         self._next = self._advanced()
 
@@ -117,7 +119,7 @@ class PlantDriver(ABC):
 
     def close(self) -> None:
         """Hold zero force; there are no files or sockets to close."""
-        self.release()
+        self._f, self._next = self._zero, None
 
     def _advanced(self) -> tuple[Floats, float]:
         """The state at the end of the period under the present force, and the work of the intention."""

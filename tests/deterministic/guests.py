@@ -224,7 +224,7 @@ class PushingDriver:
         self._f: Sequence[float] = self._x
         self._t: float | None = None
 
-    def sample(self, tick: int) -> Sequence[float]:
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
         """Where it is."""
         t = self._time(tick)
         passed = 0.0 if self._t is None else t - self._t
@@ -245,15 +245,16 @@ class PushingDriver:
                 way = math.copysign(1.0, self._f[axis]) * (1.0 if plan.motion is Motion.ALONG else -1.0)
                 return max(-reach, min(reach, self._x[axis] + way * speed * passed))
 
-    def apply(self, f: Sequence[float]) -> None:
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
         """Ignore the force."""
         self._f = list(f)
+        return self._x
 
-    def release(self) -> None:
+    def release(self, at: Instant) -> Sequence[float]:
         """No force."""
-        self._f = [0.0] * self.axes
+        return self.apply([0.0] * self.axes, at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Nothing is put off."""
 
     def intended_work(self) -> float:

@@ -35,10 +35,11 @@ class Late:
         self.apply, self.release, self.idle = driver.apply, driver.release, driver.idle
         self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
 
-    def sample(self, tick: int) -> Sequence[float]:
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
         """The displacement, after a while."""
-        self._sleep_until(Instant(self._now() + int(self._delay(tick) * PERIOD)))
-        return self._driver.sample(tick)
+        late = int(self._delay(tick) * PERIOD)
+        self._sleep_until(Instant(self._now() + late))
+        return self._driver.sample(tick, Instant(at + late))
 
 
 class LateSession(SimulatedSession):

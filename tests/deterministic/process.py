@@ -103,12 +103,12 @@ class LimitedDriver:
         self.sample, self.release, self.idle = driver.sample, driver.release, driver.idle
         self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
 
-    def apply(self, f: Sequence[float]) -> None:
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
         """Exert ``f``."""
         for force, most in zip(f, self._limits, strict=True):
             if not abs(force) <= most * (1.0 + 1e-9):
                 self._violate(f"{self._name}: found a force of {force:g} N; expected at most {most:g} N")
-        self._driver.apply(f)
+        return self._driver.apply(f, at, until)
 
 
 class Witness(Protocol):

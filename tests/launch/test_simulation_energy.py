@@ -23,6 +23,7 @@ from manyhands.launch.simulation import Simulation
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Report, Role, Telemetry
 
 EXAMPLE = Path(__file__).parents[2] / "launch" / "sessions" / "example1.yaml"
@@ -37,17 +38,21 @@ class Liar:
 
     def __init__(self, frequency: float, amplitude: float) -> None:
         self._omega, self._amplitude = 2.0 * math.pi * frequency * T, amplitude
+        self._x = [0.0]
 
-    def sample(self, tick: int) -> list[float]:
-        return [self._amplitude * math.sin(self._omega * tick)]
+    def sample(self, tick: int, at: Instant) -> list[float]:
+        self._x = [self._amplitude * math.sin(self._omega * tick)]
+        return self._x
 
-    def apply(self, f: object) -> None:
+    def apply(self, f: object, at: Instant, until: Instant | None = None) -> list[float]:
         """The hand does not give way."""
+        return self._x
 
-    def release(self) -> None:
+    def release(self, at: Instant) -> list[float]:
         """The same."""
+        return self._x
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Nothing is put off."""
 
     def intended_work(self) -> float:

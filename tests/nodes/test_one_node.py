@@ -19,7 +19,7 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.peer_link import establish
-from manyhands.protocol.clock import RealtimeClock
+from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
@@ -101,19 +101,21 @@ class Recorded:
     axes = 1
 
     def __init__(self, samples: list[float]) -> None:
-        self._samples = samples
+        self._samples, self._x = samples, one(0.0)
         self.exerted: list[float] = []
 
-    def sample(self, tick: int) -> Values:
-        return one(self._samples[tick])
+    def sample(self, tick: int, at: Instant) -> Values:
+        self._x = one(self._samples[tick])
+        return self._x
 
-    def apply(self, f: Values) -> None:
+    def apply(self, f: Values, at: Instant, until: Instant | None = None) -> Values:
         self.exerted.append(float(f[0]))
+        return self._x
 
-    def release(self) -> None:
-        self.exerted.append(0.0)
+    def release(self, at: Instant) -> Values:
+        return self.apply(one(0.0), at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Nothing was put off."""
 
     def intended_work(self) -> float:
@@ -229,7 +231,7 @@ def test_a_device_whose_link_fails_lets_go(
 ) -> None:
     node, bundle, driver = device_of(bundles, [0.0] * 2)
 
-    def fail_at_the_second_tick(tick: int) -> Values:
+    def fail_at_the_second_tick(tick: int, at: Instant) -> Values:
         if tick == 1:
             raise TransportError("the link is gone")
         return one(0.0)

@@ -31,6 +31,7 @@ from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.protocol.channels import LEDGER, TAU
+from tests.support.instants import instant
 
 from ...support.simulated_recordings import (
     SESSIONS,
@@ -222,13 +223,13 @@ def played_device(
     turn, x, energy = 0, [], []
     for k, force in enumerate(f):
         for _ in range(free.get(k, 0)):
-            at = driver.sample(turn)
-            driver.apply([0.0])
+            at = driver.sample(turn, instant(turn))
+            driver.apply([0.0], instant(turn))
             core.sample(at)
             core.apply([0.0], driver.intended_work())
             turn += 1
-        at = driver.sample(turn)
-        driver.apply([force])
+        at = driver.sample(turn, instant(turn))
+        driver.apply([force], instant(turn))
         core.sample(at)
         core.apply([force], driver.intended_work())
         turn += 1

@@ -18,6 +18,7 @@ from manyhands.nodes.device.intent import intent_from
 from manyhands.nodes.device.pointer import BrowserDriver
 from manyhands.nodes.device.simulated import SimulatedDriver
 from manyhands.protocol.messages import Grasp, Release
+from tests.support.instants import instant
 
 T = 1e-3
 
@@ -85,35 +86,43 @@ def driver(make: Make) -> Driver:
 
 def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) -> None:
     for tick in range(5):
-        x = driver.sample(tick)
+        x = driver.sample(tick, instant(tick))
         assert len(x) == driver.axes
         assert all(type(at) is float for at in x)
         assert np.all(np.isfinite(x))
-        driver.apply(np.ones(driver.axes))
-        driver.idle()
+        driver.apply(np.ones(driver.axes), instant(tick))
+        driver.idle(instant(tick + 1))
+
+
+def test_a_force_returns_where_the_device_is_at_that_instant(driver: Driver) -> None:
+    for tick in range(5):
+        x = list(driver.sample(tick, instant(tick)))
+        assert list(driver.apply(np.ones(driver.axes), instant(tick))) == x
+        assert list(driver.release(instant(tick))) == x
+        driver.idle(instant(tick + 1))
 
 
 def test_samples_are_the_callers_to_keep(make: Make) -> None:
     meddled, other = make(), make()
     for tick in range(3):
-        first, same = meddled.sample(tick), other.sample(tick)
+        first, same = meddled.sample(tick, instant(tick)), other.sample(tick, instant(tick))
         np.testing.assert_array_equal(first, same)
         assert isinstance(first, list)
         first[0] += 1.0
         for one in (meddled, other):
-            one.apply(np.zeros(one.axes))
-            one.idle()
+            one.apply(np.zeros(one.axes), instant(tick))
+            one.idle(instant(tick + 1))
 
 
 @pytest.mark.parametrize("make", BARE, ids=lambda make: make.__name__)
 def test_the_force_is_held_and_moves_the_device_along(make: Make) -> None:
     driver = make()
-    driver.sample(0)
-    driver.apply(np.full(driver.axes, 2.0))
-    driver.idle()
-    first = np.array(driver.sample(1))
-    driver.idle()  # no new force: the old one is held
-    second = np.array(driver.sample(2))
+    driver.sample(0, instant(0))
+    driver.apply(np.full(driver.axes, 2.0), instant(0))
+    driver.idle(instant(1))
+    first = np.array(driver.sample(1, instant(1)))
+    driver.idle(instant(2))  # no new force: the old one is held
+    second = np.array(driver.sample(2, instant(2)))
     assert np.all(first > 0.0)
     assert np.all(second - first > first)
 
@@ -121,14 +130,14 @@ def test_the_force_is_held_and_moves_the_device_along(make: Make) -> None:
 def test_released_it_is_driven_no_more(make: Make) -> None:
     driver, other = make(), make()
     for tick, force in enumerate((2.0, 2.0, 0.0, 0.0, 0.0)):
-        np.testing.assert_array_equal(driver.sample(tick), other.sample(tick))
+        np.testing.assert_array_equal(driver.sample(tick, instant(tick)), other.sample(tick, instant(tick)))
         assert driver.intended_work() == other.intended_work()
-        driver.apply(np.full(driver.axes, 2.0))
+        driver.apply(np.full(driver.axes, 2.0), instant(tick))
         if force == 0.0:
-            driver.release()
-        driver.idle()
-        other.apply(np.full(driver.axes, force))
-        other.idle()
+            driver.release(instant(tick))
+        driver.idle(instant(tick + 1))
+        other.apply(np.full(driver.axes, force), instant(tick))
+        other.idle(instant(tick + 1))
 
 
 def waving() -> SimulatedDriver:
@@ -139,25 +148,25 @@ def waving() -> SimulatedDriver:
 def test_idle_is_a_favour_not_a_duty(make: Make) -> None:
     lazy, eager = make(), make()
     for tick in range(50):
-        np.testing.assert_array_equal(lazy.sample(tick), eager.sample(tick))
+        np.testing.assert_array_equal(lazy.sample(tick, instant(tick)), eager.sample(tick, instant(tick)))
         assert lazy.intended_work() == eager.intended_work()
         for one in (lazy, eager):
-            one.apply(np.array([0.1 * tick, -1.0]))
-        eager.idle()
-        eager.idle()
-    assert any(lazy.sample(50))
+            one.apply(np.array([0.1 * tick, -1.0]), instant(tick))
+        eager.idle(instant(tick + 1))
+        eager.idle(instant(tick + 1))
+    assert any(lazy.sample(50, instant(50)))
 
 
 def test_its_report_is_named_and_finite_and_closing_is_repeatable(driver: Driver) -> None:
-    driver.sample(0)
-    driver.idle()
+    driver.sample(0, instant(0))
+    driver.idle(instant(1))
     assert all(type(name) is str and np.isfinite(value) for name, value in driver.figures().items())
     driver.close()
     driver.close()
 
 
 def test_before_the_first_tick_nothing_has_been_intended(driver: Driver) -> None:
-    driver.sample(0)
+    driver.sample(0, instant(0))
     assert driver.intended_work() == 0.0
 
 
@@ -173,10 +182,10 @@ def test_the_intention_s_work_is_the_integral_of_its_power() -> None:
     total = expected = 0.0
     push, goal = intent_from(force), intent_from(motion)
     for tick in range(60):
-        driver.sample(tick)
+        driver.sample(tick, instant(tick))
         total += driver.intended_work()
-        driver.apply(np.array([0.3]))
-        driver.idle()
+        driver.apply(np.array([0.3]), instant(tick))
+        driver.idle(instant(tick + 1))
         t = tick * T
         f_int, v_m = push(t), (goal(t + T) - goal(t)) / T
         if tick < 59:

@@ -11,6 +11,7 @@ from manyhands.design.levels.device import device_share, least_gain
 from manyhands.nodes.bundle import RecordedMotion
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import TraceDriver
+from tests.support.instants import instant
 
 T = 1e-3
 DELTA = np.array([[1.37, 0.4], [0.4, 0.9]])
@@ -31,10 +32,10 @@ def passed_through(
     """The device's core after these forces, and the energy that passed, to judge rounding by."""
     core, passed, before = DeviceCore(level, K, T), 1e-12, np.zeros(2)
     for tick, f in enumerate(force):
-        x = driver.sample(tick)
+        x = driver.sample(tick, instant(tick))
         core.sample(x)
-        driver.apply(f)
-        driver.idle()
+        driver.apply(f, instant(tick))
+        driver.idle(instant(tick + 1))
         core.apply(list(f), driver.intended_work() if works else 0.0)
         moved, before = np.array(x) - before, np.array(x)
         passed += abs(np.array(f) @ moved) + 2.0 * moved @ DELTA @ moved / T + float(np.array(f) @ K @ np.array(f))
@@ -45,16 +46,17 @@ def passed_through(
 def test_it_is_where_it_was_whatever_force_acts(force: list[tuple[float, float]], x: list[tuple[float, float]]) -> None:
     driver = driver_of(x)
     for tick, f in enumerate(force):
-        np.testing.assert_array_equal(driver.sample(tick), x[min(tick, len(x) - 1)])
-        driver.apply(f)
+        np.testing.assert_array_equal(driver.sample(tick, instant(tick)), x[min(tick, len(x) - 1)])
+        assert driver.apply(f, instant(tick)) == driver.release(instant(tick)) == list(x[min(tick, len(x) - 1)])
+        driver.apply(f, instant(tick))
 
 
 def test_between_its_samples_it_is_linear_and_afterwards_it_stays() -> None:
     driver = driver_of([(0.0, 0.0), (0.01, -0.02)], period=4 * T)
     found = []
     for tick in range(7):
-        found.append(driver.sample(tick))
-        driver.idle()
+        found.append(driver.sample(tick, instant(tick)))
+        driver.idle(instant(tick + 1))
     expected = [[0.01 * share, -0.02 * share] for share in (0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 1.0)]
     np.testing.assert_allclose(found, expected, rtol=1e-15, atol=1e-18)
 
@@ -94,9 +96,9 @@ def test_without_the_work_of_the_hand_the_promise_would_look_broken() -> None:
 
 def test_the_hand_s_work_is_force_and_friction_along_the_way() -> None:
     driver = driver_of([(0.0, 0.0), (0.002, 0.001)])
-    driver.sample(0)
-    driver.apply([3.0, -1.0])
-    driver.sample(1)
+    driver.sample(0, instant(0))
+    driver.apply([3.0, -1.0], instant(0))
+    driver.sample(1, instant(1))
     moved = np.array([0.002, 0.001])
     assert driver.intended_work() == pytest.approx(moved @ DELTA @ moved / T - 3.0 * 0.002 + 0.001, rel=1e-14)
 

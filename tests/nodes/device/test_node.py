@@ -77,19 +77,22 @@ class MovingDriver:
         self._time, self._life, self._periods, self._speed = time, life, periods, speed
         self.sampled: list[int] = []
         self.exerted: list[tuple[int, float]] = []
+        self._x = np.zeros(1)
 
-    def sample(self, turn: int) -> np.ndarray:
+    def sample(self, turn: int, at: Instant) -> np.ndarray:
         self._life.stopping = turn + 1 >= self._periods
         self.sampled.append(self._time.ns)
-        return np.array([self._speed * turn * PERIOD / 1e9])
+        self._x = np.array([self._speed * turn * PERIOD / 1e9])
+        return self._x
 
-    def apply(self, f: np.ndarray) -> None:
+    def apply(self, f: np.ndarray, at: Instant, until: Instant | None = None) -> np.ndarray:
         self.exerted.append((self._time.ns, float(f[0])))
+        return self._x
 
-    def release(self) -> None:
-        self.exerted.append((self._time.ns, 0.0))
+    def release(self, at: Instant) -> np.ndarray:
+        return self.apply(np.zeros(1), at)
 
-    def idle(self) -> None:
+    def idle(self, due: Instant) -> None:
         """Nothing was put off."""
 
     def intended_work(self) -> float:

@@ -22,6 +22,7 @@ from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, BrowserDriver, Pointer
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
+from tests.support.instants import instant
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 1e-3
@@ -69,13 +70,13 @@ class HeldDevice:
         """Go on; returns where the device is."""
         self.inlet.said = said
         for _ in range(ticks):
-            x = self.driver.sample(self.ticks)
-            self.ticks += 1
+            x = self.driver.sample(self.ticks, instant(self.ticks))
             self.x += x
             self.core.sample(x)
-            self.driver.apply([force])
-            self.driver.idle()
+            self.driver.apply([force], instant(self.ticks))
+            self.driver.idle(instant(self.ticks + 1))
             self.core.apply([force], self.driver.intended_work())
+            self.ticks += 1
         return self.x[-1]
 
     @property
@@ -194,16 +195,16 @@ def test_what_comes_from_the_pointer_moves_the_device(prepared: Prepared, tmp_pa
     driver = driver_of(load(tmp_path / "left.bundle", DeviceBundle))
     outlet = PointerOutlet(tmp_path, "left")
     try:
-        for word, grasped in ((at(0.05), 1.0), (Release(), 0.0), (at(0.05), 1.0)):
+        for turn, (word, grasped) in enumerate(((at(0.05), 1.0), (Release(), 0.0), (at(0.05), 1.0))):
             assert outlet.say(word)
-            for tick in range(500):
-                (x,) = driver.sample(tick)
-                driver.idle()
+            for tick in range(500 * turn, 500 * (turn + 1)):
+                (x,) = driver.sample(tick, instant(tick))
+                driver.idle(instant(tick + 1))
             assert driver.figures()[names.GRASPED] == grasped
         assert x == pytest.approx(0.05, rel=1e-2)
         assert outlet.say(at(0.0, 1.0))
-        driver.sample(0)
-        driver.idle()
+        driver.sample(tick + 1, instant(tick + 1))
+        driver.idle(instant(tick + 2))
         assert driver.figures()[names.GRASPS_REFUSED] == 1.0
     finally:
         driver.close()
@@ -217,8 +218,8 @@ def test_nobody_can_hold_it_in_another_time_or_place(
 ) -> None:
     driver = driver_of(bundle_of(prepared, clock, tmp_path if here else None))
     assert list(tmp_path.iterdir()) == []
-    driver.sample(0)
-    driver.idle()
+    driver.sample(0, instant(0))
+    driver.idle(instant(1))
     assert driver.figures()[names.GRASPED] == 0.0
     driver.close()
 

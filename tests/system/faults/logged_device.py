@@ -8,18 +8,14 @@ One letter a call: ``s`` for a sample, ``a`` for a force, ``z`` for a force of z
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import BinaryIO
-
-import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.process import main
-
-Vector = NDArray[np.float64]
+from manyhands.protocol.clock import Instant
 
 
 class Logged:
@@ -32,20 +28,20 @@ class Logged:
     def axes(self) -> int:
         return self._driver.axes
 
-    def sample(self, tick: int) -> Vector:
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
         self._log.write(b"s")
-        return self._driver.sample(tick)
+        return self._driver.sample(tick, at)
 
-    def apply(self, f: Vector) -> None:
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
         self._log.write(b"a" if any(f) else b"z")
-        self._driver.apply(f)
+        return self._driver.apply(f, at, until)
 
-    def release(self) -> None:
+    def release(self, at: Instant) -> Sequence[float]:
         self._log.write(b"r")
-        self._driver.release()
+        return self._driver.release(at)
 
-    def idle(self) -> None:
-        self._driver.idle()
+    def idle(self, due: Instant) -> None:
+        self._driver.idle(due)
 
     def intended_work(self) -> float:
         return self._driver.intended_work()

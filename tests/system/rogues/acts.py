@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
@@ -26,6 +25,7 @@ from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.process import key_ring, main
 from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
@@ -67,21 +67,21 @@ class SteppedDriver:
     def axes(self) -> int:
         return self._driver.axes
 
-    def sample(self, tick: int) -> NDArray[np.float64]:
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
         if tick % LEAVE == 0 and not self._free:
             if tick > 0:
                 os.write(self._done, b".")
             self._free = os.read(self._leaves, 1) == b""
-        return self._driver.sample(tick)
+        return self._driver.sample(tick, at)
 
-    def apply(self, f: NDArray[np.float64]) -> None:
-        self._driver.apply(f)
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
+        return self._driver.apply(f, at, until)
 
-    def release(self) -> None:
-        self._driver.release()
+    def release(self, at: Instant) -> Sequence[float]:
+        return self._driver.release(at)
 
-    def idle(self) -> None:
-        self._driver.idle()
+    def idle(self, due: Instant) -> None:
+        self._driver.idle(due)
 
     def intended_work(self) -> float:
         return self._driver.intended_work()
