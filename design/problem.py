@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.levels.contract import NO_DELAY_GAIN, loop_gain
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import DeclaredEnvironment, Environment
 from manyhands.design.models.integrators import Split
@@ -209,7 +209,7 @@ class HapticLoop:
 
     def loop_gain(self, kappa: float) -> tuple[Matrix, ...]:
         """K = kappa T Delta_D^{-1} by block of V, m_i x m_i, m/N; kappa = 1/2 is (8)."""
-        return tuple(symmetric_part(kappa * self.period * np.linalg.inv(Delta)) for Delta in self.Delta_D_blocks)
+        return tuple(loop_gain(kappa, self.period, Delta) for Delta in self.Delta_D_blocks)
 
     @cached_property
     def K(self) -> Matrix:

@@ -87,7 +87,7 @@ class Simulation:
             ports = np.array([index[port] for port in bundle.common.ports])
             match bundle:
                 case DeviceBundle():
-                    device = DeviceCore(bundle.level, bundle.K, T)
+                    device = DeviceCore(*bundle.promises[0], T)
                     self._drivers.append(given[name] if name in given else driver_of(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device

@@ -16,13 +16,15 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from manyhands.design.files import open_new, read_regular
+from manyhands.design.levels.contract import DeviceShare, loop_gain
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
@@ -61,7 +63,6 @@ class Common:
         role: the node's role.
         certificate: id of the certificate (or of the uncertified session) that all nodes must share.
         period: T, s.
-        tau: delay that the certificate assumes, s.
         clock: :data:`REALTIME` or :data:`SIMULATED`.
         transport: "ipc" or "tcp".
         public: the public keys of this node, its peers and the supervisor; empty for a session without keys.
@@ -83,7 +84,6 @@ class Common:
     role: Role
     certificate: str
     period: float
-    tau: float
     clock: str
     transport: str
     public: Mapping[str, str]
@@ -126,17 +126,39 @@ class Limits:
                 raise ValueError(f"found the limit {limit}; expected a finite number greater than 0")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class DeviceRung:
-    """The promise of a device at one rung of the ladder.
+    """What every device promises at one rung of the ladder, and under which assumptions on its timing.
 
     Attributes:
-        tau: delay that the rung covers, s.
-        level: the passivity level of its G_hat, share Delta_D, m_i x m_i, N*s/m.
-        K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
+        tau: the longest delay from a sample to its force, s.
+        period_tolerance: rho; the time between two samples is at most (1 + rho) T; dimensionless, 0 ... 1.
+        share: kappa, share and c; G_hat is (share Delta_D)-OSP with K = kappa T Delta_D^{-1}, and its storage has the
+            weight c of the last force step. An uncertified session has the paper's values without delay.
+
+    Raises:
+        ValueError: a number is out of its range.
     """
 
     tau: float
+    period_tolerance: float
+    share: DeviceShare
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.period_tolerance <= 1.0:
+            raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 ... 1")
+        if not (0.0 < self.share.kappa < math.inf and 0.0 < self.share.share <= 1.0 and 0.0 <= self.share.c < math.inf):
+            raise ValueError(f"found {self.share}; expected finite numbers with kappa > 0, 0 < share <= 1 and c >= 0")
+
+
+class DevicePromise(NamedTuple):
+    """The numbers of a device's promise: G_hat is ``level``-OSP, with this K.
+
+    Attributes:
+        level: share Delta_D, m_i x m_i, N*s/m.
+        K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
+    """
+
     level: Matrix
     K: Matrix
 
@@ -156,26 +178,9 @@ class CouplingRung:
     level: Matrix | None
 
 
-def require_rungs(rungs: Sequence[DeviceRung | CouplingRung]) -> None:
-    """Check that the rungs of one node fit each other.
-
-    Args:
-        rungs: all rungs, rung 0 first.
-
-    Raises:
-        ValueError: there are too many, a matrix has not the shape that it has at rung 0, or a rung has no level.
-    """
+def _require_few_rungs(rungs: Sequence[object]) -> None:
     if len(rungs) > 1 + MOST_RUNGS:
         raise ValueError(f"found {len(rungs)} rungs; expected at most {1 + MOST_RUNGS}")
-    wanted = rungs[0].K.shape
-    for number, rung in enumerate(rungs[1:], 1):
-        if rung.level is None:
-            raise ValueError(f"rung {number}: found no level; expected that of the block")
-        shapes = [rung.K.shape, rung.level.shape]
-        if isinstance(rung, CouplingRung):
-            shapes.append(rung.block.D.shape)
-        if wrong := [shape for shape in shapes if shape != wanted]:
-            raise ValueError(f"rung {number}: found a matrix of shape {wrong[0]}; expected {wanted}, that of rung 0")
 
 
 def plain(value: Any) -> Any:
@@ -353,40 +358,44 @@ class DeviceBundle:
     """A device's part of the session.
 
     Attributes:
-        common: the part that every node needs; its tau is that of rung 0.
-        level: the passivity level of its G_hat, share Delta_D, m_i x m_i, N*s/m.
-        K: K_i, m_i x m_i, m/N.
+        common: the part that every node needs.
+        osp: Delta_D of the device itself, without its share, m_i x m_i, N*s/m.
+        rungs: kappa, share, c and the timing at each rung; rung 0 is the session's certificate, and each further rung
+            is for a longer delay.
         source: what moves the device.
         limits: the limits of the device.
-        longer: the promises at rungs 1, 2, ... of the ladder, for longer delays.
 
     Raises:
-        ValueError: there is no level, the axes of the source are not the ports, or the rungs do not fit each other.
+        ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
+            the ports, or the rungs' delays do not grow.
     """
 
     common: Common
-    level: Matrix
-    K: Matrix
+    osp: Matrix
+    rungs: tuple[DeviceRung, ...]
     source: Source
     limits: Limits
-    longer: tuple[DeviceRung, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.level is None:
-            raise ValueError("found no level; expected that of the device")
-        if self.source.axes != len(self.common.ports):
-            raise ValueError(
-                f"found a source of {self.source.axes} axes; expected {len(self.common.ports)}, one a port"
-            )
-        require_rungs(self.rungs)
+        m = len(self.common.ports)
+        if self.source.axes != m:
+            raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
+        if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
+            raise ValueError(f"found an osp of shape {self.osp.shape}; expected {m} x {m}, symmetric positive definite")
+        _require_few_rungs(self.rungs)
+        if not self.rungs:
+            raise ValueError("found no rung; expected that of the certificate")
         taus = [rung.tau for rung in self.rungs]
         if any(not a < b for a, b in pairwise(taus)):
             raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
 
-    @property
-    def rungs(self) -> tuple[DeviceRung, ...]:
-        """The promise at each rung; rung 0 is the session's certificate."""
-        return (DeviceRung(self.common.tau, self.level, self.K), *self.longer)
+    @cached_property
+    def promises(self) -> tuple[DevicePromise, ...]:
+        """The promise at each rung, computed once."""
+        T = self.common.period
+        return tuple(
+            DevicePromise(rung.share.share * self.osp, loop_gain(rung.share.kappa, T, self.osp)) for rung in self.rungs
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,7 +411,8 @@ class CouplingBundle:
         softer: the block at rungs 1, 2, ... of the ladder.
 
     Raises:
-        ValueError: the rungs do not fit each other.
+        ValueError: there are too many rungs, a matrix has not the shape that it has at rung 0, or a further rung has no
+            level.
     """
 
     common: Common
@@ -413,7 +423,16 @@ class CouplingBundle:
     softer: tuple[CouplingRung, ...] = ()
 
     def __post_init__(self) -> None:
-        require_rungs(self.rungs)
+        _require_few_rungs(self.rungs)
+        wanted = self.K.shape
+        for number, rung in enumerate(self.softer, 1):
+            if rung.level is None:
+                raise ValueError(f"rung {number}: found no level; expected that of the block")
+            shapes = (rung.K.shape, rung.level.shape, rung.block.D.shape)
+            if wrong := [shape for shape in shapes if shape != wanted]:
+                raise ValueError(
+                    f"rung {number}: found a matrix of shape {wrong[0]}; expected {wanted}, that of rung 0"
+                )
 
     @property
     def rungs(self) -> tuple[CouplingRung, ...]:
@@ -570,6 +589,11 @@ def _tau(data: Any) -> float:
     return float(data)
 
 
+def _device_rung(data: Any) -> DeviceRung:
+    share = DeviceShare(*floats(data["share"][name] for name in ("kappa", "share", "c")))
+    return DeviceRung(_tau(data["tau"]), float(data["period_tolerance"]), share)
+
+
 def _is_time(value: Any) -> bool:
     return type(value) in (float, int) and 0.0 <= value < 1e9
 
@@ -583,7 +607,6 @@ _FITS: dict[str, Callable[[Any], bool]] = {
         ("session", "name", "certificate", "private", "directory", "control"), lambda text: _are_texts([text])
     ),
     "period": lambda period: _is_time(period) and period > 0.0,
-    "tau": _is_time,
     "clock": lambda clock: clock in CLOCKS,
     "public": lambda keys: type(keys) is dict and _are_texts(keys.values()),
     "ports": _are_texts,
@@ -612,7 +635,8 @@ _READ: dict[str, Any] = {
     "tool_magnitude": _bounds,
     "tool_step": _bounds,
     "feedthrough": dict,
-    "longer": lambda rungs: tuple(DeviceRung(_tau(r["tau"]), array(r["level"]), array(r["K"])) for r in rungs),
+    "osp": array,
+    "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }

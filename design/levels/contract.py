@@ -46,6 +46,17 @@ class DeviceShare:
         return 2.0 * self.kappa * self.share
 
 
+def loop_gain(kappa: float, period: float, Delta_D: Matrix) -> Matrix:
+    """K = kappa T Delta_D^{-1} of the loop transformation, m/N; kappa = 1/2 is (8).
+
+    Args:
+        kappa: dimensionless.
+        period: T, s.
+        Delta_D: symmetric positive definite, N*s/m.
+    """
+    return symmetric_part(kappa * period * np.linalg.inv(Delta_D))
+
+
 @dataclass(frozen=True, eq=False)
 class Levels:
     """Levels and storage matrices that are claimed to satisfy Theorem 3, in physical units.

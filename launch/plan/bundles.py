@@ -21,7 +21,7 @@ from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
 from manyhands.design.models.network import Network
-from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
 from manyhands.launch.plan.keys import Keys
@@ -153,11 +153,12 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     session = prepared.session
     commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)
+    of_devices = tuple(DeviceRung(rung.tau, 0.0, rung.share) for rung in rungs)
     bundles: dict[str, Bundle] = {}
     for name in session.devices:
-        first, *longer = (_promise(rung, session.period, session.osp_level(name)) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
-        bundles[name] = DeviceBundle(commons[name], first.level, first.K, _source(session, name), limits, tuple(longer))
+        osp = matrix(session.osp_level(name))
+        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits)
     for index, name in enumerate(prepared.loop.partition.names):
         own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
@@ -235,12 +236,6 @@ def _rungs(prepared: Prepared) -> list[_Rung]:
     return [replace(rungs[0], blocks=prepared.blocks), *rungs[1:]]
 
 
-def _promise(rung: _Rung, period: float, level: Matrix) -> DeviceRung:
-    """What a device promises behind its sampler at this rung: share Delta_D, with K = kappa T Delta_D^{-1}."""
-    K = symmetric_part(rung.share.kappa * period * np.linalg.inv(level))
-    return DeviceRung(rung.tau, rung.share.share * level, K)
-
-
 def _widest(bounds: Sequence[tuple[PortBounds, PortBounds]]) -> tuple[PortBounds, PortBounds]:
     """The bounds on |p| and on its steps that hold at every rung; None for a port without a bound at some rung."""
     magnitudes, steps = (zip(*of_one_kind, strict=True) for of_one_kind in zip(*bounds, strict=True))
@@ -275,7 +270,6 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
         role=graph.nodes.get(name, Role.OBSERVER),
         certificate=prepared.id,
         period=prepared.session.period,
-        tau=0.0 if prepared.certificate is None else prepared.certificate.tau,
         clock=run.clock,
         transport=run.reach.transport,
         public=run.reach.public(name),

@@ -40,7 +40,7 @@ class _State:
         self._bundle, self._driver, self._turn = bundle, driver, 0
         self._period = from_seconds(bundle.common.period)
         self._zero: Floats = [0.0] * len(bundle.common.ports)
-        self.core = DeviceCore(bundle.level, bundle.K, bundle.common.period)
+        self.core = DeviceCore(*bundle.promises[0], bundle.common.period)
 
     def free(self) -> None:
         """Compute a period without force, as the device's loop does it."""
@@ -67,8 +67,7 @@ class _State:
 
     def change(self, rung: int) -> None:
         """Change the promised level to that of ``rung``."""
-        promise = self._bundle.rungs[rung]
-        self.core.change(promise.level, promise.K)
+        self.core.change(*self._bundle.promises[rung])
 
 
 def recompute_device(

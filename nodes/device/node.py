@@ -46,15 +46,16 @@ class DeviceNode:
         ``clock`` measures waiting times; by default it is the realtime clock.
         """
         common = bundle.common
-        self._common, self._driver, self._rungs = common, driver, bundle.rungs
-        self._core = DeviceCore(bundle.level, bundle.K, common.period)
+        self._common, self._driver = common, driver
+        self._rungs, self._promises = bundle.rungs, bundle.promises
+        self._core = DeviceCore(*bundle.promises[0], common.period)
         self._guard = Guard(bundle.limits, common.period, common.ports)
         self._realtime: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(common)
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
-        self._account = DeviceTelemetry(common, from_seconds(common.tau), driver.figures)
+        self._account = DeviceTelemetry(common, from_seconds(bundle.rungs[0].tau), driver.figures)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -258,6 +259,5 @@ class DeviceNode:
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""
         self._rung = self._next_rung
-        rung = self._rungs[self._rung]
-        self._core.change(rung.level, rung.K)
-        self._account.change_rung(tick, self._rung, from_seconds(rung.tau))
+        self._core.change(*self._promises[self._rung])
+        self._account.change_rung(tick, self._rung, from_seconds(self._rungs[self._rung].tau))

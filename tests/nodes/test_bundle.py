@@ -8,10 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.design.levels.contract import DeviceShare
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle, EnvironmentBundle, load, save
+from manyhands.nodes.bundle import (
+    BundleError,
+    CouplingBundle,
+    DeviceBundle,
+    DeviceRung,
+    EnvironmentBundle,
+    load,
+    save,
+)
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -72,8 +81,10 @@ def test_what_is_no_bundle_is_refused_by_name(text: str, tmp_path: Path) -> None
 def test_an_uncertified_run_promises_nothing(tmp_path: Path) -> None:
     session = load_session(SESSIONS / "example1-uncoupled.yaml")
     bundles = cut(prepare(session, uncertified=True), RunPlan("simulated", tmp_path, ""))
-    coupling, environment = bundles["cx"], bundles["environment"]
+    coupling, environment, device = bundles["cx"], bundles["environment"], bundles["dx"]
     assert isinstance(coupling, CouplingBundle)
+    assert isinstance(device, DeviceBundle)
+    assert device.rungs == (DeviceRung(0.0, 0.0, DeviceShare(0.5, 1.0, 0.0)),)
     assert isinstance(environment, EnvironmentBundle)
     assert coupling.level is None
     assert environment.Phi_E is None

@@ -171,7 +171,7 @@ def test_a_force_beyond_the_limit_is_clipped_last_before_the_actuator(
     np.testing.assert_array_equal(line.trace("f_v"), [[1.0], [2.0], [-2.0]])
     assert node.report().counts["clipped"] == 2
     assert line.telemetry[-1].figures["clipped"] == 2.0
-    T, level, K = bundle.common.period, bundle.level[0, 0], bundle.K[0, 0]
+    T, level, K = bundle.common.period, bundle.promises[0].level[0, 0], bundle.promises[0].K[0, 0]
     y = [K * 1.0 / T, 1e-3 / T + K * 1.0 / T, -4.0 * K / T]
     energy = sum(T * (f * v - level * v * v) for f, v in zip([1.0, 2.0, -2.0], y, strict=True))
     assert node.report().figures["ledger"] == pytest.approx(energy, rel=1e-12)

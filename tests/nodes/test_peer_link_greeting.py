@@ -47,7 +47,7 @@ ADMITS: dict[str, type[SignalMessage]] = {"environment": Reaction, "left": Sampl
 
 def common(*peers: Peer) -> Common:
     return Common(
-        session="s", name="c", role=Role.COUPLING, certificate="id", period=0.001, tau=0.0, clock="simulated",
+        session="s", name="c", role=Role.COUPLING, certificate="id", period=0.001, clock="simulated",
         transport="ipc", public={}, private="", directory="", control="memory://control", ports=("a", "b", "c"),
         peers=peers, telemetry_ticks=100, telemetry_first=100,
     )  # fmt: skip

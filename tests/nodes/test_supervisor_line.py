@@ -45,7 +45,7 @@ SECOND = 1_000_000_000
 
 def common(clock: str = "realtime", control: str = "memory://control") -> Common:
     return Common(
-        session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=0.0, clock=clock, transport="tcp",
+        session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, clock=clock, transport="tcp",
         public={}, private="", directory="", control=control, ports=("dx",), peers=(), telemetry_ticks=100,
         telemetry_first=100,
     )  # fmt: skip

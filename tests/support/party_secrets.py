@@ -43,13 +43,13 @@ def _numbers(plain: object) -> _Lists:
 def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
     """The others' numbers that ``name`` may know: its devices' K and limits a coupling, D_V the environment.
 
-    The delays of the ladder's rungs are the session's, and every device's.
+    The rungs' timing, kappa, share and c are the session's, and every device's.
     """
-    devices = [bundles[device] for device in distinctive_session.DEVICES]
-    shared: list[object] = [[rung["tau"] for rung in device["longer"]] for device in devices]
+    shared: list[object] = [bundles[device]["rungs"] for device in distinctive_session.DEVICES]
     if name in distinctive_session.COUPLINGS:
         device = bundles[distinctive_session.COUPLINGS[name]]
-        shared += [device["K"], device.get("limits"), [rung["K"] for rung in device["longer"]]]
+        gains = [rung["K"] for rung in (bundles[name], *bundles[name]["softer"])]
+        shared += [gains, device.get("limits")]
         shared.append(bundles[distinctive_session.ENVIRONMENT]["feedthrough_rungs"][name])
     elif name == distinctive_session.ENVIRONMENT:
         couplings = [bundles[coupling] for coupling in distinctive_session.COUPLINGS]

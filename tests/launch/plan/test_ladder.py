@@ -150,8 +150,13 @@ def test_each_process_is_given_its_own_part_of_every_rung(prepared: Prepared, tm
         assert isinstance(coupling, CouplingBundle)
         assert [rung.tau for rung in device.rungs] == list(ladder.taus)
         assert (coupling.rungs[0].block, coupling.rungs[0].K) == (coupling.block, coupling.K)
-        for of_device, of_coupling, proof in zip(device.rungs, coupling.rungs, ladder.rungs, strict=True):
+        assert np.array_equal(device.osp, [[osp]])
+        assert [rung.period_tolerance for rung in device.rungs] == [0.0] * len(ladder.rungs)
+        for rung, of_device, of_coupling, proof in zip(
+            device.rungs, device.promises, coupling.rungs, ladder.rungs, strict=True
+        ):
             share = proof.levels.device
+            assert rung.share == share
             assert of_device.level[0, 0] == pytest.approx(share.share * osp)
             assert of_device.K[0, 0] == pytest.approx(share.kappa * 0.001 / osp)
             np.testing.assert_allclose(of_coupling.K, of_device.K)
@@ -194,15 +199,16 @@ def test_no_bundle_has_anothers_part_of_a_rung(prepared: Prepared, tmp_path: Pat
         coupling, device = bundles[owner], bundles[owner.replace("c", "d")]
         assert isinstance(coupling, CouplingBundle)
         assert isinstance(device, DeviceBundle)
-        for rung, promise in zip(coupling.softer, device.longer, strict=True):
+        for rung in coupling.softer:
             assert rung.level is not None
             for number, knows in (
                 (rung.level[0, 0], {owner}),
                 (rung.block.C[0, 0], {owner}),
                 (rung.block.D[0, 0], {owner, "environment"}),
-                (promise.level[0, 0], {device.common.name}),
             ):
                 assert {name for name, numbers in known.items() if repr(float(number)) in numbers} == knows
+        osp = repr(float(device.osp[0, 0]))
+        assert {name for name, numbers in known.items() if osp in numbers} == {device.common.name}
 
 
 @pytest.mark.parametrize("name", ["dx", "cx", "environment"])
@@ -220,14 +226,17 @@ def test_rungs_that_do_not_fit_their_node_are_refused(prepared: Prepared, tmp_pa
     assert isinstance(coupling, CouplingBundle)
     assert isinstance(environment, EnvironmentBundle)
     two = np.eye(2)
-    for longer, words in (
-        ((*device.longer, device.longer[0]), "expected them to grow"),
-        ((DeviceRung(2e-4, two, two),), r"rung 1: found a matrix of shape \(2, 2\); expected \(1, 1\)"),
-        ((DeviceRung(2e-4, device.level, two),), "rung 1"),
-        (tuple(DeviceRung(1e-5 * (i + 1), device.level, device.K) for i in range(9)), "found 10 rungs"),
+    share = device.rungs[0].share
+    for rungs, words in (
+        ((*device.rungs, device.rungs[1]), "expected them to grow"),
+        (tuple(DeviceRung(1e-5 * i, 0.0, share) for i in range(10)), "found 10 rungs"),
+        ((), "found no rung"),
     ):
         with pytest.raises(ValueError, match=words):
-            dataclasses.replace(device, longer=longer)
+            dataclasses.replace(device, rungs=rungs)
+    for osp in (two, np.zeros((1, 1)), np.array([[np.nan]])):
+        with pytest.raises(ValueError, match=r"found an osp of shape .*; expected 1 x 1, symmetric positive definite"):
+            dataclasses.replace(device, osp=osp)
     first = coupling.softer[0]
     for softer, words in (
         ((CouplingRung(first.block, first.K, None),), "rung 1: found no level"),
@@ -250,7 +259,33 @@ def test_rungs_that_do_not_fit_their_node_are_refused(prepared: Prepared, tmp_pa
 def test_a_file_with_a_delay_that_is_none_is_no_bundle(prepared: Prepared, tau: object, tmp_path: Path) -> None:
     bundle_files.save(cut(prepared, RunPlan("simulated", tmp_path, ""))["dx"], tmp_path / "dx")
     data = json.loads((tmp_path / "dx").read_text())
-    data["longer"][1]["tau"] = tau
+    data["rungs"][2]["tau"] = tau
+    (tmp_path / "dx").write_text(json.dumps(data))
+    with pytest.raises(BundleError, match="dx: not a bundle for a DeviceBundle"):
+        bundle_files.load(tmp_path / "dx", DeviceBundle)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("period_tolerance", -0.1),
+        ("period_tolerance", 1.1),
+        ("kappa", 0.0),
+        ("kappa", float("inf")),
+        ("share", 0.0),
+        ("share", 1.1),
+        ("c", -1e-3),
+        ("c", float("nan")),
+        ("c", None),
+    ],
+)
+def test_a_file_with_a_promise_that_is_none_is_no_bundle(
+    prepared: Prepared, key: str, value: object, tmp_path: Path
+) -> None:
+    bundle_files.save(cut(prepared, RunPlan("simulated", tmp_path, ""))["dx"], tmp_path / "dx")
+    data = json.loads((tmp_path / "dx").read_text())
+    rung = data["rungs"][1]
+    (rung if key in rung else rung["share"])[key] = value
     (tmp_path / "dx").write_text(json.dumps(data))
     with pytest.raises(BundleError, match="dx: not a bundle for a DeviceBundle"):
         bundle_files.load(tmp_path / "dx", DeviceBundle)

@@ -219,7 +219,7 @@ def played_device(
     bundle: DeviceBundle, f: list[float], free: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x, f and ledger of a device that ran free for so many periods before those ticks."""
-    driver, core = driver_of(bundle), DeviceCore(bundle.level, bundle.K, bundle.common.period)
+    driver, core = driver_of(bundle), DeviceCore(*bundle.promises[0], bundle.common.period)
     turn, x, energy = 0, [], []
     for k, force in enumerate(f):
         for _ in range(free.get(k, 0)):

@@ -21,7 +21,7 @@ ROWS = 10
 TAU = Duration(MS // 4)
 
 COMMON = Common(
-    session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, tau=TAU / 1e9, clock="realtime",
+    session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, clock="realtime",
     transport="ipc", public={}, private="", directory="", control="", ports=("dx",), peers=(), telemetry_ticks=ROWS,
     telemetry_first=ROWS,
 )  # fmt: skip
