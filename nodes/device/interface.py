@@ -1,0 +1,382 @@
+"""What lateness does to a device, in joules (:class:`InterfaceAccount`), and its bound (:class:`DeviceInterface`).
+
+**The account.** The certificate takes a device to be (share Delta_D)-OSP, from the force f(k) of its couplings to
+
+    y(k) = (w(k) + K g(k))/T,    w(k) = x'(k) - x'(k-1),    g(k) = f(k) - f(k-1),    K = kappa T Delta_D^-1,
+
+with x' the displacement that the couplings received. That holds as long as each force acts within the delay tau and
+each period is within its tolerance. The device's own process can check it in every tick, whatever the hand intends. Let
+r be the force that is really exerted, and let x move by d in a time h in which r is constant. The mechanism and its
+passive hand take in r^T d, of which the device burns at least d^T Delta_D d / h (Cauchy-Schwarz). So with
+
+    e(k) = sum over ticks of  f^T w + f^T K g - T y^T (share Delta_D) y
+           - sum over pieces of  r^T d - d^T Delta_D d / h
+
+the couplings have been given e(k) less than the device took in. At delays and periods that the certificate covers,
+e(k) >= f^T K f / 2 >= 0. Beyond, e falls by the energy that lateness has put into the loop.
+
+**The bound.** The controller keeps e(k) >= -E_0 for every sequence of delays, by two means: how far x' follows x, and
+for how long, and how strongly, a force acts. Docs/decisions/0030 has the proofs. They rest on one inequality. Whatever
+the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
+
+    f(k-1)^T w - m w^T Delta_D w / T + c g^T T Delta_D^-1 g,    m = share + a^2/(b - c),
+    a = 1/2 - share kappa,    b = kappa a,
+
+with the c of the certificate's device. So B = E_0 + e - f^T K f / 2 is known before the answer, and the
+controller chooses w so that B stays above what the force may still cost until it is replaced or ends,
+
+    R = h times the greatest r^T v - v^T Delta_D v over the speeds v within the device's limit  <=  h r^T Delta_D^-1 r/4.
+
+Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
+which goes as soon as the account can pay for it. A force that is longer in force than B pays for ends by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.nodes.arithmetic import Floats, dot, linear_map
+from manyhands.protocol.clock import Duration, Instant
+
+Matrix = NDArray[np.float64]
+
+_NS: Final = 1e-9
+
+
+class InterfaceAccount:
+    """The account e(k) of one device.
+
+    Attributes:
+        balance: e - f^T K f / 2, J, with the motion received so far counted at its least. It has no answer to wait for.
+        least: the least e so far, J; at most 0.
+        f: the force f(k) that the couplings sent last, N.
+        exerted: the force that the device exerts, N.
+        until: the instant at which it ends by itself, since tick 0's; None where it is held.
+    """
+
+    def __init__(self, osp: Matrix, promise: DeviceShare, T: float, speed: Sequence[float]) -> None:
+        """Begin at rest in x = 0, without a force; time begins with the first sample.
+
+        Args:
+            osp: Delta_D, m_i x m_i, N*s/m.
+            promise: kappa, share and c of the rung that the session begins with.
+            T: period, s.
+            speed: the device's limit of speed on each axis, m/s; a faster device lets go.
+        """
+        self._T, self._speed = T, tuple(speed)
+        joins = bool(np.any(osp - np.diag(np.diag(osp))))
+        self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
+        self.burn = linear_map(osp)
+        self.compliance = linear_map(np.array(np.linalg.inv(osp), dtype=np.float64))
+        zero = [0.0] * osp.shape[0]
+        self.f, self.exerted = zero, zero
+        self.until: Instant | None = None
+        self.balance = self.least = 0.0
+        self._x = zero
+        self._at: Instant | None = None  # of the last call of sampled
+        self._moved: Floats | None = None  # w(k), until its answer
+        self.change(promise)
+
+    def change(self, promise: DeviceShare) -> None:
+        """Promise a different level from now on; call this only where the last two forces are zero."""
+        share, kappa, c = promise.share, promise.kappa, promise.c
+        a = 0.5 - share * kappa
+        room = kappa * a - c
+        self._share, self._kappa = share, kappa
+        self.weight = share + (a * a / room if room > 0.0 else 0.0)
+
+    @property
+    def energy(self) -> float:
+        """e(k), J."""
+        return self.balance + 0.5 * self._kappa * self._T * dot(self.f, self.compliance(self.f))
+
+    def sampled(self, x: Floats, at: Instant) -> None:
+        """The device was at x (m) at the instant ``at``: book what the exerted force has done since the last call.
+
+        Where the force ended by itself in between, its part of the motion is unknown. Then the part counts that costs
+        most: d_1 of d in h_1 of h, whose cost r^T d_1 - d_1^T Delta_D d_1/h_1 - d_2^T Delta_D d_2/h_2 is at most
+
+            (h_1/h) r^T d - d^T Delta_D d/h + h_1 h_2/(4 h) r^T Delta_D^-1 r,
+
+        and at most h_1 times :meth:`cost`.
+        """
+        began = self._at
+        h = 0.0 if began is None else (at - began) * _NS
+        if began is not None and h > 0.0:
+            d = [now - last for now, last in zip(x, self._x, strict=True)]
+            r, until = self.exerted, self.until
+            cost = -dot(d, self.burn(d)) / h
+            if until is None or until >= at:
+                cost += dot(r, d)
+            elif until > began:
+                h_1 = (until - began) * _NS
+                cost += h_1 / h * dot(r, d) + 0.25 * h_1 * (h - h_1) / h * dot(r, self.compliance(r))
+                cost = min(cost, h_1 * self.cost(r))
+            self.balance -= cost
+        self._x, self._at = x, at
+
+    def cost(self, r: Floats) -> float:
+        """phi(r)/4, W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
+
+        The device moves at no more than its limit of speed. Where Delta_D joins axes, its least eigenvalue stands for
+        it.
+        """
+        most_power = 0.0
+        for force, d, most in zip(r, self._least, self._speed, strict=True):
+            size = abs(force)
+            v = min(size / (2.0 * d), most)
+            most_power += v * (size - d * v)
+        return most_power
+
+    def received(self, w: Floats) -> None:
+        """The couplings received the motion w(k), m: book the least that their answer can add."""
+        self.balance += self.least_gain(w)
+        self._moved = w
+
+    def least_gain(self, w: Floats) -> float:
+        """The least that the answer to the motion w can add, f^T w - m w^T Delta_D w / T, J, f the last force."""
+        return dot(self.f, w) - self.weight * dot(w, self.burn(w)) / self._T
+
+    def answered(self, f: Floats) -> None:
+        """The couplings answered the motion with f(k), N: book what it adds above the least.
+
+        Where ticks were left out, the answers in between are unknown. Then nothing is added.
+        """
+        w, self._moved = self._moved, None
+        before, self.f = self.f, f
+        if w is not None:
+            T, kappa, share = self._T, self._kappa, self._share
+            g = [now - last for now, last in zip(f, before, strict=True)]
+            a = 0.5 - share * kappa
+            soft = self.compliance(g)
+            self.balance += (
+                2.0 * a * dot(g, w) + kappa * a * T * dot(g, soft) + (self.weight - share) * dot(w, self.burn(w)) / T
+            )
+        energy = self.energy
+        if energy < self.least:
+            self.least = energy
+
+    def skipped(self) -> None:
+        """The session has gone on to a later tick: the answer to the last motion, if any, will not be known."""
+        self._moved = None
+
+    def exert(self, r: Floats, until: Instant | None) -> None:
+        """The device exerts r (N) from the last instant on, until the next call and no longer than ``until``."""
+        self.exerted, self.until = r, until
+
+
+CALM: Final = 0.02
+"""Part by which the delay that the controller expects follows the delay of each tick: it takes some 50 ticks."""
+
+LONGEST: Final = 2.0
+"""The longest delay that the controller expects, in periods: a single long one would make it hold back too much."""
+
+ROOM: Final = 2.0
+"""What the tank holds beyond E_0, in terms of the cost that the present force may have in the expected time."""
+
+
+class DeviceInterface:
+    """A device's motion and force on their way to and from its couplings: the account e(k), kept above -E_0.
+
+    A tick is :meth:`send`, :meth:`force` and :meth:`applied`; a period without an answer is :meth:`moved` and
+    :meth:`released`. Without E_0 the account is only kept: motion and force pass unchanged.
+
+    Attributes:
+        account: the account.
+        tank: what is left of E_0, at least 0, J; it gains what the motion leaves over, up to a bound.
+        ticks: the number of ticks in which the motion or the force was changed.
+        kept_back: the energy that the changed motions kept from being lost, J.
+        offset: the greatest offset so far between the device and the motion sent, of any axis, m.
+    """
+
+    def __init__(
+        self,
+        osp: Matrix,
+        promise: DeviceShare,
+        tau: float,
+        tolerance: float,
+        T: float,
+        speed: Sequence[float],
+        longest: Duration,
+        E_0: float | None,
+    ) -> None:
+        """Begin at rest in x = 0, with a full tank.
+
+        Args:
+            osp: Delta_D, m_i x m_i, N*s/m.
+            promise: kappa, share and c of the rung that the session begins with.
+            tau: the delay that the certificate covers, s.
+            tolerance: the part of a period by which a period may be longer.
+            T: period, s.
+            speed: the device's limit of speed on each axis, m/s; a faster device lets go.
+            longest: the longest time from a sample on for which its force is held, ns.
+            E_0: what lateness may put into the loop in the whole session, J; None for no bound.
+        """
+        self.account = InterfaceAccount(osp, promise, T, speed)
+        self._bounded = E_0 is not None
+        self.tank = self._E_0 = 0.0 if E_0 is None else E_0
+        self._T, self._longest, self._speed = T, longest, tuple(speed)
+        self._tau = self._expected = tau
+        self._tolerance = tolerance
+        self._sent: Floats = [0.0] * len(speed)
+        self._goal = self._sent
+        self._at = Instant(0)  # of the sample
+        self._booked, self._changed = 0.0, False
+        self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
+
+    @property
+    def until(self) -> Instant | None:
+        """The instant at which the exerted force ends by itself; None where it is held."""
+        return self.account.until
+
+    def change(self, promise: DeviceShare, tau: float, tolerance: float) -> None:
+        """Follow a change of rung; call this only where the last two forces are zero."""
+        self.account.change(promise)
+        self._tau, self._tolerance = tau, tolerance
+
+    def moved(self, x: Floats, at: Instant) -> None:
+        """The device was at x (m) at the instant ``at``, and nothing was sent."""
+        self.account.sampled(x, at)
+
+    def send(self, x: Floats, goal: Floats, at: Instant) -> Floats:
+        """The displacement to send: the nearest to ``goal`` that is paid for.
+
+        If the exerted force may last longer than the tank pays for, :attr:`until` comes nearer.
+
+        Args:
+            x: the device's displacement, m.
+            goal: what it would send without a bound, m.
+            at: the instant of the sample.
+        """
+        account, before = self.account, self._sent
+        account.sampled(x, at)
+        self._at = at
+        w = [to - last for to, last in zip(goal, before, strict=True)]
+        if not self._bounded:
+            self._sent = goal
+            account.received(w)
+            return goal
+        self._book()
+        h, power = self._left(at), account.cost(account.exerted)
+        reserve = min(h, max(self._tau, self._expected)) * power if power > 0.0 else 0.0
+        # an offset is made up within the limit of speed; the device's own step is the guard's to judge
+        most = [max(abs(to - last), v * self._T) for to, last, v in zip(goal, self._goal, self._speed, strict=True)]
+        bounded = [max(-way, min(way, to)) for to, way in zip(w, most, strict=True)]
+        kept = self._nearest(bounded, reserve - self.tank)
+        self._goal = goal
+        self._changed = kept != w
+        if self._changed:
+            self._sent = [last + way for last, way in zip(before, kept, strict=True)]
+            self.offset = max(self.offset, *(abs(to - at) for to, at in zip(goal, self._sent, strict=True)))
+            self.kept_back += max(0.0, account.least_gain(kept) - account.least_gain(bounded))
+        else:
+            self._sent = goal
+        account.received(kept)
+        self._book()
+        if power > 0.0 and self.tank < h * power:
+            account.until = Instant(at + int(max(0.0, 1e9 * self.tank / power)))
+        return self._sent
+
+    def force(self, f: Floats, held: Floats, at: Instant) -> tuple[Floats, Instant | None]:
+        """Take the couplings' answer; returns what to exert from ``at`` on, and until when at the longest.
+
+        The whole force is exerted where the tank pays for the time in which the next one is expected, and a part of it
+        otherwise. The motion since the sample is not known yet. It counts at the most that it may have cost.
+
+        Args:
+            f: what the couplings sent, N.
+            held: the part of it within the device's limits, N.
+            at: the present instant.
+        """
+        account, T = self.account, self._T
+        account.answered(f)
+        if not self._bounded:
+            return held, None
+        self._book()
+        late = max(0.0, (at - self._at) * _NS)
+        self._expected += CALM * (min(late, LONGEST * T) - self._expected)
+        power, expected = account.cost(held), max(self._tau, self._expected)
+        self.tank = min(self.tank, self._E_0 + ROOM * (T + expected) * power)
+        until = Instant(self._at + self._longest)
+        if power > 0.0:
+            spent = min(late, self._left(self._at)) * account.cost(account.exerted)
+            paid = max(0.0, self.tank - spent + account.least_gain(self._best(f)))
+            needed = (1.0 + self._tolerance) * T + expected - late
+            if needed * power > paid:
+                ratio = self._part(held, paid / needed)
+                held, power = [ratio * force for force in held], paid / needed
+                self._changed = True
+            if paid < (until - at) * _NS * power:
+                until = Instant(at + int(1e9 * paid / power))
+        self.ticks += self._changed
+        return held, until
+
+    def applied(self, x: Floats, at: Instant, exerted: Floats, until: Instant | None) -> None:
+        """The device was at x (m) at the instant ``at``, from which on it exerts ``exerted`` (N), as :meth:`force`."""
+        self.account.sampled(x, at)
+        self.account.exert(exerted, until)
+
+    def released(self, x: Floats, at: Instant) -> None:
+        """The device was at x (m) at the instant ``at``, from which on it exerts no force."""
+        self.applied(x, at, [0.0] * len(x), None)
+
+    def skipped(self) -> None:
+        """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
+        self.account.skipped()
+
+    def _book(self) -> None:
+        """Take over what the account has booked since the last call."""
+        balance = self.account.balance
+        self.tank += balance - self._booked
+        self._booked = balance
+
+    def _left(self, at: Instant) -> float:
+        """How long the exerted force may still last at ``at``, s."""
+        until = self.account.until
+        return math.inf if until is None else max(0.0, (until - at) * _NS)
+
+    def _part(self, r: Floats, allowed: float) -> float:
+        """The greatest part s of r whose cost in a second is at most ``allowed`` (W), to a thousandth from below."""
+        low, high = 0.0, 1.0
+        for _ in range(10):
+            middle = 0.5 * (low + high)
+            if self.account.cost([middle * force for force in r]) <= allowed:
+                low = middle
+            else:
+                high = middle
+        return low
+
+    def _best(self, f: Floats) -> Floats:
+        """The motion along T Delta_D^-1 f / 2m, within the limit of speed, that adds most under f, m."""
+        scale = self._T / (2.0 * self.account.weight)
+        best = [scale * way for way in self.account.compliance(f)]
+        part = min([1.0, *(v * self._T / abs(way) for way, v in zip(best, self._speed, strict=True) if way)])
+        return best if part == 1.0 else [part * way for way in best]
+
+    def _nearest(self, w: Floats, need: float) -> Floats:
+        """The motion on the way from :meth:`_best` to w that adds at least ``need`` (J), and is nearest to w.
+
+        The motions that add so much are a ball in the metric of Delta_D. Where the limit of speed does not bind, the
+        way leads to its centre, so that the result is the nearest of all.
+        """
+        account = self.account
+        there = account.least_gain(w)
+        if there >= need:
+            return w
+        best = self._best(account.f)
+        most = account.least_gain(best)
+        if most <= need:
+            return best
+        way = [to - at for to, at in zip(w, best, strict=True)]
+        curve = account.weight * dot(way, account.burn(way)) / self._T
+        slope = there - most + curve
+        # (most - need) + slope s - curve s^2 = 0; of the two forms of the root the one without cancellation
+        root = math.sqrt(slope * slope + 4.0 * curve * (most - need))
+        s = (slope + root) / (2.0 * curve) if slope > 0.0 else 2.0 * (most - need) / (root - slope)
+        return [at + min(1.0, s) * to for at, to in zip(best, way, strict=True)]

@@ -1,0 +1,227 @@
+"""The device's interface account: what it is, that it stays above -E_0 whatever happens, and that it never acts alone.
+
+The adversary of the property chooses everything that the device does not: where the device moves (within its limit of
+speed), what the couplings answer, and when each sample is taken, each force applied, each answer left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.device import device_share, least_gain
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.protocol.clock import Duration, Instant
+
+T = 1e-3
+TICK = 1_000_000  # ns
+SPEED = 1.0
+E_0 = 5e-3
+STALE = Duration(6 * TICK)
+Array = NDArray[np.float64]
+
+OSP = {
+    "one axis": np.array([[1.37]]),
+    "two axes": np.diag([0.5, 4.0]),
+    "joined axes": np.array([[2.0, 0.9], [0.9, 1.0]]),
+}
+
+
+def promise(tau: float, above: float) -> DeviceShare:
+    """What a certificate with this delay (s) promises, with kappa a part ``above`` its least."""
+    kappa = least_gain(tau / T) * (1.0 + above)
+    share = device_share(kappa, tau / T)
+    return DeviceShare(kappa, share.share, share.c)
+
+
+@dataclass
+class Course:
+    """What a device did, as the definition of e needs it: pieces of constant force, and ticks with their answers."""
+
+    pieces: list[tuple[Array, Array, float]] = field(default_factory=list)
+    ticks: list[tuple[Array, Array, Array]] = field(default_factory=list)
+
+    def energy(self, osp: Array, promised: DeviceShare) -> float:
+        """e by its definition, J."""
+        K = promised.kappa * T * np.linalg.inv(osp)
+        received = 0.0
+        for w, f, before in self.ticks:
+            y = (w + K @ (f - before)) / T
+            received += T * float(f @ y) - T * promised.share * float(y @ osp @ y)
+        done = sum(float(r @ d) - float(d @ osp @ d) / h for r, d, h in self.pieces if h > 0.0)
+        return received - done
+
+
+class Device:
+    """A device that an adversary moves; it books every piece of its motion exactly."""
+
+    def __init__(self, osp: Array, promised: DeviceShare, tau: float, tank: float | None) -> None:
+        m = len(osp)
+        self.osp, self.promised = osp, promised
+        self.interface = DeviceInterface(osp, promised, tau, 0.0, T, (SPEED,) * m, STALE, tank)
+        self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
+        self.sent = np.zeros(m)
+        self.course = Course()
+        self.worst = 0.0  # e at its least by the definition, J
+        self.unknown = 0.0  # what the account may be below the definition by, J: motion while a force ended by itself
+
+    def move(self, velocity: Array, until: int) -> None:
+        """Move at a constant velocity, m/s; the force may end by itself on the way."""
+        account = self.interface.account
+        ends = account.until
+        cuts = [until] if ends is None or not self.now < ends < until else [ends, until]
+        for at in cuts:
+            h = (at - self.now) * 1e-9
+            r = np.array(account.exerted) if ends is None or self.now < ends else np.zeros(len(self.x))
+            self.course.pieces.append((r, velocity * h, h))
+            self.x, self.now = self.x + velocity * h, at
+
+    def send(self) -> None:
+        x = self.x.tolist()
+        sent = np.array(self.interface.send(x, x, Instant(self.now)))
+        self.w, self.sent = sent - self.sent, sent
+
+    def answer(self, f: Floats) -> None:
+        held, until = self.interface.force(f, f, Instant(self.now))
+        self.course.ticks.append((self.w, np.array(f), self.f))
+        self.f = np.array(f)
+        self.interface.applied(self.x.tolist(), Instant(self.now), held, until)
+
+    @property
+    def energy(self) -> float:
+        return self.course.energy(self.osp, self.promised)
+
+
+def unit(m: int) -> st.SearchStrategy[list[float]]:
+    return st.lists(st.floats(-1.0, 1.0), min_size=m, max_size=m)
+
+
+@st.composite
+def hostile_ticks(draw: st.DrawFn, m: int) -> list[tuple[Floats, Floats, Floats, int, int]]:
+    """Ticks: velocities before and after the force is applied, the answer, and how long each part lasts, ns."""
+    delay = st.sampled_from([0, 300_000, 600_000, TICK, 3 * TICK, 20 * TICK, 50 * TICK])
+    rest = st.sampled_from([0, 400_000, TICK, TICK, 2 * TICK, 50 * TICK])
+    force = st.sampled_from([0.0, 0.5, 5.0, 40.0])
+    ticks = []
+    for _ in range(draw(st.integers(1, 25))):
+        size = draw(force)
+        f = [size * way for way in draw(unit(m))]
+        ticks.append((draw(unit(m)), draw(unit(m)), f, draw(delay), draw(rest)))
+    return ticks
+
+
+@pytest.mark.parametrize("osp", OSP.values(), ids=list(OSP))
+@pytest.mark.parametrize(("tau", "above"), [(0.0, 0.0), (3e-4, 0.3), (1e-3, 0.5)])
+@given(data=st.data())
+@settings(max_examples=25, deadline=None)
+def test_no_sequence_of_delays_takes_more_than_the_tank(
+    osp: Array, tau: float, above: float, data: st.DataObject
+) -> None:
+    device = Device(osp, promise(tau, above), tau, E_0)
+    for before, after, f, delay, rest in data.draw(hostile_ticks(len(osp))):
+        device.send()
+        device.move(SPEED * np.array(before), device.now + delay)
+        device.answer(f)
+        # the account's own least is a lower bound of the definition: it is exact but where a force ended by itself
+        assert device.interface.account.least >= -E_0 * (1.0 + 1e-9)
+        scale = 1.0 + sum(abs(float(r @ d)) for r, d, _ in device.course.pieces)
+        assert device.energy >= device.interface.account.energy - 1e-12 * scale
+        assert device.energy >= -E_0 - 1e-12 * scale
+        device.move(SPEED * np.array(after), device.now + rest)
+
+
+@st.composite
+def covered_ticks(draw: st.DrawFn, m: int) -> list[tuple[Floats, Floats, Floats, float]]:
+    """Ticks: velocities before and after the force is applied, the answer, and the delay as a part of tau."""
+    size = draw(st.sampled_from([0.1, 1.0, 5.0]))
+    each = st.tuples(unit(m), unit(m), unit(m).map(lambda f: [size * way for way in f]), st.floats(0.0, 1.0))
+    return draw(st.lists(each, min_size=1, max_size=25))
+
+
+@pytest.mark.parametrize("osp", OSP.values(), ids=list(OSP))
+@pytest.mark.parametrize(("tau", "above"), [(0.0, 0.0), (3e-4, 0.3), (1e-3, 0.5)])
+@pytest.mark.parametrize("tank", [None, 0.1], ids=["counted", "bounded"])
+@given(data=st.data())
+@settings(max_examples=12, deadline=None)
+def test_within_the_certified_delay_nothing_is_lost_and_nothing_changed(
+    osp: Array, tau: float, above: float, tank: float | None, data: st.DataObject
+) -> None:
+    device = Device(osp, promise(tau, above), tau, tank)
+    for before, after, f, late in data.draw(covered_ticks(len(osp))):
+        device.send()
+        sampled = device.now
+        device.move(SPEED * np.array(before), sampled + int(late * tau * 1e9))
+        device.answer(f)
+        stored = 0.5 * device.promised.kappa * T * float(np.array(f) @ np.linalg.inv(osp) @ np.array(f))
+        # the terms of the sum are at most of the order of f w and f K f, some 10 mJ each, over 25 ticks
+        assert device.interface.account.energy >= stored - 1e-12
+        assert device.energy == pytest.approx(device.interface.account.energy, abs=1e-12)
+        assert device.sent.tolist() == device.x.tolist() or device.now > sampled
+        assert device.interface.account.exerted == f
+        device.move(SPEED * np.array(after), sampled + TICK)
+    assert device.interface.ticks == 0
+    assert device.interface.offset == 0.0
+
+
+def test_lateness_lowers_the_account_by_the_energy_it_put_in() -> None:
+    """A wall whose force comes one and a half ticks late pushes a device that moves out of it, as in theory."""
+    osp, tau = OSP["one axis"], 0.0
+    device = Device(osp, promise(tau, 0.0), tau, None)
+    device.send()
+    device.answer([2.0])
+    device.move(np.array([0.5]), TICK)
+    device.send()
+    device.move(np.array([0.5]), TICK + TICK // 2)  # 0.25 mm at 2 N, after the couplings had asked for none
+    device.answer([0.0])
+    late = 2.0 * 0.25e-3 - 1.37 * 0.5 * 0.25e-3
+    in_time = Device(osp, promise(tau, 0.0), tau, None)
+    in_time.send()
+    in_time.answer([2.0])
+    in_time.move(np.array([0.5]), TICK)
+    in_time.send()
+    in_time.answer([0.0])
+    in_time.move(np.array([0.5]), TICK + TICK // 2)
+    in_time.interface.moved(in_time.x.tolist(), Instant(in_time.now))
+    burned = 1.37 * 0.5 * 0.25e-3
+    lost = in_time.interface.account.energy - device.interface.account.energy
+    assert lost == pytest.approx(late + burned, rel=1e-12)
+
+
+def test_a_force_is_held_for_as_long_as_the_tank_pays() -> None:
+    osp = OSP["one axis"]
+    device = Device(osp, promise(0.0, 0.0), 0.0, E_0)
+    device.send()
+    device.answer([2.0])
+    until = device.interface.until
+    # a device at 2/(2 * 1.37) m/s would cost 0.73 W; the tank has 5 mJ, and K f^2/2 is 0.73 mJ
+    power = 4.0 / (4.0 * 1.37)
+    assert until == pytest.approx(1e9 * min((E_0 + 0.5 * 0.5 * T * 4.0 / 1.37) / power, 6e-3), rel=1e-6)
+    device.move(np.array([0.0]), TICK)
+    device.send()
+    assert device.interface.until == pytest.approx(min(until, TICK + 1e9 * E_0 / power), rel=1e-6)
+
+
+def test_an_offset_goes_as_soon_as_the_account_pays_for_it() -> None:
+    """A hand that holds a wall, after lateness: the offset falls with its motion, and motion and device agree again."""
+    osp, tau = OSP["one axis"], 5e-4
+    device = Device(osp, promise(tau, 0.5), tau, 1e-4)
+    wall = 2000.0
+    for tick in range(4000):
+        at = tick * TICK
+        swing = np.array([4e-3 * (1.0 - np.cos(2.0 * np.pi * tick / 400.0))])
+        device.move((swing - device.x) / max(1e-9, (at - device.now) * 1e-9), at) if at > device.now else None
+        device.send()
+        late = 3 * TICK // 4 if 500 < tick < 1500 else TICK // 4
+        device.move(np.array([0.0]), device.now + late)
+        device.answer([-wall * float(device.sent[0])])
+        if tick == 1500:
+            assert device.interface.offset > 1e-5
+    assert abs(device.sent[0] - device.x[0]) < 1e-9
+    assert device.interface.account.least >= -1e-4
