@@ -345,6 +345,14 @@ SIMULATED = "simulated"
 REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
 
+WALL = "wall"
+"""The time of a device that goes on by the wall clock, as a real device does."""
+
+OWN = "own"
+"""The time of a device that goes on by one period from sample to sample, however long that took."""
+
+TIMES = (WALL, OWN)
+
 MAX_TELEMETRY_TICKS = 1000
 """The most ticks between two telemetry messages: a node keeps the traces of all of them."""
 
@@ -364,6 +372,8 @@ class DeviceBundle:
             is for a longer delay.
         source: what moves the device.
         limits: the limits of the device.
+        time: :data:`WALL` or :data:`OWN`, the time in which the source moves the device.
+        tank: E_0, what lateness may put into the loop in the whole session, J; None where it is counted alone.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
@@ -375,6 +385,8 @@ class DeviceBundle:
     rungs: tuple[DeviceRung, ...]
     source: Source
     limits: Limits
+    time: str = OWN
+    tank: float | None = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -382,6 +394,8 @@ class DeviceBundle:
             raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
         if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
             raise ValueError(f"found an osp of shape {self.osp.shape}; expected {m} x {m}, symmetric positive definite")
+        if self.tank is not None and not 0.0 <= self.tank < math.inf:
+            raise ValueError(f"found a tank of {self.tank} J; expected a finite number, at least 0")
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
@@ -636,6 +650,8 @@ _READ: dict[str, Any] = {
     "tool_step": _bounds,
     "feedthrough": dict,
     "osp": array,
+    "time": lambda time: time,
+    "tank": lambda tank: None if tank is None else float(tank),
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},

@@ -19,10 +19,30 @@ from numpy.typing import NDArray
 from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.passivity import Ledger, PassivityController
 from manyhands.nodes.peer_link import PeerLink
-from manyhands.protocol.channels import DISPLACEMENT, FORCE, FREE_POSITION, LEDGER, MASS_POSITION, TAU, TOOL_POSITION
+from manyhands.protocol.channels import (
+    DISPLACEMENT,
+    FORCE,
+    FREE_POSITION,
+    INSTANTS,
+    INTERFACE,
+    LEDGER,
+    MASS_POSITION,
+    TAU,
+    TOOL_POSITION,
+)
 from manyhands.protocol.messages import Telemetry
 
-__all__ = ["DISPLACEMENT", "FORCE", "FREE_POSITION", "LEDGER", "MASS_POSITION", "TAU", "TOOL_POSITION"]
+__all__ = [
+    "DISPLACEMENT",
+    "FORCE",
+    "FREE_POSITION",
+    "INSTANTS",
+    "INTERFACE",
+    "LEDGER",
+    "MASS_POSITION",
+    "TAU",
+    "TOOL_POSITION",
+]
 
 
 LEDGER_MIN = "ledger_min"
@@ -67,6 +87,10 @@ MOVED = "moved_"  # supplier, "/" and receiver: J
 SCALED = "scaled_"  # and the coupling: ticks in which its ratio was below 1, for its energy budget
 STOPS = "stops_"  # and the coupling: times that its energy budget stopped it
 UNOWNED = "unowned"  # J that users received of the environment's own energy
+INTERFACE_LEAST = "interface_min"  # J, the least of a device's interface account, at most 0
+INTERFACE_TICKS = "interface_ticks"  # ticks in which a device's interface changed a motion or a force
+INTERFACE_KEPT_BACK = "interface_kept_back"  # J that the changed motions kept from being lost
+INTERFACE_OFFSET = "interface_offset"  # m, the greatest offset between a device and the motion sent
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 

@@ -132,6 +132,8 @@ TOOL_POSITION: Final = "x_e"
 MASS_POSITION: Final = "q"
 LEDGER: Final = "ledger"
 TAU: Final = "tau_us"
+INTERFACE: Final = "interface"
+INSTANTS: Final = "instants"
 
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
@@ -141,11 +143,12 @@ CONDITION: Final = "condition"
 
 
 class Columns(StrEnum):
-    """The columns of a trace: one for each port, one for each mass, or a single one."""
+    """The columns of a trace: one for each port, one for each mass, a single one, or the three instants of a tick."""
 
     PORTS = "ports"
     MASSES = "masses"
     ONE = "one"
+    INSTANTS = "instants"
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +161,7 @@ class Topic:
         symbol: the quantity in the paper's letters.
         unit: SI unit (of a translational port); delays are in microseconds.
         columns: the columns of the trace.
+        wall: whether only devices in wall time have it, which the realtime clock alone has.
     """
 
     name: str
@@ -165,10 +169,16 @@ class Topic:
     symbol: str
     unit: str
     columns: Columns
+    wall: bool = False
 
     def columns_of(self, ports: tuple[str, ...], masses: tuple[str, ...]) -> tuple[str, ...]:
         """The names of the columns for a node with these ports; ``masses`` are those of the environment."""
-        return {Columns.PORTS: ports, Columns.MASSES: masses, Columns.ONE: (self.symbol,)}[self.columns]
+        return {
+            Columns.PORTS: ports,
+            Columns.MASSES: masses,
+            Columns.ONE: (self.symbol,),
+            Columns.INSTANTS: ("sampled", "applied", "ended"),
+        }[self.columns]
 
 
 _LEDGER: Final = Topic("ledger", LEDGER, "E", "J", Columns.ONE)
@@ -180,6 +190,8 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("force", FORCE, "f_v", "N", Columns.PORTS),
             _LEDGER,
             Topic("tau", TAU, "τ", "us", Columns.ONE),
+            Topic("interface", INTERFACE, "e", "J", Columns.ONE, wall=True),
+            Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -196,9 +208,19 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
 """The topics of each role, in the order in which they are shown."""
 
 
-def topics_of(role: Role, masses: tuple[str, ...] = ()) -> tuple[Topic, ...]:
-    """The topics of a node of this role; without ``masses`` the environment's topic of masses is left out."""
-    return tuple(topic for topic in TOPICS.get(role, ()) if masses or topic.columns is not Columns.MASSES)
+def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False) -> tuple[Topic, ...]:
+    """The topics of a node of this role.
+
+    Args:
+        role: of the node.
+        masses: of the environment; without them its topic of masses is left out.
+        wall: whether there may be devices in wall time, whose topics are left out otherwise.
+    """
+    return tuple(
+        topic
+        for topic in TOPICS.get(role, ())
+        if (masses or topic.columns is not Columns.MASSES) and (wall or not topic.wall)
+    )
 
 
 def topic_name(session: str, node: str, topic: str) -> str:

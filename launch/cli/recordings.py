@@ -295,7 +295,7 @@ def _warn_of_version(run: RecordedRun) -> None:
         )
 
 
-_QUANTITIES = "sample, velocity, force, tool, reaction, tools, masses, ledger, tau"
+_QUANTITIES = "sample, velocity, force, tool, reaction, tools, masses, ledger, tau, interface"
 
 
 @commands.command(epilog="Example: manyhands plot run.mcap --topics velocity,force --from 2 --until 3 -o steps.svg")

@@ -155,10 +155,11 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     rungs = _rungs(prepared)
     of_devices = tuple(DeviceRung(rung.tau, 0.0, rung.share) for rung in rungs)
     bundles: dict[str, Bundle] = {}
+    tank = None if prepared.certificate is None else session.faults.enforced_tank  # without a certificate, no promise
     for name in session.devices:
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
-        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits)
+        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits, tank=tank)
     for index, name in enumerate(prepared.loop.partition.names):
         own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
@@ -294,7 +295,7 @@ def _columns(session: Session, graph: Topology, name: str) -> int:
     if name not in graph.nodes:
         return 0
     ports, masses = graph.ports[name], mass_names(session)
-    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses))
+    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses, wall=True))
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

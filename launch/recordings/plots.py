@@ -38,7 +38,7 @@ from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
-from manyhands.protocol.channels import LEDGER, TAU, TOPICS
+from manyhands.protocol.channels import INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 
 VELOCITY: Final = "velocity"
@@ -54,12 +54,13 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
         "masses": "positions of the masses in the environment",
         "ledger": "energy ledgers: below zero a promise is broken",
         "tau": "delays inside the tick",
+        "interface": "energy accounts of the devices' interfaces",
     }
 )
 """Titles by quantity, in the order in which they are shown."""
 
 QUANTITIES: Final = tuple(_TITLES)
-SHOWN: Final = ("sample", VELOCITY, "force", "ledger", "tau")
+SHOWN: Final = ("sample", VELOCITY, "force", "ledger", "tau", "interface")
 """The quantities that are shown by default, as far as they are recorded."""
 
 _MOST_CERTIFICATE_BYTES = 64 * 2**20
@@ -253,13 +254,13 @@ def _panels(traces: Mapping[tuple[str, str], RecordedTrace], period: float, tick
         topic = found[source][0].topic
         curves: list[Curve] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
-            labels = (node,) if topic.trace in (LEDGER, TAU) else trace.columns
+            labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) else trace.columns
             values = _of_length(trace.values, ticks)
             if name == VELOCITY:
                 values = backward_difference(values, period)
             curves += [Curve(label, column) for label, column in zip(labels, values.T, strict=True)]
         axis = f"velocity [{topic.unit}/s]" if name == VELOCITY else f"{topic.symbol} [{topic.unit}]"
-        panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace == LEDGER))
+        panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
 
 

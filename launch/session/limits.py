@@ -71,6 +71,10 @@ LONGEST_WINDOW: Final = 86_400.0
 """s."""
 DEFAULT_WINDOW: Final = 60.0
 """s."""
+DEFAULT_TANK: Final = 5e-3
+"""J; a device of Example 1 may then be pushed with 2 N for 7 ms after its force should have ended."""
+LARGEST_TANK: Final = 10.0
+"""J; 1 kg at 4.5 m/s."""
 
 # recorded traces
 MAX_TRACE_BYTES: Final = 1 << 26

@@ -52,7 +52,9 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.limits import (
     DEFAULT_RESTARTS,
+    DEFAULT_TANK,
     DEFAULT_WINDOW,
+    LARGEST_TANK,
     LONGEST_WINDOW,
     MAX_COUPLINGS,
     MAX_DEVICES,
@@ -165,8 +167,10 @@ def ports_of_block(block: CouplingBlock, devices: PortsOf) -> tuple[str, ...]:
 
 
 _RESTARTS: Final = Whole("restarts", 0, MAX_RESTARTS)
+_TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
 _WINDOW: Final = Quantity("a window", "s", above=0.0, most=LONGEST_WINDOW, smallest=MIN_POSITIVE)
 _BREACHES: Final = ("warn", "soften", "stop")
+_LATENESS: Final = ("enforce", "count")
 
 
 class Faults(SessionModel):
@@ -181,6 +185,18 @@ class Faults(SessionModel):
     breach: Annotated[Literal["warn", "soften", "stop"], BeforeValidator(Choice(_BREACHES))] = Field(
         default="soften", description="what follows a delay longer than the certificate's: warn, soften or stop"
     )
+    lateness: Annotated[Literal["enforce", "count"], BeforeValidator(Choice(_LATENESS))] = Field(
+        default="enforce", description="what bounds the energy of lateness at a device in wall time: enforce or count"
+    )
+    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+        default=DEFAULT_TANK,
+        description="with lateness: enforce, what lateness may put in through each device in the whole session, in J",
+    )
+
+    @property
+    def enforced_tank(self) -> float | None:
+        """E_0, J; None where lateness is counted alone."""
+        return self.tank if self.lateness == "enforce" else None
 
 
 TELEMETRY: Final = "telemetry"

@@ -16,8 +16,8 @@ the couplings have been given e(k) less than the device took in. At delays and p
 e(k) >= f^T K f / 2 >= 0. Beyond, e falls by the energy that lateness has put into the loop.
 
 **The bound.** The controller keeps e(k) >= -E_0 for every sequence of delays, by two means: how far x' follows x, and
-for how long, and how strongly, a force acts. Docs/decisions/0030 has the proofs. They rest on one inequality. Whatever
-the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
+how strongly and for how long a force acts. The proofs are in docs/decisions/0030-lateness-in-joules.md. They rest on
+one inequality. Whatever the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
 
     f(k-1)^T w - m w^T Delta_D w / T + c g^T T Delta_D^-1 g,    m = share + a^2/(b - c),
     a = 1/2 - share kappa,    b = kappa a,
@@ -25,7 +25,9 @@ the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
 with the c of the certificate's device. So B = E_0 + e - f^T K f / 2 is known before the answer, and the
 controller chooses w so that B stays above what the force may still cost until it is replaced or ends,
 
-    R = h times the greatest r^T v - v^T Delta_D v over the speeds v within the device's limit  <=  h r^T Delta_D^-1 r/4.
+    R = h p(r),    p(r) = max over v of r^T v - v^T Delta_D v  <=  r^T Delta_D^-1 r / 4,
+
+with h the time left, and v within the device's limit of speed.
 
 Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
 which goes as soon as the account can pay for it. A force that is longer in force than B pays for ends by itself.
@@ -122,7 +124,7 @@ class InterfaceAccount:
         self._x, self._at = x, at
 
     def cost(self, r: Floats) -> float:
-        """phi(r)/4, W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
+        """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
 
         The device moves at no more than its limit of speed. Where Delta_D joins axes, its least eigenvalue stands for
         it.
@@ -184,8 +186,8 @@ ROOM: Final = 2.0
 class DeviceInterface:
     """A device's motion and force on their way to and from its couplings: the account e(k), kept above -E_0.
 
-    A tick is :meth:`send`, :meth:`force` and :meth:`applied`; a period without an answer is :meth:`moved` and
-    :meth:`released`. Without E_0 the account is only kept: motion and force pass unchanged.
+    A tick is :meth:`send`, :meth:`force` and :meth:`applied`. Without E_0 the account is only kept, and motion and
+    force pass unchanged.
 
     Attributes:
         account: the account.
@@ -231,18 +233,19 @@ class DeviceInterface:
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
 
     @property
+    def exerted(self) -> Floats:
+        """The force that the device exerts, N."""
+        return self.account.exerted
+
+    @property
     def until(self) -> Instant | None:
-        """The instant at which the exerted force ends by itself; None where it is held."""
+        """The instant at which it ends by itself; None where it is held."""
         return self.account.until
 
     def change(self, promise: DeviceShare, tau: float, tolerance: float) -> None:
         """Follow a change of rung; call this only where the last two forces are zero."""
         self.account.change(promise)
         self._tau, self._tolerance = tau, tolerance
-
-    def moved(self, x: Floats, at: Instant) -> None:
-        """The device was at x (m) at the instant ``at``, and nothing was sent."""
-        self.account.sampled(x, at)
 
     def send(self, x: Floats, goal: Floats, at: Instant) -> Floats:
         """The displacement to send: the nearest to ``goal`` that is paid for.
@@ -317,14 +320,21 @@ class DeviceInterface:
         self.ticks += self._changed
         return held, until
 
-    def applied(self, x: Floats, at: Instant, exerted: Floats, until: Instant | None) -> None:
-        """The device was at x (m) at the instant ``at``, from which on it exerts ``exerted`` (N), as :meth:`force`."""
+    def applied(self, x: Floats, at: Instant, exerted: Floats, until: Instant | None) -> Instant:
+        """The device was at x (m) at the instant ``at``, from which on it exerts ``exerted`` (N), as :meth:`force`.
+
+        Returns:
+            The instant at which the force before had ended.
+        """
+        before = self.account.until
         self.account.sampled(x, at)
         self.account.exert(exerted, until)
+        return at if before is None else min(before, at)
 
-    def released(self, x: Floats, at: Instant) -> None:
-        """The device was at x (m) at the instant ``at``, from which on it exerts no force."""
-        self.applied(x, at, [0.0] * len(x), None)
+    def released(self, at: Instant) -> None:
+        """The device exerts no force from ``at`` on."""
+        until = self.account.until
+        self.account.until = at if until is None else min(until, at)
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""

@@ -8,6 +8,11 @@ A device whose force is stale lets go and runs free: in every period it samples,
 force. It sends its x(k) again in every period until a coupling answers, or sends a zero force of a later tick, with
 which the device goes on.
 
+A device in wall time feels lateness. Between it and its couplings stands its interface
+(:mod:`manyhands.nodes.device.interface`). The interface keeps account of the energy that lateness puts in, and bounds
+it. What was sent for a tick stays as it is until the tick is answered, so that the account knows what the couplings
+received.
+
 The guard (:mod:`manyhands.nodes.device.core`) checks a sample before it is sent, and clips the force last before the
 driver. A device beyond its limits of displacement or speed lets go. It takes hold again once it is back within them.
 """
@@ -17,10 +22,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, DeviceBundle
+from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.telemetry import DeviceTelemetry
+from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.telemetry import NO_INSTANTS, DeviceTelemetry
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
@@ -55,12 +61,27 @@ class DeviceNode:
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
-        self._account = DeviceTelemetry(common, from_seconds(bundle.rungs[0].tau), driver.figures)
+        self._interface = self._interface_of(bundle) if bundle.time == WALL else None
+        self._account = DeviceTelemetry(common, from_seconds(bundle.rungs[0].tau), driver.figures, self._interface)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
         self._life: Life | None = None  # until the loop begins
         self._epoch = Instant(0)
+
+    def _interface_of(self, bundle: DeviceBundle) -> DeviceInterface:
+        rung, T = bundle.rungs[0], bundle.common.period
+        stale = self._timeouts.stale or Duration(0)
+        return DeviceInterface(
+            bundle.osp,
+            rung.share,
+            rung.tau,
+            rung.period_tolerance,
+            T,
+            bundle.limits.speed,
+            Duration(stale + self._period),
+            bundle.tank,
+        )
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
@@ -87,8 +108,12 @@ class DeviceNode:
         self._life, give_way = life, way_giver()
         epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
+        row_x = told_x = self._zero
+        row_at = Instant(0)
+        instants = NO_INSTANTS
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
+        interface, sent_tick = self._interface, -1  # the tick for which a motion was sent last
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
@@ -100,10 +125,19 @@ class DeviceNode:
             clock.sleep_until(due)
             sampled = clock.now()
             # a copy: a driver may fill the same list or array every time
-            x = list(map(float, driver.sample(turns, Instant(sampled - epoch))))
+            at = Instant(sampled - epoch)
+            x = list(map(float, driver.sample(turns, at)))
             let_go = guard.let_go
-            told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
+            goal = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
+            if interface is None:
+                row_x, told_x = x, goal
+            elif sent_tick != tick:
+                row_x, row_at, sent_tick = x, at, tick
+                until = interface.until
+                told_x = interface.send(x, goal, at)
+                if interface.until is not until:
+                    driver.apply(interface.exerted, at, interface.until)
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             for peer_link in peer_links:
@@ -132,10 +166,20 @@ class DeviceNode:
             if told > tick:
                 self._jump(control)
                 tick = told
-            held = guard.clip(f.copy())  # a copy, for telemetry keeps it and f is written again in the next tick
-            driver.apply(held, Instant(received - epoch))
-            applied = clock.now()
-            give_way()
+            at = Instant(received - epoch)
+            wanted = f.copy()  # telemetry keeps it, and f is written again in the next tick
+            held = guard.clip(wanted)
+            if interface is None:
+                driver.apply(held, at)
+                applied = clock.now()
+                give_way()
+            else:
+                held, until = interface.force(wanted, held, at)
+                moved = driver.apply(held, at, until)
+                applied = clock.now()
+                give_way()
+                ended = interface.applied(list(map(float, moved)), at, held, until)
+                instants = (row_at, at, ended)
             core.sample(x)  # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
             core.apply(held, driver.intended_work())
             for peer_link in peer_links:
@@ -143,7 +187,7 @@ class DeviceNode:
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
-            account.tick(tick, x, held, core, (due, ready, sampled, sent, received, applied))
+            account.tick(tick, row_x, held, core, (due, ready, sampled, sent, received, applied), instants)
             # after a late tick the next multiple of T, by a division that rounds up
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
@@ -241,7 +285,10 @@ class DeviceNode:
     def _let_go(self) -> None:
         """Exert no force: the last one is stale, and no force is safer than an old one."""
         if not self._free:
-            self._driver.release(self._now())
+            now = self._now()
+            self._driver.release(now)
+            if self._interface is not None:
+                self._interface.released(now)
             self._account.stale += 1
         self._free = True
 
@@ -254,10 +301,15 @@ class DeviceNode:
 
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
+        if self._interface is not None:
+            self._interface.skipped()
         self._account.jump(control, self._core, self._guard, self.peer_links)
 
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""
         self._rung = self._next_rung
+        rung = self._rungs[self._rung]
         self._core.change(*self._promises[self._rung])
-        self._account.change_rung(tick, self._rung, from_seconds(self._rungs[self._rung].tau))
+        if self._interface is not None:
+            self._interface.change(rung.share, rung.tau, rung.period_tolerance)
+        self._account.change_rung(tick, self._rung, from_seconds(rung.tau))

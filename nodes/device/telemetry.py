@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common
 from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.interface import DeviceInterface
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.nodes.telemetry import Distribution
@@ -109,6 +111,12 @@ Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
 """The instants of a tick: due, ready, sampled, sent, received and applied, as in :func:`cause`."""
 
 
+Instants = tuple[Instant, Instant, Instant]
+"""The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
+
+NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
+
+
 class DeviceTelemetry:
     """The figures and traces of one device.
 
@@ -119,15 +127,22 @@ class DeviceTelemetry:
         jumps: how often the session had gone on to a later tick without the device.
     """
 
-    def __init__(self, common: Common, tau: Duration, told: Callable[[], Mapping[str, float]] = dict) -> None:
+    def __init__(
+        self,
+        common: Common,
+        tau: Duration,
+        told: Callable[[], Mapping[str, float]] = dict,
+        interface: DeviceInterface | None = None,
+    ) -> None:
         """No tick yet.
 
         Args:
             common: the device's bundle.
             tau: the delay inside the tick that the certificate assumes, ns.
             told: returns the driver's own figures for each telemetry.
+            interface: of a device in wall time; None for one in its own.
         """
-        self._common, self._told = common, told
+        self._common, self._told, self._interface = common, told, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self._assumed_tau = tau
@@ -143,6 +158,8 @@ class DeviceTelemetry:
         self._trace_tau: list[int] = [0] * rows
         self._energy = [0.0] * rows
         self._speeds = [0.0] * rows
+        self._interface_energy = [0.0] * rows
+        self._instants: list[Instants] = [NO_INSTANTS] * rows
         self._filled, self._rows = 0, common.telemetry_first
         self._sampled: Instant | None = None
         self._events = TickEvents()
@@ -152,7 +169,9 @@ class DeviceTelemetry:
         self._events.change_rung(tick, rung)
         self._assumed_tau = tau
 
-    def tick(self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times) -> None:
+    def tick(
+        self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times, instants: Instants = NO_INSTANTS
+    ) -> None:
         """Keep the row of a tick that was answered; the lists x (m) and f (N) are kept until the next telemetry."""
         due, _, sampled, _, _, applied = times
         tau = applied - sampled
@@ -174,6 +193,8 @@ class DeviceTelemetry:
         self._trace_x[row], self._trace_f[row] = x, f
         self._trace_tau[row], self._energy[row] = tau, core.ledger.total
         self._speeds[row] = core.speed
+        if self._interface is not None:
+            self._interface_energy[row], self._instants[row] = self._interface.account.energy, instants
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -217,6 +238,7 @@ class DeviceTelemetry:
             f"{names.PERIOD}_p50": self._true_period.quantile(0.5),
             f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
             **names.ledger_figures(core.ledger),
+            **self._interface_figures(),
             **names.stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
             **self._told(),
@@ -227,8 +249,23 @@ class DeviceTelemetry:
             **names.ledger_trace(core.ledger, self._energy[:rows]),
             names.TAU: np.array(self._trace_tau[:rows], dtype=np.float64)[:, None] / 1e3,
         }
+        if self._interface is not None:
+            traces[names.INTERFACE] = np.array(self._interface_energy[:rows])[:, None]
+            traces[names.INSTANTS] = np.array(self._instants[:rows], dtype=np.float64)
         control.publish(Telemetry(self.ticks, figures, traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
+
+    def _interface_figures(self) -> dict[str, float]:
+        interface = self._interface
+        if interface is None:
+            return {}
+        return {
+            names.INTERFACE: interface.account.energy,
+            names.INTERFACE_LEAST: interface.account.least,
+            names.INTERFACE_TICKS: float(interface.ticks),
+            names.INTERFACE_KEPT_BACK: interface.kept_back,
+            names.INTERFACE_OFFSET: interface.offset,
+        }
 
     def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink], rung: int) -> Report:
         """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
@@ -238,6 +275,7 @@ class DeviceTelemetry:
                 names.PEAK_SPEED: core.peak_speed,
                 names.FINAL_SPEED: max(self._speeds),
                 **names.ledger_figures(core.ledger),
+                **self._interface_figures(),
             },
             {
                 names.LATE: self._late,

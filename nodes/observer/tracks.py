@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.scene import About
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, Columns, Topic, topics_of
 from manyhands.protocol.messages import Observation, Role
@@ -225,7 +226,7 @@ class Tracks:
 
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
-        for topic in topics_of(node.role, tuple(about.masses)):
+        for topic in topics_of(node.role, tuple(about.masses), about.clock == REALTIME):
             if topic.trace == LEDGER and about.certificate is None:
                 continue
             yield TrackKey(name, topic)

@@ -15,6 +15,7 @@ from itertools import chain
 from typing import Any, Final
 
 from manyhands import __version__
+from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topics_of
 from manyhands.protocol.messages import Condition, Role
@@ -184,7 +185,7 @@ class Recorded:
     def topics(self, node: str) -> tuple[Topic, ...]:
         """The topics of a node, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
-        return () if role is None else topics_of(role, self.masses)
+        return () if role is None else topics_of(role, self.masses, self.clock == REALTIME)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""

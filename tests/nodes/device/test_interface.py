@@ -188,7 +188,7 @@ def test_lateness_lowers_the_account_by_the_energy_it_put_in() -> None:
     in_time.send()
     in_time.answer([0.0])
     in_time.move(np.array([0.5]), TICK + TICK // 2)
-    in_time.interface.moved(in_time.x.tolist(), Instant(in_time.now))
+    in_time.interface.account.sampled(in_time.x.tolist(), Instant(in_time.now))
     burned = 1.37 * 0.5 * 0.25e-3
     lost = in_time.interface.account.energy - device.interface.account.energy
     assert lost == pytest.approx(late + burned, rel=1e-12)
