@@ -377,7 +377,7 @@ class DeviceBundle:
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, or the rungs' delays do not grow.
+            the ports, the rungs' delays do not grow, the time is unknown, or it is wall time under the simulated clock.
     """
 
     common: Common
@@ -390,6 +390,11 @@ class DeviceBundle:
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
+        if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
+            raise ValueError(
+                f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "
+                f"or {OWN} under the {REALTIME} clock, {OWN} under the {SIMULATED} one"
+            )
         if self.source.axes != m:
             raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
         if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
@@ -650,9 +655,9 @@ _READ: dict[str, Any] = {
     "tool_step": _bounds,
     "feedthrough": dict,
     "osp": array,
-    "time": lambda time: time,
     "tank": lambda tank: None if tank is None else float(tank),
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
+    "time": lambda time: time,
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }

@@ -45,7 +45,9 @@ PERIOD = 1e-3
 Array = np.ndarray
 
 
-def of_users(count: int, ticks: int, clock: str = "realtime", ledgers: bool = True, **more: object) -> RecordedRun:
+def of_users(
+    count: int, ticks: int, clock: str = "realtime", ledgers: bool = True, wall: bool = False, **more: object
+) -> RecordedRun:
     """A run of ``count`` users, every trace its own wave."""
     names = [f"u{i}" for i in range(count)]
     roles = {**{f"d-{n}": Role.DEVICE for n in names}, **{f"c-{n}": Role.COUPLING for n in names}}
@@ -54,7 +56,7 @@ def of_users(count: int, ticks: int, clock: str = "realtime", ledgers: bool = Tr
     time = np.arange(ticks) * PERIOD
     traces = {}
     for number, (node, role) in enumerate(roles.items()):
-        for topic in topics_of(role, ("hub",), wall=clock == "realtime"):
+        for topic in topics_of(role, ("hub",), wall):
             if (topic.name == "ledger" and not ledgers) or (topic.name == "tau" and clock != "realtime"):
                 continue
             columns = topic.columns_of(ports[node], ("hub",))
@@ -203,7 +205,7 @@ class TestPictures:
     def test_every_topic_of_the_table_can_be_asked_for(self) -> None:
         names = {topic.name for topics in TOPICS.values() for topic in topics}
         assert {*QUANTITIES} == names - {"instants"} | {"velocity"}  # instants are for the audit
-        picture = picture_of_run(of_users(1, 50), [*reversed(QUANTITIES)])
+        picture = picture_of_run(of_users(1, 50, wall=True), [*reversed(QUANTITIES)])
         assert [panel.name for panel in picture.panels] == [name for name in QUANTITIES if name != "tau"]
         assert picture.delays is not None
         assert next(panel for panel in picture.panels if panel.name == "masses").curves[0].label == "hub"
