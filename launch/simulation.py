@@ -166,7 +166,7 @@ class Simulation:
                 displacement = list(map(float, driver.sample(k, now)))
                 device.sample(displacement)
                 x[k, ports] = displacement
-                reported[ports] = guard.tell(displacement)
+                reported[ports] = guard.report(displacement)
             for _, coupling, ports in couplings:
                 p[ports] = coupling.free_position(reported[ports].tolist())
             f_v[k] = self.environment.react(p.tolist())

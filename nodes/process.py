@@ -247,17 +247,17 @@ def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
 
 def _connect(member: Member, life: Life) -> None:
     """Wait for the endpoints of the peers that bind their links, and connect to them."""
-    told = member.control.peers_endpoints(life)
+    endpoints = member.control.peers_endpoints(life)
     for name in member.control.absent:  # an absent peer may come back, but on a new link
         link = member.links.pop(name, None)
         if link is not None:
             link.close()
     wanted = {peer.name for peer in member.common.peers if not peer.binds} - member.control.absent
-    if told.keys() != wanted:
+    if endpoints.keys() != wanted:
         raise ValueError(
-            f"found endpoints of {sorted(told)}; expected those of {sorted(wanted)}; see what listens there"
+            f"found endpoints of {sorted(endpoints)}; expected those of {sorted(wanted)}; see what listens there"
         )
-    for name, endpoint in told.items():
+    for name, endpoint in endpoints.items():
         member.links[name] = member.transport.connect(endpoint, name)
     member.control.log.note(LogEvent.WELCOMED)
 
@@ -271,7 +271,7 @@ def _prepare(leader: Member) -> Granted | None:
         return None
     granted = prepare(RealtimeWishes(priority=FIFO_PRIORITY if leader.common.transport == "ipc" else 0))
     for name, grant in granted.grants().items():
-        leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.said)
+        leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.answer)
     return granted
 
 

@@ -56,7 +56,7 @@ def print_machine(console: Console, machine: Machine, granted: Mapping[str, Gran
     table.add_section()
     for name, grant in granted.items():
         mark = "[green]yes[/green]" if grant.granted else "[yellow]no[/yellow]"
-        table.add_row(name.replace("_", " "), f"{mark}: {escape(grant.said)}")
+        table.add_row(name.replace("_", " "), f"{mark}: {escape(grant.answer)}")
     console.print(table)
 
 
@@ -185,7 +185,7 @@ def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tup
     waking = measured.waking
     return {
         "machine": machine.plain(),
-        "granted": {name: {"granted": grant.granted, "said": grant.said} for name, grant in waking.granted.items()},
+        "granted": {name: {"granted": grant.granted, "said": grant.answer} for name, grant in waking.granted.items()},
         "session": worth.loop.session,
         "period": worth.loop.period,
         "waking_us": {way: spread.plain() for way, spread in waking.late.items()},

@@ -89,7 +89,7 @@ class Check:
         gaps: ticks that were not checked.
         tolerance: by which a number may differ, in its unit; the greatest, where it varies.
         source: the reason for the tolerance.
-        told: a further remark.
+        remark: a further remark.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Check:
     gaps: tuple[UncheckedTicks, ...] = ()
     tolerance: float = 0.0
     source: str = EXACT
-    told: str = ""
+    remark: str = ""
 
     @property
     def holds(self) -> bool:
@@ -122,7 +122,7 @@ class Check:
             "unchecked": [{"begin": gap.begin, "end": gap.end, "why": gap.why} for gap in self.gaps],
             "tolerance": json_number(self.tolerance),
             "tolerance_from": self.source,
-            "told": self.told,
+            "told": self.remark,
         }
 
 

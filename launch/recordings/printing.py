@@ -54,7 +54,7 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     for party in dict.fromkeys(check.party for check in checks):
         own = [check for check in checks if check.party == party]
         done = dict.fromkeys(check.name for check in own if check.verdict is not Verdict.UNCHECKED)
-        least = next((check.told for check in own if check.name == "bound"), "")
+        least = next((check.remark for check in own if check.name == "bound"), "")
         table.add_row(
             party,
             ", ".join(done),
@@ -68,11 +68,11 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         say(out, f"not checked: {line}")
     for check in checks:
         if check.verdict is Verdict.ASSUMPTION:
-            say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.told}")
+            say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.remark}")
     for check in audit.broken:
         say(out, f"broken: {check.party}: {check.name}: {sentence(check)}")
     if certificate.holds:
-        say(out, f"certificate {certificate.told}: proved again, and this session's")
+        say(out, f"certificate {certificate.remark}: proved again, and this session's")
     count = verdicts(audit.checks)
     say(
         out,
@@ -98,7 +98,7 @@ def _unchecked(check: Check) -> list[str]:
 def sentence(check: Check) -> str:
     """The sentence about a broken check, with its first wrong number."""
     if check.first is None:
-        return check.told or check.what
+        return check.remark or check.what
     first, within = check.first, f" within {check.tolerance:.3g}" if check.tolerance else ""
     return (
         f"differs first at tick {first.tick}, {first.column}: recorded {first.recorded!r}, expected "

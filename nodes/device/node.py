@@ -102,26 +102,26 @@ class DeviceNode:
             # a copy: a driver may fill the same list or array every time
             x = list(map(float, driver.sample(turns, Instant(sampled - epoch))))
             let_go = guard.let_go
-            told_x = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
+            reported_x = guard.report(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             for peer_link in peer_links:
                 if peer_link.tick != tick:
-                    peer_link.send(Sample, tick, sampled, told_x)
+                    peer_link.send(Sample, tick, sampled, reported_x)
             sent = clock.now()
             turns += 1
-            told: int | None = tick
+            answered: int | None = tick
             for peer_link in peer_links:
                 # a device that runs free waits once, to the end of the period
                 result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if result is not Received.SIGNAL:
-                    told = self._await_forces(peer_link, result, f, told_x, tick, sampled, life, control)
+                    answered = self._await_forces(peer_link, result, f, reported_x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
             received = clock.now()
-            if told is None:  # no force in time: the tick is not counted, and comes again in the next period
+            if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.apply(self._zero, Instant(received - epoch))
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
@@ -129,9 +129,9 @@ class DeviceNode:
                 account.release(tick)
                 slot += 1
                 continue
-            if told > tick:
+            if answered > tick:
                 self._jump(control)
-                tick = told
+                tick = answered
             held = guard.clip(f.copy())  # a copy, for telemetry keeps it and f is written again in the next tick
             driver.apply(held, Instant(received - epoch))
             applied = clock.now()
@@ -154,9 +154,9 @@ class DeviceNode:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
         return self._account.report(self._core, self._guard, self.peer_links, self._rung)
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
-        return told > awaited and peer_link.other_zero
+        return other > awaited and peer_link.other_zero
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
@@ -165,7 +165,7 @@ class DeviceNode:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: a coupling floods its link, and its forces cannot be told from other frames in time."""
+        """End the node: a coupling floods its link, and its forces cannot be found among other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
@@ -204,7 +204,7 @@ class DeviceNode:
                 peer_link.put(f, [0.0] * len(peer_link.peer.ports))
                 for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
-                        other.say(Absent(self._common.name))  # no sample comes for the ticks in between
+                        other.notify(Absent(self._common.name))  # no sample comes for the ticks in between
                         other.send(Sample, tick, sampled, x)
             elif result is Received.RECONNECTED:
                 peer_link.send(Sample, tick, sampled, x)

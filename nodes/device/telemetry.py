@@ -119,15 +119,15 @@ class DeviceTelemetry:
         jumps: how often the session had gone on to a later tick without the device.
     """
 
-    def __init__(self, common: Common, tau: Duration, told: Callable[[], Mapping[str, float]] = dict) -> None:
+    def __init__(self, common: Common, tau: Duration, driver_figures: Callable[[], Mapping[str, float]] = dict) -> None:
         """No tick yet.
 
         Args:
             common: the device's bundle.
             tau: the delay inside the tick that the certificate assumes, ns.
-            told: returns the driver's own figures for each telemetry.
+            driver_figures: returns the driver's own figures for each telemetry.
         """
-        self._common, self._told = common, told
+        self._common, self._driver_figures = common, driver_figures
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self._assumed_tau = tau
@@ -219,7 +219,7 @@ class DeviceTelemetry:
             **names.ledger_figures(core.ledger),
             **names.stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
-            **self._told(),
+            **self._driver_figures(),
         }
         traces = {
             names.DISPLACEMENT: np.array(self._trace_x[:rows]),

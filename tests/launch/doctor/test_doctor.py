@@ -219,7 +219,7 @@ def test_each_weakness_of_the_machine_has_its_advice(changes: dict[str, object],
 def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says: str, worth: Worth) -> None:
     (one,) = advice(a_machine(), measurement(510.0, 600.0, **{refused: NO}), worth, chains=3)
     assert says in one.change
-    assert NO.said in one.change
+    assert NO.answer in one.change
 
 
 def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Worth) -> None:

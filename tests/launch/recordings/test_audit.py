@@ -436,14 +436,14 @@ def test_a_certificate_that_proves_nothing_is_found(prepared: Prepared, tmp_path
     done = audited(written(tmp_path / "r.mcap", recorded_of(prepared), parts, simulated(prepared, 20)))
     (check,) = done.checks
     assert (check.name, check.holds) == ("certificate", False)
-    assert "not proved" in check.told
+    assert "not proved" in check.remark
 
 
 def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, tmp_path: Path) -> None:
     recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
     done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
     assert broken(done) == {("session", "certificate"): -1}
-    assert "which its session ran under by its metadata" in done.checks[0].told
+    assert "which its session ran under by its metadata" in done.checks[0].remark
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:
