@@ -336,7 +336,7 @@ class Members:
             return
         core = self._core
         changing = [member for member in self.active if member.wanted != member.rung]
-        resting = [member for member in changing if core.clutches.rests(member.index)]
+        resting = [member for member in changing if core.clutches.all[member.index].rests]
         for member in changing:
             if member not in resting:
                 core.clutches.disengage(member.index)
