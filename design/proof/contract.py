@@ -1,4 +1,4 @@
-"""The contract between the parties: the levels as matrices over all ports, condition (10), and the margins.
+"""Condition (10), the contract between the parties, proved exactly: the levels over all ports, and the margins.
 
 With G_hat (share Delta_D)-OSP, V_hat Delta_V-OSP and E_hat (-Phi_E)-ISP, Theorem 3 of [Bianchini2010]_ requires
 

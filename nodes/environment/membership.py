@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from manyhands.nodes.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.core import Core
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log, LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received

@@ -10,7 +10,7 @@ from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, De
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
 from manyhands.nodes.lifetime import Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, Value
