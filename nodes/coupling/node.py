@@ -16,7 +16,7 @@ from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock

@@ -18,7 +18,7 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
 from manyhands.nodes.process import Node
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start

@@ -25,7 +25,7 @@ from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds

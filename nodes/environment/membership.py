@@ -27,7 +27,7 @@ from manyhands.nodes.environment.core import Core
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log, LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine, Word
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant
