@@ -16,7 +16,7 @@ from rich.text import Text
 from manyhands.launch.design_report import print_json
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
-from manyhands.launch.doctor.probe import MOST_PROCESSES, Interrupted, Measured, ProbeFailed, measure
+from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, ProbeFailed, ProbeInterrupted, measure
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.plan import Plan
@@ -164,7 +164,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     try:
         with measuring(err) as show:
             measured = measure(plan, seconds, machine.usable, machine.curve, show)
-    except Interrupted as error:
+    except ProbeInterrupted as error:
         say(err, "interrupted before the measurement was complete")
         return 128 + error.signal
     except ProbeFailed as error:
