@@ -27,6 +27,8 @@ WORKERS ?= 2
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
 pytest test-long campaign: export OMP_NUM_THREADS = 1
 pytest test-long campaign: export OPENBLAS_NUM_THREADS = 1
+# where it is set, every process of every session that a test starts would compile the product and the tests anew
+pytest test-long campaign: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone and not long"
 	$(BIN)/pytest -m "alone and not long"

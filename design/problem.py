@@ -82,7 +82,7 @@ class SpringDamperWanted:
 
 
 @dataclass(frozen=True)
-class Pole:
+class PolePair:
     """A pair of poles of a coupling: s^2 + 2 damping frequency s + frequency^2.
 
     Attributes:
@@ -106,7 +106,7 @@ class LinearWanted:
 
     orders: tuple[int, ...]
     wish: Wish = Wish()
-    poles: tuple[Pole, ...] | None = None
+    poles: tuple[PolePair, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ from manyhands.design.problem import (
     LinearGiven,
     LinearWanted,
     NoCoupling,
-    Pole,
+    PolePair,
     SpringDamperGiven,
     SpringDamperWanted,
     Wish,
@@ -268,14 +268,14 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     return Found(found.blocks, method | tools(), wish.aim, found.history, "γ", found.interrupted, device, levels)
 
 
-def default_poles(order: int) -> tuple[Pole, ...]:
+def default_poles(order: int) -> tuple[PolePair, ...]:
     """Well damped pairs from 1 to 30 Hz, where hands and virtual objects move; the program may leave any unused."""
     count = (order + 1) // 2
     frequencies = 2.0 * np.pi * np.geomspace(1.0, 30.0, count) if count > 1 else [2.0 * np.pi * 5.0]
-    return tuple(Pole(float(frequency), 0.7) for frequency in frequencies)
+    return tuple(PolePair(float(frequency), 0.7) for frequency in frequencies)
 
 
-def poles_in_z(poles: tuple[Pole, ...], T: float, order: int) -> tuple[complex, ...]:
+def poles_in_z(poles: tuple[PolePair, ...], T: float, order: int) -> tuple[complex, ...]:
     """The first ``order`` poles in z by backward Euler, z = 1/(1 - sT); conjugate poles are neighbours.
 
     An odd order ends with a real pole at the last pair's frequency.

@@ -25,7 +25,8 @@ from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, Envi
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
-from manyhands.nodes.environment.enforced import EnforcedCore, environment_core
+from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
 from manyhands.protocol.clock import Instant, from_seconds
@@ -166,7 +167,7 @@ class Simulation:
                 displacement = list(map(float, driver.sample(k, now)))
                 device.sample(displacement)
                 x[k, ports] = displacement
-                reported[ports] = guard.tell(displacement)
+                reported[ports] = guard.report(displacement)
             for _, coupling, ports in couplings:
                 p[ports] = coupling.free_position(reported[ports].tolist())
             f_v[k] = self.environment.react(p.tolist())

@@ -44,8 +44,8 @@ class Received(Enum):
 class Listener(Protocol):
     """How a node handles a frame that is not the signal of the tick."""
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """Handle a valid signal of tick ``told``, which came in place of ``awaited``; returns whether to stop waiting.
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+        """Handle a valid signal of tick ``other``, which came in place of ``awaited``; returns whether to stop waiting.
 
         Where this returns True, :meth:`PeerLink.hear` returns ``Received.DECLINED``.
         """
@@ -174,7 +174,7 @@ class PeerLink:
         if link is not None and tick >= 0:
             link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
 
-    def say(self, message: Rung | Absent) -> None:
+    def notify(self, message: Rung | Absent) -> None:
         """Send a message that is no signal."""
         link = self._open
         if link is not None:
@@ -453,7 +453,7 @@ def handshake_of(peer_link: PeerLink) -> LinkHandshake:
 
 def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHello:
     """The first message of a node to one of its peers; D_V, m/N, is in it for the environment alone."""
-    tells = feedthrough is not None and peer.role is Role.ENVIRONMENT
+    informed = feedthrough is not None and peer.role is Role.ENVIRONMENT
     return LinkHello(
         PROTOCOL_VERSION,
         common.certificate,
@@ -461,7 +461,7 @@ def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHell
         common.name,
         common.role,
         peer.ports,
-        tuple(map(tuple, feedthrough.tolist())) if tells and feedthrough is not None else None,
+        tuple(map(tuple, feedthrough.tolist())) if informed and feedthrough is not None else None,
     )
 
 

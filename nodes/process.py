@@ -108,7 +108,7 @@ def key_ring(common: Common, private: Path) -> KeyRing:
 
 
 @dataclass
-class Member:
+class HostedNode:
     """One node of the process. There are several where couplings are co-located with their device.
 
     Attributes:
@@ -145,7 +145,7 @@ def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Lif
     The others shake hands before the first node does, in the order given, which must be the session's. Their loops
     begin before the first node's, and return at once.
     """
-    members: list[Member] = []
+    members: list[HostedNode] = []
     transports: list[Transport] = []
     try:
         try:
@@ -153,7 +153,7 @@ def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Lif
             for common, node, ring in nodes:
                 transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
                 transports.append(transport)
-                members.append(Member(common, node, transport, ControlLine(transport, common, _log_of(common))))
+                members.append(HostedNode(common, node, transport, ControlLine(transport, common, _log_of(common))))
         except TransportError as error:
             print(f"error: {nodes[0][0].name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
             return EXIT_BAD_INPUT
@@ -173,7 +173,7 @@ def _log_of(common: Common) -> Log:
     return log
 
 
-def run_members(members: Sequence[Member], life: Life, remote: bool) -> int:
+def run_members(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     """Run the nodes to their end, and report how they ended to the supervisor and the log; returns the exit code."""
     common, control = members[0].common, members[0].control
     if remote:
@@ -198,7 +198,7 @@ def run_members(members: Sequence[Member], life: Life, remote: bool) -> int:
     return code
 
 
-def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
+def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     leader, others = members[0], members[1:]
     for member in members:
         member.links, endpoints = bind_links(member.common, member.transport)
@@ -245,24 +245,24 @@ def _converse(members: Sequence[Member], life: Life, remote: bool) -> int:
     return EXIT_OK
 
 
-def _connect(member: Member, life: Life) -> None:
+def _connect(member: HostedNode, life: Life) -> None:
     """Wait for the endpoints of the peers that bind their links, and connect to them."""
-    told = member.control.peers_endpoints(life)
+    endpoints = member.control.peers_endpoints(life)
     for name in member.control.absent:  # an absent peer may come back, but on a new link
         link = member.links.pop(name, None)
         if link is not None:
             link.close()
     wanted = {peer.name for peer in member.common.peers if not peer.binds} - member.control.absent
-    if told.keys() != wanted:
+    if endpoints.keys() != wanted:
         raise ValueError(
-            f"found endpoints of {sorted(told)}; expected those of {sorted(wanted)}; see what listens there"
+            f"found endpoints of {sorted(endpoints)}; expected those of {sorted(wanted)}; see what listens there"
         )
-    for name, endpoint in told.items():
+    for name, endpoint in endpoints.items():
         member.links[name] = member.transport.connect(endpoint, name)
     member.control.log.note(LogEvent.WELCOMED)
 
 
-def _prepare(leader: Member) -> Granted | None:
+def _prepare(leader: HostedNode) -> Granted | None:
     """Ask the machine for real-time scheduling and locked memory; None under the simulated clock.
 
     Only a node on ipc asks for a priority: over tcp strangers could send it work, and it would keep its processor.
@@ -271,11 +271,11 @@ def _prepare(leader: Member) -> Granted | None:
         return None
     granted = prepare(RealtimeWishes(priority=FIFO_PRIORITY if leader.common.transport == "ipc" else 0))
     for name, grant in granted.grants().items():
-        leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.said)
+        leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.answer)
     return granted
 
 
-def _report(member: Member, granted: Mapping[str, float], life: Life) -> None:
+def _report(member: HostedNode, granted: Mapping[str, float], life: Life) -> None:
     """Send the report of one node."""
     report = member.node.report()
     control = member.control

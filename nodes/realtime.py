@@ -219,7 +219,7 @@ class Grant:
     """The answer to one wish: whether it was granted, and a sentence that states what was granted or why not."""
 
     granted: bool
-    said: str
+    answer: str
 
 
 @dataclass(frozen=True)

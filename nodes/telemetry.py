@@ -154,8 +154,8 @@ def lateness_times(lateness: Mapping[str, CouplingLateness]) -> dict[str, float]
 
 def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> CouplingLateness | None:
     """The environment's figures of the coupling ``name``; None where they are missing or out of range."""
-    told = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
-    ticks, time, frozen = (math.nan if value is None else value for value in told)
+    values = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
+    ticks, time, frozen = (math.nan if value is None else value for value in values)
     if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
         return None
     return CouplingLateness(int(ticks), time, int(frozen))
@@ -178,12 +178,12 @@ def energy_figures(energy: Energy, parties: Sequence[str]) -> dict[str, float]:
 
 def lateness_by_coupling(counts: Mapping[str, float], figures: Mapping[str, float]) -> dict[str, CouplingLateness]:
     """The environment's figures of every coupling that made the others wait, by its name."""
-    told = {
+    by_coupling = {
         key.removeprefix(WAITED_TICKS): lateness_of(key.removeprefix(WAITED_TICKS), counts, figures)
         for key in counts
         if key.startswith(WAITED_TICKS)
     }
-    return {name: lateness for name, lateness in told.items() if lateness is not None}
+    return {name: lateness for name, lateness in by_coupling.items() if lateness is not None}
 
 
 def shown(telemetry: Telemetry) -> Telemetry:

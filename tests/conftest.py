@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -101,3 +102,15 @@ def leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pyt
         if fd not in descriptors and not target.endswith(".ttf")  # matplotlib keeps the fonts it has drawn with open
     ]
     assert not left, f"the test left behind: {', '.join(left)}"
+
+
+@pytest.fixture
+def own_interrupt(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Restore Ctrl-C after a command within this process: it sets a handler, as if the process were its own.
+
+    The test begins with no interrupt counted.
+    """
+    monkeypatch.setattr("manyhands.launch.cli.common.ctrl_c", [])
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -1,7 +1,8 @@
-"""The contract between the parties: levels, the storage that proves them, and condition (10).
+"""Condition (10), the contract between the parties: their levels, and the storage that proves each.
 
 Each party promises a level that follows from its own data alone. Together the levels make the loop stable if (10) of
-[Bianchini2010]_ holds. Synthesis and certificates share these definitions, and no method.
+[Bianchini2010]_ holds; :mod:`manyhands.design.proof.contract` proves it for a certificate. Synthesis and certificates
+share these definitions, and no method.
 """
 
 from __future__ import annotations

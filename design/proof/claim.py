@@ -23,7 +23,7 @@ from manyhands.design.proof.exact import (
     Item,
     Number,
     Sparse,
-    Table,
+    StatedMatrix,
     block_diagonal,
     exact_decimal,
 )
@@ -84,11 +84,11 @@ class Realisation:
         static: the response at z = 1 (s = 0 in continuous time), m x m; None if D is stated.
     """
 
-    A: Table
-    B: Table
-    C: Table
-    D: Table | None
-    static: Table | None
+    A: StatedMatrix
+    B: StatedMatrix
+    C: StatedMatrix
+    D: StatedMatrix | None
+    static: StatedMatrix | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class DeclaredData:
         level: Phi_E as declared, m x m, N*s/m.
     """
 
-    level: Table
+    level: StatedMatrix
 
 
 DynamicsData = NetworkData | SystemData | TransferData
@@ -193,7 +193,7 @@ def _system(item: Item, m: int) -> SystemData:
 
 def realisation(
     item: Item, parts: dict[str, Item], n: int, m: int
-) -> tuple[Table, Table, Table, Table | None, Table | None]:
+) -> tuple[StatedMatrix, StatedMatrix, StatedMatrix, StatedMatrix | None, StatedMatrix | None]:
     """The entries (A, B, C, D, static) of a :class:`Realisation` from the fields of ``item``; D or static is None.
 
     Raises:
@@ -257,7 +257,7 @@ _DEEPEST_ASKED = 8
 
 
 @dataclass(frozen=True)
-class Part:
+class PortGroup:
     """A named group of ports: those of a device or of a block of V.
 
     Attributes:
@@ -270,7 +270,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class SpringDamper:
+class StatedSpringDamper:
     """A block of the class V = (K + B (z-1)/(Tz))^-1.
 
     Attributes:
@@ -278,8 +278,8 @@ class SpringDamper:
         damping: B, N*s/m.
     """
 
-    stiffness: Table
-    damping: Table
+    stiffness: StatedMatrix
+    damping: StatedMatrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,11 +290,11 @@ class Linear(Realisation):
         P: n x n, the storage matrix.
     """
 
-    P: Table
+    P: StatedMatrix
 
 
 @dataclass(frozen=True)
-class Filter:
+class StatedFilter:
     """A scalar filter num(z)/den(z), descending powers of z."""
 
     num: tuple[Number, ...]
@@ -302,7 +302,7 @@ class Filter:
 
 
 @dataclass(frozen=True, eq=False)
-class TransparencyClaim:
+class StatedTransparency:
     """The claim that ||W1 E V W2|| (loop-shaping) or ||W1 (F - E) W2|| (closed-loop) is below gamma.
 
     Attributes:
@@ -313,10 +313,10 @@ class TransparencyClaim:
     """
 
     objective: str
-    W1: Filter
-    W2: Filter
+    W1: StatedFilter
+    W2: StatedFilter
     gamma: Number
-    P: Table
+    P: StatedMatrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,19 +350,19 @@ class Claim:
     period: fmpq
     tau: fmpq
     ports: tuple[str, ...]
-    devices: tuple[Part, ...]
-    osp: tuple[Table, ...]
-    blocks: tuple[Part, ...]
+    devices: tuple[PortGroup, ...]
+    osp: tuple[StatedMatrix, ...]
+    blocks: tuple[PortGroup, ...]
     environment: EnvironmentData
-    coupling: tuple[SpringDamper | Linear, ...]
+    coupling: tuple[StatedSpringDamper | Linear, ...]
     kappa: fmpq
     share: fmpq
     c: fmpq
-    Delta_D: tuple[Table, ...]
-    Delta_V: tuple[Table, ...]
+    Delta_D: tuple[StatedMatrix, ...]
+    Delta_V: tuple[StatedMatrix, ...]
     Phi_E: Sparse
-    P_E: Table | None
-    transparency: TransparencyClaim | None
+    P_E: StatedMatrix | None
+    transparency: StatedTransparency | None
     margins: dict[str, fmpq]
 
 
@@ -392,9 +392,11 @@ def read(data: Mapping[str, Any]) -> Claim:
     devices, osp = [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
         device = item.fields(("ports", "osp"))
-        devices.append(Part(name, _indices(device["ports"], index)))
+        devices.append(PortGroup(name, _indices(device["ports"], index)))
         osp.append(device["osp"].symmetric(len(devices[-1].ports)))
-    blocks = tuple(Part(name, _indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items())
+    blocks = tuple(
+        PortGroup(name, _indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
+    )
     levels = fields["levels"].fields(("kappa", "share", "c", "Delta_D", "Delta_V", "Phi_E"))
     storage = fields["storage"].fields(("E_hat", "V_hat"))
     environment = read_environment(fields["environment"], ports)
@@ -460,26 +462,26 @@ def _indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _same_names(item: Item, blocks: tuple[Part, ...]) -> dict[str, Item]:
+def _same_names(item: Item, blocks: tuple[PortGroup, ...]) -> dict[str, Item]:
     found = item.entries(len(blocks) + 16)
     if set(found) != {block.name for block in blocks}:
         raise ProofInputError(f"{item.path}: expected one entry for each block of structure, under its name")
     return found
 
 
-def _by_block(item: Item, blocks: tuple[Part, ...]) -> tuple[Table, ...]:
+def _by_block(item: Item, blocks: tuple[PortGroup, ...]) -> tuple[StatedMatrix, ...]:
     found = _same_names(item, blocks)
     return tuple(found[block.name].symmetric(len(block.ports)) for block in blocks)
 
 
-def _input_level(item: Item, blocks: tuple[Part, ...], m: int) -> Sparse:
+def _input_level(item: Item, blocks: tuple[PortGroup, ...], m: int) -> Sparse:
     """Phi_E, whole or by block."""
     if isinstance(item.value, Mapping):
         return block_diagonal([block.ports for block in blocks], _by_block(item, blocks))
     return block_diagonal([range(m)], [item.symmetric(m)])
 
 
-def _storage(item: Item, word: str) -> Table | None:
+def _storage(item: Item, word: str) -> StatedMatrix | None:
     """E_hat's storage matrix; None if the file has ``word`` in its place, as it must without a matrix."""
     if isinstance(item.value, str) or word == "enforced":
         item.text(word)
@@ -487,7 +489,7 @@ def _storage(item: Item, word: str) -> Table | None:
     return _square(item)
 
 
-def _square(item: Item) -> Table:
+def _square(item: Item) -> StatedMatrix:
     """A square matrix of bounded size."""
     n = item.length()
     if n > MAX_DENSE:
@@ -495,17 +497,17 @@ def _square(item: Item) -> Table:
     return item.table(n, n)
 
 
-def _coupling(item: Item, storage: Item, blocks: tuple[Part, ...]) -> tuple[SpringDamper | Linear, ...]:
+def _coupling(item: Item, storage: Item, blocks: tuple[PortGroup, ...]) -> tuple[StatedSpringDamper | Linear, ...]:
     fields = item.fields(("class", "blocks"))
     kind = fields["class"].text("spring-damper", "linear")
     found = _same_names(fields["blocks"], blocks)
     if kind == "spring-damper":
         storage.fields(())
-        out: list[SpringDamper | Linear] = []
+        out: list[StatedSpringDamper | Linear] = []
         for block in blocks:
             parts = found[block.name].fields(("stiffness", "damping"))
             m = len(block.ports)
-            out.append(SpringDamper(parts["stiffness"].symmetric(m), parts["damping"].symmetric(m)))
+            out.append(StatedSpringDamper(parts["stiffness"].symmetric(m), parts["damping"].symmetric(m)))
         return tuple(out)
     storages = _same_names(storage, blocks)
     return tuple(_linear(found[block.name], storages[block.name], len(block.ports)) for block in blocks)
@@ -519,11 +521,11 @@ def _linear(item: Item, storage: Item, m: int) -> Linear:
     return Linear(*realisation(item, parts, n, m), storage.table(n, n))
 
 
-def _transparency(item: Item) -> TransparencyClaim | None:
+def _transparency(item: Item) -> StatedTransparency | None:
     if item.value is None:
         return None
     parts = item.fields(("objective", "W1", "W2", "gamma", "P"))
-    return TransparencyClaim(
+    return StatedTransparency(
         parts["objective"].text("loop-shaping", "closed-loop"),
         _filter(parts["W1"]),
         _filter(parts["W2"]),
@@ -532,7 +534,7 @@ def _transparency(item: Item) -> TransparencyClaim | None:
     )
 
 
-def _filter(item: Item) -> Filter:
+def _filter(item: Item) -> StatedFilter:
     """A proper filter, without leading zeros in its denominator."""
     parts = item.fields(("num", "den"))
     num, den = (tuple(entry.number() for entry in parts[name].items(MAX_DEGREE + 1)) for name in ("num", "den"))
@@ -540,4 +542,4 @@ def _filter(item: Item) -> Filter:
         raise parts["den"].refusal("coefficients of which the first is not zero")
     if not num or len(num) > len(den):
         raise parts["num"].refusal("at most as many coefficients as the denominator has")
-    return Filter(num, den)
+    return StatedFilter(num, den)

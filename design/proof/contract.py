@@ -1,4 +1,4 @@
-"""The contract between the parties: the levels as matrices over all ports, condition (10), and the margins.
+"""Condition (10), the contract between the parties, proved exactly: the levels over all ports, and the margins.
 
 With G_hat (share Delta_D)-OSP, V_hat Delta_V-OSP and E_hat (-Phi_E)-ISP, Theorem 3 of [Bianchini2010]_ requires
 
@@ -23,7 +23,7 @@ from __future__ import annotations
 from flint import fmpq
 
 from manyhands.design.proof import exact, rational
-from manyhands.design.proof.claim import Claim, SpringDamper
+from manyhands.design.proof.claim import Claim, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
@@ -163,7 +163,7 @@ def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
         case "J" if claim.kappa > 0:
             out: Sparse = {}
             for block, part, level in zip(claim.blocks, claim.coupling, claim.Delta_D, strict=True):
-                if not isinstance(part, SpringDamper):
+                if not isinstance(part, StatedSpringDamper):
                     return None
                 J = loop_stiffness_limit(part, level, claim.kappa, claim.period).tolist()
                 for i, row in zip(block.ports, J, strict=True):

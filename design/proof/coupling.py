@@ -40,8 +40,8 @@ from __future__ import annotations
 from flint import arb_mat, fmpq, fmpq_mat
 
 from manyhands.design.proof import rational, statics
-from manyhands.design.proof.claim import Linear, SpringDamper
-from manyhands.design.proof.exact import Table
+from manyhands.design.proof.claim import Linear, StatedSpringDamper
+from manyhands.design.proof.exact import StatedMatrix
 from manyhands.design.proof.finding import Verdict, weakest
 from manyhands.design.proof.rational import Kind, assembled, diagonal_blocks, identity, zeros
 
@@ -49,7 +49,7 @@ _SPRING_DAMPER_EXACT_ROWS = 32
 _EXACT_BITS = 300  # numbers of unusual length go to balls, which carry a fixed number of bits
 
 
-def spring_damper(V: SpringDamper, Delta_D: Table, Delta_V: Table, kappa: fmpq, T: fmpq) -> Verdict:
+def spring_damper(V: StatedSpringDamper, Delta_D: StatedMatrix, Delta_V: StatedMatrix, kappa: fmpq, T: fmpq) -> Verdict:
     """Whether V_hat of the block is Delta_V-OSP, given Delta_V > 0, kappa > 0, T > 0.
 
     Small blocks are decided exactly in rationals, where equality is allowed. Large blocks are decided in balls, which
@@ -70,12 +70,12 @@ def spring_damper(V: SpringDamper, Delta_D: Table, Delta_V: Table, kappa: fmpq, 
     return rational.decided(D.rows, by_balls)
 
 
-def exactly_quick(*tables: Table) -> bool:
+def exactly_quick(*tables: StatedMatrix) -> bool:
     """Whether exact inverses of matrices like these are quick."""
     return max(t.rows for t in tables) <= _SPRING_DAMPER_EXACT_ROWS and max(t.bits() for t in tables) <= _EXACT_BITS
 
 
-def loop_stiffness_limit(V: SpringDamper, Delta_D: Table, kappa: fmpq, T: fmpq) -> fmpq_mat:
+def loop_stiffness_limit(V: StatedSpringDamper, Delta_D: StatedMatrix, kappa: fmpq, T: fmpq) -> fmpq_mat:
     """J = Lambda - (T/2) K_s, N*s/m: the distance of the stiffness to the loop's limit."""
     return Delta_D.rational() / (2 * kappa) - V.stiffness.rational() * (T / 2)
 
@@ -99,7 +99,7 @@ _LINEAR_EXACT_ROWS = 12
 _DISSIPATION = "M_V <= 0"
 
 
-def linear(V: Linear, Delta_D: Table, Delta_V: Table, kappa: fmpq, T: fmpq) -> Verdict:
+def linear(V: Linear, Delta_D: StatedMatrix, Delta_V: StatedMatrix, kappa: fmpq, T: fmpq) -> Verdict:
     """Whether V is stable and V_hat Delta_V-OSP, given Delta_V > 0, kappa > 0, T > 0."""
     n, m = V.A.rows, V.C.rows
     try:

@@ -43,7 +43,7 @@ from manyhands.design.proof.claim import (
     Span,
     SystemData,
 )
-from manyhands.design.proof.exact import MAX_DENSE, Sparse, Table, exact_decimal
+from manyhands.design.proof.exact import MAX_DENSE, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided
@@ -51,7 +51,7 @@ from manyhands.design.proof.system import NotDiscretised, discrete, realised, tr
 
 
 @dataclass(frozen=True, eq=False)
-class Split:
+class EnclosedSplit:
     """E_hat = T/(z-1) E1 + Rest, with balls that enclose every entry.
 
     Attributes:
@@ -66,7 +66,7 @@ class Split:
     D: arb_mat
 
 
-def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, E1: arb_mat, T: fmpq) -> Split:
+def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, E1: arb_mat, T: fmpq) -> EnclosedSplit:
     """The split of a discrete E = (A, B, C, D) with the static stiffness E1 = E1'.
 
     Raises:
@@ -74,10 +74,10 @@ def split_system(A: arb_mat, B: arb_mat, C: arb_mat, D: arb_mat, E1: arb_mat, T:
     """
     n = A.nrows()
     steady = (identity(arb_mat, n) - A).solve(B) if n else B
-    return Split(E1, A, -(A * steady) * T, C, D * T)
+    return EnclosedSplit(E1, A, -(A * steady) * T, C, D * T)
 
 
-def delayed(rest: Split, ticks: int, T: fmpq) -> Split:
+def delayed(rest: EnclosedSplit, ticks: int, T: fmpq) -> EnclosedSplit:
     """The split of E_hat z^-d; the states are those of Rest, then w_{k-1}, ..., w_{k-d}."""
     if ticks == 0:
         return rest
@@ -93,7 +93,7 @@ def delayed(rest: Split, ticks: int, T: fmpq) -> Split:
     return replace(rest, A=A, B=B, C=C, D=arb_mat(m, m))
 
 
-def dissipation(rest: Split, P: arb_mat, Phi_E: arb_mat, T: fmpq) -> arb_mat:
+def dissipation(rest: EnclosedSplit, P: arb_mat, Phi_E: arb_mat, T: fmpq) -> arb_mat:
     """-M_E, (n+m) x (n+m), symmetric."""
     n = rest.A.nrows()
     G = assembled(arb_mat, [[rest.A, rest.B]])
@@ -103,7 +103,7 @@ def dissipation(rest: Split, P: arb_mat, Phi_E: arb_mat, T: fmpq) -> arb_mat:
     return rational.symmetrised(supply + kept - G.transpose() * P * G)
 
 
-def environment(rest: Split, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat, arb_mat]:
+def environment(rest: EnclosedSplit, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat, arb_mat]:
     """E from its split, with the state (eta, u-): eta is the state of Rest, u- the displacement of the tick before.
 
     eta+ = A eta + B (u - u-)/T,    u-+ = u,    f = E1 u- + C eta + D (u - u-)/T.
@@ -277,7 +277,7 @@ def network_order(network: NetworkData) -> int:
     return len(carriers(network)) + len(moved(network))
 
 
-def network_split(network: NetworkData, T: fmpq) -> Split:
+def network_split(network: NetworkData, T: fmpq) -> EnclosedSplit:
     """E_hat = T/(z-1) E1 + Rest, in balls, for the network in the middle of its intervals.
 
     Let q be the n masses of :func:`moved`, I those of :func:`carriers`, and R = K_II^-1 K_I:. The states are e in R^r,
@@ -324,7 +324,7 @@ def network_split(network: NetworkData, T: fmpq) -> Split:
     K_uu = part(K, ports, ports)
     force = K_uI * e + coupled.transpose() * following + (part(B, ports, ports) + K_uu * T) * w
     state = rational.assembled(arb_mat, [[deflection], [following]])
-    return Split(
+    return EnclosedSplit(
         rational.symmetrised(K_uu - static), *rational.columns_cut(state, r + n), *rational.columns_cut(force, r + n)
     )
 
@@ -348,7 +348,7 @@ def order(data: DynamicsData, m: int) -> int:
     return own + m * data.delay
 
 
-def split(data: DynamicsData, T: fmpq) -> Split:
+def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
     """E_hat without its integrators and with its delay; of a network, in the middle of its intervals.
 
     Raises:
@@ -366,7 +366,7 @@ def split(data: DynamicsData, T: fmpq) -> Split:
     return delayed(own, data.delay, T)
 
 
-def findings(data: EnvironmentData, P: Table | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
+def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy if P is None."""
     if isinstance(data, DeclaredData):
         return [_declared(data, Phi_E, m)]
@@ -407,7 +407,7 @@ def _refused(argument: str) -> Finding:
     return Finding(_ISP, False, float("nan"), 0.0, argument=argument)
 
 
-def _matrix_findings(data: DynamicsData, stated: Table, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
+def _matrix_findings(data: DynamicsData, stated: StatedMatrix, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     condition = "the static stiffness E1 = E(1) is symmetric and >= 0"
     if isinstance(data, NetworkData):
         static = Verdict(True, 0.0, "as a Schur complement of the network's K >= 0")

@@ -42,7 +42,7 @@ def _ratio(number: Number) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class StatedMatrix:
     """A matrix of the file.
 
     Attributes:
@@ -158,13 +158,13 @@ class Item:
             raise self.refusal("the lower end first")
         return low, high
 
-    def table(self, rows: int, columns: int) -> Table:
+    def table(self, rows: int, columns: int) -> StatedMatrix:
         """A matrix of this shape; a matrix without rows or columns may be written as [] or as empty rows."""
         if not isinstance(self.value, list | tuple):
             raise self.refusal("a list of rows")
         lines = list(self.value)
         if not lines and (rows == 0 or columns == 0):
-            return Table(rows, columns, [[] for _ in range(rows)])
+            return StatedMatrix(rows, columns, [[] for _ in range(rows)])
         if len(lines) != rows:
             raise ProofInputError(f"{self.path}: found {len(lines)} rows, expected {rows}")
         values: list[list[Number]] = []
@@ -177,9 +177,9 @@ class Item:
                 if not _is_number(value):
                     raise Item(value, f"{self.path}[{i}][{j}]").refusal("a finite number")
             values.append(list(line))
-        return Table(rows, columns, values)
+        return StatedMatrix(rows, columns, values)
 
-    def symmetric(self, size: int) -> Table:
+    def symmetric(self, size: int) -> StatedMatrix:
         """A symmetric matrix of this size, to the last bit, as every level and stiffness is."""
         table = self.table(size, size)
         for i, row in enumerate(table.values):
@@ -223,7 +223,7 @@ MOST_EXACT = 64  # rows for which the exact test is quicker than balls
 _MOST_BITS = 2_000  # of an entry: numbers of unusual length go to balls, which carry a fixed number of bits
 
 
-def add(into: Sparse, indices: Sequence[int], table: Table) -> None:
+def add(into: Sparse, indices: Sequence[int], table: StatedMatrix) -> None:
     """Add the entries of ``table`` at these indices."""
     for i, row in zip(indices, table.values, strict=True):
         for j, value in zip(indices, row, strict=True):
@@ -231,7 +231,7 @@ def add(into: Sparse, indices: Sequence[int], table: Table) -> None:
                 add_entry(into, i, j, exact_decimal(value))
 
 
-def block_diagonal(blocks: Sequence[Sequence[int]], tables: Sequence[Table]) -> Sparse:
+def block_diagonal(blocks: Sequence[Sequence[int]], tables: Sequence[StatedMatrix]) -> Sparse:
     """The matrix that has each table on the indices of its block, and zeros elsewhere; blocks that overlap add up."""
     out: Sparse = {}
     for indices, table in zip(blocks, tables, strict=True):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from manyhands.design.proof import contract, environment, transparency
-from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, SpringDamper, read
+from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
 from manyhands.design.proof.finding import Finding
@@ -78,7 +78,7 @@ def _identity(claim: Claim) -> Finding:
 def _block(claim: Claim, i: int) -> Finding:
     V, Delta_D, Delta_V = claim.coupling[i], claim.Delta_D[i], claim.Delta_V[i]
     condition = f"V_hat of {claim.blocks[i].name} is Delta_V-OSP, Lemma 1"
-    if isinstance(V, SpringDamper):
+    if isinstance(V, StatedSpringDamper):
         verdict = spring_damper(V, Delta_D, Delta_V, claim.kappa, claim.period)
         return verdict.finding(condition, "the spring-damper class in closed form")
     return linear(V, Delta_D, Delta_V, claim.kappa, claim.period).finding(condition, "storage matrix; V is stable")

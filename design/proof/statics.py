@@ -19,7 +19,7 @@ from flint import arb_mat, fmpq_mat
 
 from manyhands.design.proof import exact, rational
 from manyhands.design.proof.claim import SystemData, TransferData
-from manyhands.design.proof.exact import MAX_STATIC, Sparse, Table, exact_decimal
+from manyhands.design.proof.exact import MAX_STATIC, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Verdict
 
 _MOST_BITS = 2_000  # of an entry: longer ones are tried in balls first, which have a fixed number of bits
@@ -29,7 +29,14 @@ class Undecided(ValueError):
     """The statics are not decided: the system is too large, or has no static gain."""
 
 
-def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+def of_system(
+    A: StatedMatrix,
+    B: StatedMatrix,
+    C: StatedMatrix,
+    D: StatedMatrix | None,
+    static: StatedMatrix | None,
+    discrete: bool,
+) -> fmpq_mat:
     """The static gain of a state space that states D or the gain itself.
 
     Raises:
@@ -38,7 +45,14 @@ def of_system(A: Table, B: Table, C: Table, D: Table | None, static: Table | Non
     return _stated(D) + _carried(A, B, C, discrete) if static is None else static.rational()
 
 
-def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | None, discrete: bool) -> fmpq_mat:
+def feedthrough(
+    A: StatedMatrix,
+    B: StatedMatrix,
+    C: StatedMatrix,
+    D: StatedMatrix | None,
+    static: StatedMatrix | None,
+    discrete: bool,
+) -> fmpq_mat:
     """D of a state space that states D or the static gain; from the gain, the states' part is subtracted.
 
     Raises:
@@ -47,12 +61,12 @@ def feedthrough(A: Table, B: Table, C: Table, D: Table | None, static: Table | N
     return _stated(static) - _carried(A, B, C, discrete) if D is None else D.rational()
 
 
-def _stated(table: Table | None) -> fmpq_mat:
+def _stated(table: StatedMatrix | None) -> fmpq_mat:
     assert table is not None  # noqa: S101  # for the type checker: a reader takes D or the static gain
     return table.rational()
 
 
-def _carried(A: Table, B: Table, C: Table, discrete: bool) -> fmpq_mat:
+def _carried(A: StatedMatrix, B: StatedMatrix, C: StatedMatrix, discrete: bool) -> fmpq_mat:
     """The states' part of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system."""
     n = A.rows
     if n == 0:

@@ -48,8 +48,8 @@ from manyhands.design.proof.claim import (
     DynamicsData,
     Linear,
     NetworkData,
-    SpringDamper,
-    TransparencyClaim,
+    StatedSpringDamper,
+    StatedTransparency,
 )
 from manyhands.design.proof.environment import environment as environment_of
 from manyhands.design.proof.exact import MAX_DENSE, exact_decimal
@@ -59,7 +59,7 @@ from manyhands.design.proof.statics import Undecided, feedthrough
 from manyhands.design.proof.system import NotDiscretised, Realisation, companion
 
 
-def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
+def finding(claim: Claim, stated: StatedTransparency) -> Finding:
     """Whether the norm is below gamma."""
     what = "W1 E V W2" if stated.objective == "loop-shaping" else "W1 (F(E, V) - E) W2"
     condition = f"transparency: ||{what}|| < {float(stated.gamma):.6g}"
@@ -97,16 +97,16 @@ def finding(claim: Claim, stated: TransparencyClaim) -> Finding:
     return rational.decided(size + m, test).finding(condition, because)
 
 
-def order(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> int:
+def order(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> int:
     """Number of states of the realisation."""
     m = len(claim.ports)
     n_E = environment.order(data, m) + m
-    n_V = sum(V.stiffness.rows if isinstance(V, SpringDamper) else V.A.rows for V in claim.coupling)
+    n_V = sum(V.stiffness.rows if isinstance(V, StatedSpringDamper) else V.A.rows for V in claim.coupling)
     n_W = m * (len(stated.W1.den) + len(stated.W2.den) - 2)
     return n_W + n_V + n_E * (2 if stated.objective == "closed-loop" else 1)
 
 
-def weighted(claim: Claim, data: DynamicsData, stated: TransparencyClaim) -> Realisation:
+def weighted(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> Realisation:
     """The realisation of the module's head, in balls.
 
     Raises:
@@ -166,7 +166,7 @@ def coupling(claim: Claim) -> Realisation:
     return diagonal_blocks(arb_mat, [part[0] for part in parts]), B, C, D
 
 
-def _block(V: SpringDamper | Linear, T: fmpq) -> Realisation:
+def _block(V: StatedSpringDamper | Linear, T: fmpq) -> Realisation:
     if isinstance(V, Linear):
         return V.A.balls(), V.B.balls(), V.C.balls(), arb_mat(feedthrough(V.A, V.B, V.C, V.D, V.static, discrete=True))
     B = V.damping.balls()
@@ -174,7 +174,7 @@ def _block(V: SpringDamper | Linear, T: fmpq) -> Realisation:
     return B * C, B * C * T, C, C * T
 
 
-def _dissipation(system: Realisation, P: arb_mat, stated: TransparencyClaim) -> arb_mat:
+def _dissipation(system: Realisation, P: arb_mat, stated: StatedTransparency) -> arb_mat:
     """Minus the left-hand side of the lemma, (n+m) x (n+m)."""
     A, B, C, D = system
     G, y = assembled(arb_mat, [[A, B]]), assembled(arb_mat, [[C, D]])

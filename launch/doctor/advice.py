@@ -173,18 +173,18 @@ def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -
         change = f"permit SCHED_FIFO: 'rtprio {FIFO_PRIORITY}' for this user in /etc/security/limits.conf"
         found.append(
             Advice(
-                f"{change}, then log in again ({grants['fifo'].said})",
+                f"{change}, then log in again ({grants['fifo'].answer})",
                 f"ticks that other programs do not delay; {tail}",
             )
         )
     if not grants["memory_locked"].granted:
         change = "permit locked memory: 'memlock unlimited' for this user in /etc/security/limits.conf"
-        found.append(Advice(f"{change} ({grants['memory_locked'].said})", "no tick waits for a page from disk"))
+        found.append(Advice(f"{change} ({grants['memory_locked'].answer})", "no tick waits for a page from disk"))
     if not grants["timer_slack"].granted:
         late: Mapping[str, Spread] = measured.waking.late
         found.append(
             Advice(
-                f"permit setting the timer slack: prctl(PR_SET_TIMERSLACK) is refused ({grants['timer_slack'].said})",
+                f"permit setting the timer slack: prctl(PR_SET_TIMERSLACK) is refused ({grants['timer_slack'].answer})",
                 f"wake-ups up to 50 us earlier; they are {late['default_slack'].p50:.0f} us late (median)",
             )
         )

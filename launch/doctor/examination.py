@@ -16,7 +16,7 @@ from rich.text import Text
 from manyhands.launch.design_report import print_json
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
-from manyhands.launch.doctor.probe import MOST_PROCESSES, Interrupted, Measured, ProbeFailed, measure
+from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, ProbeFailed, ProbeInterrupted, measure
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.plan import Plan
@@ -56,7 +56,7 @@ def print_machine(console: Console, machine: Machine, granted: Mapping[str, Gran
     table.add_section()
     for name, grant in granted.items():
         mark = "[green]yes[/green]" if grant.granted else "[yellow]no[/yellow]"
-        table.add_row(name.replace("_", " "), f"{mark}: {escape(grant.said)}")
+        table.add_row(name.replace("_", " "), f"{mark}: {escape(grant.answer)}")
     console.print(table)
 
 
@@ -164,7 +164,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     try:
         with measuring(err) as show:
             measured = measure(plan, seconds, machine.usable, machine.curve, show)
-    except Interrupted as error:
+    except ProbeInterrupted as error:
         say(err, "interrupted before the measurement was complete")
         return 128 + error.signal
     except ProbeFailed as error:
@@ -185,7 +185,7 @@ def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tup
     waking = measured.waking
     return {
         "machine": machine.plain(),
-        "granted": {name: {"granted": grant.granted, "said": grant.said} for name, grant in waking.granted.items()},
+        "granted": {name: {"granted": grant.granted, "said": grant.answer} for name, grant in waking.granted.items()},
         "session": worth.loop.session,
         "period": worth.loop.period,
         "waking_us": {way: spread.plain() for way, spread in waking.late.items()},

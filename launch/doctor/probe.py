@@ -47,7 +47,7 @@ class ProbeFailed(Exception):
     """The probe failed; the message names the process and the reason."""
 
 
-class Interrupted(Exception):
+class ProbeInterrupted(Exception):
     """The user interrupted the probe.
 
     Attributes:
@@ -102,7 +102,7 @@ class Measured:
     ticking: tuple[Ticking, ...]
 
 
-class Delays(Recorder):
+class DelayRecorder(Recorder):
     """A recorder that keeps the delay tau of every tick of every device.
 
     Attributes:
@@ -136,7 +136,7 @@ def measure(
         show: called with what is being measured.
 
     Raises:
-        Interrupted: on Ctrl-C.
+        ProbeInterrupted: on Ctrl-C.
         ProbeFailed: a process did not start, did not answer, or ended early.
     """
     session = plan.session
@@ -150,7 +150,7 @@ def measure(
         ticking = []
         for way in ways:
             if interrupt.signal is not None:
-                raise Interrupted(interrupt.signal)
+                raise ProbeInterrupted(interrupt.signal)
             show(f"a tick over {way.text}")
             ticking.append(measure_ticks(rested, way, _ticks(each, session.period)))
         return Measured(waking, tuple(ticking))
@@ -211,7 +211,7 @@ def measure_waking(
         clock: the clock of the time limit; by default the real one.
 
     Raises:
-        Interrupted: on Ctrl-C.
+        ProbeInterrupted: on Ctrl-C.
         ProbeFailed: the process failed, or did not end in time.
     """
     ticks, nanoseconds = _ticks(seconds / 3, period), from_seconds(period)
@@ -241,7 +241,7 @@ def _end_of(processes: Processes, within: Duration, interrupt: Interrupt, clock:
     """The exit code of the only process, once it has ended.
 
     Raises:
-        Interrupted: on Ctrl-C.
+        ProbeInterrupted: on Ctrl-C.
         ProbeFailed: the process did not end within the given time.
     """
     poll = select.poll()
@@ -251,7 +251,7 @@ def _end_of(processes: Processes, within: Duration, interrupt: Interrupt, clock:
     while True:
         ready = {fd for fd, _ in poll.poll(max(deadline - clock.now(), 0) / 1e6)}
         if interrupt.signal is not None:
-            raise Interrupted(interrupt.signal)
+            raise ProbeInterrupted(interrupt.signal)
         if ended := processes.reap(ready):
             return ended[_WAKING]
         if not ready:
@@ -262,10 +262,10 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     """Run ``ticks`` ticks of a session at rest in one way, and collect their delays.
 
     Raises:
-        Interrupted: on Ctrl-C.
+        ProbeInterrupted: on Ctrl-C.
         ProbeFailed: the session failed, or none of its devices ever got a force.
     """
-    delays = Delays()
+    delays = DelayRecorder()
     outcome = Supervisor(
         rested,
         clock=REALTIME,
@@ -276,7 +276,7 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
         places=way.places,
     ).run()
     if outcome.code > 128:
-        raise Interrupted(signal.Signals(outcome.code - 128))
+        raise ProbeInterrupted(signal.Signals(outcome.code - 128))
     if outcome.faults:
         raise ProbeFailed("; ".join(outcome.faults))
     if not delays.tau:

@@ -65,7 +65,7 @@ class Waking:
 
     def to_json(self) -> str:
         """One line of JSON, which :meth:`from_json` reads."""
-        granted = {name: [grant.granted, grant.said] for name, grant in self.granted.items()}
+        granted = {name: [grant.granted, grant.answer] for name, grant in self.granted.items()}
         return json.dumps({"late": {way: spread.plain() for way, spread in self.late.items()}, "granted": granted})
 
     @classmethod

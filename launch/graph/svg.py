@@ -188,11 +188,11 @@ def _tie(tie: Tie, first: Box, second: Box) -> str:
     )
     bend = (x1 - x0) / 2
     kind = "tie link" if tie.is_link else "tie aside"
-    told = "" if tie.health is None else f" told {tie.health.value}"
+    health = "" if tie.health is None else f" told {tie.health.value}"
     label = tie.label if tie.health is None else f"{tie.label} ({tie.health.value})"
     at, level = x0 + 0.5 * (x1 - x0), y0 + 0.5 * (y1 - y0) - 5
     return (
-        f'  <g class="{kind}{told}"><title>{_text(tie.whole)}</title>'
+        f'  <g class="{kind}{health}"><title>{_text(tie.whole)}</title>'
         f'<path class="line" d="M {x0:.1f} {y0:.1f} C {x0 + bend:.1f} {y0:.1f} {x1 - bend:.1f} {y1:.1f} '
         f'{x1:.1f} {y1:.1f}"/><text x="{at:.1f}" y="{level:.1f}" text-anchor="middle">{_text(label)}</text></g>'
     )
@@ -216,7 +216,7 @@ def _spans(tall: Box, other: Box) -> bool:
 
 
 def _part(part: Part, box: Box) -> str:
-    told = "" if part.health is None else f" told {part.health.value}"
+    health = "" if part.health is None else f" told {part.health.value}"
     label = part.label
     top = box.middle - LINE * len(label) / 2
     classes = ["name", *["small"] * (len(label) - 1)]
@@ -227,7 +227,7 @@ def _part(part: Part, box: Box) -> str:
         for number, (kind, line) in enumerate(zip(classes, label, strict=True))
     )
     return (
-        f'  <g class="node {part.role.value}{told}"><title>{_text(part.whole)}</title><rect class="box" '
+        f'  <g class="node {part.role.value}{health}"><title>{_text(part.whole)}</title><rect class="box" '
         f'x="{box.x:.1f}" y="{box.y:.1f}" width="{box.width:.1f}" height="{box.height:.1f}" rx="6"/>{texts}</g>'
     )
 

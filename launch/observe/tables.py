@@ -247,7 +247,7 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _cells(node: NodeScene) -> list[str]:
     figures = [column.cell(node.figures) for column in COLUMNS]
-    tick = "" if node.heard is None else str(node.tick)
+    tick = "" if node.received is None else str(node.tick)
     return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures, node.health.value]
 
 

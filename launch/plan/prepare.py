@@ -38,7 +38,7 @@ from manyhands.design.problem import (
     LinearGiven,
     LinearWanted,
     NoCoupling,
-    Pole,
+    PolePair,
     SpringDamperGiven,
     SpringDamperWanted,
     Wish,
@@ -139,7 +139,7 @@ def coupling_request(session: Session) -> CouplingRequest:
     if design.coupling == "spring-damper":
         return SpringDamperWanted(wish)
     orders = tuple(design.order_of(name) for name in session.couplings)
-    poles = None if design.poles is None else tuple(Pole(pole.frequency, pole.damping) for pole in design.poles)
+    poles = None if design.poles is None else tuple(PolePair(pole.frequency, pole.damping) for pole in design.poles)
     return LinearWanted(orders, wish, poles)
 
 

@@ -40,7 +40,15 @@ from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
 from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks, increments, recompute_environment
 from manyhands.launch.recordings.events import Course, course_of, sent_no_force
-from manyhands.launch.recordings.findings import EXACT, Check, Recomputed, UncheckedTicks, Verdict, compare, first_of
+from manyhands.launch.recordings.findings import (
+    EXACT,
+    Check,
+    CheckVerdict,
+    Recomputed,
+    UncheckedTicks,
+    compare,
+    first_of,
+)
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
 from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, rows_of, there
@@ -93,12 +101,12 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     row.
     """
     trace = rows_of(run, node, names.LEDGER)
-    told = np.full_like(trace, np.nan)
-    last = len(told) if run.recorded.clock == SIMULATED else len(told) - 1
+    reported = np.full_like(trace, np.nan)
+    last = len(reported) if run.recorded.clock == SIMULATED else len(reported) - 1
     for tick, figures in run.figures.get(node, ()):
-        if 0 < tick <= last and (tick == len(told) or np.isfinite(trace[tick, 0])):
-            told[tick - 1] = figures.get(names.LEDGER, np.nan)
-    return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, told)
+        if 0 < tick <= last and (tick == len(reported) or np.isfinite(trace[tick, 0])):
+            reported[tick - 1] = figures.get(names.LEDGER, np.nan)
+    return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, reported)
 
 
 def bounded(run: RecordedRun, node: str) -> Check:
@@ -115,10 +123,19 @@ def bounded(run: RecordedRun, node: str) -> Check:
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     wrong = trace < -tolerance
     first = first_of(wrong, ("E",), trace, np.zeros_like(trace))
-    verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if len(total) else Verdict.UNCHECKED
-    told = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
+    verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
+    remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
     return Check(
-        "bound", node, what, verdict, len(total), first, int(wrong.sum()), tolerance=tolerance, source=source, told=told
+        "bound",
+        node,
+        what,
+        verdict,
+        len(total),
+        first,
+        int(wrong.sum()),
+        tolerance=tolerance,
+        source=source,
+        remark=remark,
     )
 
 
@@ -143,10 +160,12 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check
         beyond = (values > most) & exerted
         first = first_of(beyond, ports, values, most)
         numbers = int(np.isfinite(values).sum())
-        verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
-        told = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
+        verdict = (
+            CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
+        )
+        remark = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
         what = f"its {name} is within its limit" + ("" if name == "force" else ", or it exerts no force")
-        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, told))
+        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, remark))
     return out
 
 
@@ -164,25 +183,27 @@ def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Chec
         covered[begin:] = most * 1e6
     late = trace > covered
     ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
-    told = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""
+    remark = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""
     if ticks:
-        told = f"later in {ticks} of {numbers} ticks; {told}"
+        remark = f"later in {ticks} of {numbers} ticks; {remark}"
     first = first_of(late, ("τ",), trace, covered)
-    verdict = Verdict.ASSUMPTION if ticks else Verdict.HOLDS if numbers else Verdict.UNCHECKED
+    verdict = CheckVerdict.ASSUMPTION if ticks else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     what = "the force acts no later after its sample than the certificate assumes"
-    return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, told=told)
+    return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, remark=remark)
 
 
 def period_assumed(run: RecordedRun, node: str) -> Check:
     """The certificate assumes that samples come every T; the device itself has counted the ticks where they did not."""
     figures = run.figures.get(node, ())
-    counts = [told[names.PERIOD_BREACHES] for _, told in figures if names.PERIOD_BREACHES in told]
+    counts = [one[names.PERIOD_BREACHES] for _, one in figures if names.PERIOD_BREACHES in one]
     what = f"samples come every T, within {PERIOD_TOLERANCE:g} T, as the device counted"
     if not counts:
-        return Check("period", node, what, Verdict.UNCHECKED)
+        return Check("period", node, what, CheckVerdict.UNCHECKED)
     most = max(counts)
-    told = f"not in {most:.0f} ticks" if most else ""
-    return Check("period", node, what, Verdict.ASSUMPTION if most else Verdict.HOLDS, len(counts), told=told)
+    remark = f"not in {most:.0f} ticks" if most else ""
+    return Check(
+        "period", node, what, CheckVerdict.ASSUMPTION if most else CheckVerdict.HOLDS, len(counts), remark=remark
+    )
 
 
 def let_go_source(offsets: int) -> str:
@@ -354,9 +375,9 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
     try:
         prepared = prepared_of(path, run, say)
     except NotCertified as error:
-        checks: tuple[Check, ...] = (Check("certificate", "session", what, Verdict.BROKEN, told=str(error)),)
+        checks: tuple[Check, ...] = (Check("certificate", "session", what, CheckVerdict.BROKEN, remark=str(error)),)
     else:
-        proved = Check("certificate", "session", what, Verdict.HOLDS, told=prepared.id)
+        proved = Check("certificate", "session", what, CheckVerdict.HOLDS, remark=prepared.id)
         checks = (proved, *_AuditRun(prepared, run, progress).checks())
     return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks)
 
@@ -446,7 +467,7 @@ class _AuditRun:
                 guard = None  # a new process begins with a new guard
                 continue
             guard = guard or Guard(bundle.limits, self._session.period, bundle.common.ports)
-            x[k, own] = guard.tell(at)
+            x[k, own] = guard.report(at)
             wanted = asked[k, own].tolist()
             if guard.let_go and guard.clip(wanted.copy()) == f[k, own].tolist():
                 f[k, own] = wanted

@@ -29,7 +29,7 @@ from manyhands.launch.recordings.run import there
 from manyhands.nodes.arithmetic import Saturation
 from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.environment.clutch import LET_GO
-from manyhands.nodes.environment.enforced import environment_core
+from manyhands.nodes.environment.core import environment_core
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]

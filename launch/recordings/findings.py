@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 EXACT: Final = "exact: the same arithmetic in the same order"
 
 
-class Verdict(StrEnum):
+class CheckVerdict(StrEnum):
     """The result of a check."""
 
     HOLDS = "holds"
@@ -89,25 +89,25 @@ class Check:
         gaps: ticks that were not checked.
         tolerance: by which a number may differ, in its unit; the greatest, where it varies.
         source: the reason for the tolerance.
-        told: a further remark.
+        remark: a further remark.
     """
 
     name: str
     party: str
     what: str
-    verdict: Verdict
+    verdict: CheckVerdict
     numbers: int = 0
     first: Difference | None = None
     differing: int = 0
     gaps: tuple[UncheckedTicks, ...] = ()
     tolerance: float = 0.0
     source: str = EXACT
-    told: str = ""
+    remark: str = ""
 
     @property
     def holds(self) -> bool:
         """Whether no promise was found broken."""
-        return self.verdict is not Verdict.BROKEN
+        return self.verdict is not CheckVerdict.BROKEN
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -122,7 +122,7 @@ class Check:
             "unchecked": [{"begin": gap.begin, "end": gap.end, "why": gap.why} for gap in self.gaps],
             "tolerance": json_number(self.tolerance),
             "tolerance_from": self.source,
-            "told": self.told,
+            "told": self.remark,
         }
 
 
@@ -156,7 +156,7 @@ def compare(
         wrong = both & ~(np.abs(recorded - recomputed) <= tolerance)
     first = first_of(wrong, columns, recorded, recomputed)
     numbers = int(both.sum())
-    verdict = Verdict.BROKEN if first is not None else Verdict.HOLDS if numbers else Verdict.UNCHECKED
+    verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     widest = float(np.max(tolerance, initial=0.0, where=np.broadcast_to(both, np.shape(tolerance)))) if np.ndim(
         tolerance
     ) else float(tolerance)  # fmt: skip
@@ -173,9 +173,9 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
     return Difference(tick, columns[column], float(recorded[tick, column]), float(recomputed[tick, column]))
 
 
-def verdicts(checks: Sequence[Check]) -> Mapping[Verdict, int]:
+def verdicts(checks: Sequence[Check]) -> Mapping[CheckVerdict, int]:
     """Number of checks with each verdict."""
-    return {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
+    return {verdict: sum(check.verdict is verdict for check in checks) for verdict in CheckVerdict}
 
 
 Progress = Callable[[int], None]

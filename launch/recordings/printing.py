@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from manyhands.launch.recordings.audit import Audit
-from manyhands.launch.recordings.findings import Check, UncheckedTicks, Verdict, verdicts
+from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, verdicts
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.replay import Replayed
 from manyhands.launch.run.display import say
@@ -53,32 +53,33 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         table.add_column(column, justify="right")
     for party in dict.fromkeys(check.party for check in checks):
         own = [check for check in checks if check.party == party]
-        done = dict.fromkeys(check.name for check in own if check.verdict is not Verdict.UNCHECKED)
-        least = next((check.told for check in own if check.name == "bound"), "")
+        done = dict.fromkeys(check.name for check in own if check.verdict is not CheckVerdict.UNCHECKED)
+        least = next((check.remark for check in own if check.name == "bound"), "")
         table.add_row(
             party,
             ", ".join(done),
             str(sum(check.numbers for check in own)),
             least.removeprefix("least ").removesuffix(" J"),
-            str(sum(check.differing for check in own if check.verdict is Verdict.BROKEN) or ""),
+            str(sum(check.differing for check in own if check.verdict is CheckVerdict.BROKEN) or ""),
         )
     if checks:
         out.print(table)
     for line in dict.fromkeys(line for check in checks for line in _unchecked(check)):
         say(out, f"not checked: {line}")
     for check in checks:
-        if check.verdict is Verdict.ASSUMPTION:
-            say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.told}")
+        if check.verdict is CheckVerdict.ASSUMPTION:
+            say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.remark}")
     for check in audit.broken:
         say(out, f"broken: {check.party}: {check.name}: {sentence(check)}")
     if certificate.holds:
-        say(out, f"certificate {certificate.told}: proved again, and this session's")
+        say(out, f"certificate {certificate.remark}: proved again, and this session's")
     count = verdicts(audit.checks)
     say(
         out,
-        f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[Verdict.HOLDS]} checks hold, "
-        f"{count[Verdict.BROKEN]} do not; {count[Verdict.ASSUMPTION]} assumptions of the certificate did not hold; "
-        f"{count[Verdict.UNCHECKED]} had nothing to compare",
+        f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[CheckVerdict.HOLDS]} checks hold, "
+        f"{count[CheckVerdict.BROKEN]} do not; "
+        f"{count[CheckVerdict.ASSUMPTION]} assumptions of the certificate did not hold; "
+        f"{count[CheckVerdict.UNCHECKED]} had nothing to compare",
     )
 
 
@@ -98,7 +99,7 @@ def _unchecked(check: Check) -> list[str]:
 def sentence(check: Check) -> str:
     """The sentence about a broken check, with its first wrong number."""
     if check.first is None:
-        return check.told or check.what
+        return check.remark or check.what
     first, within = check.first, f" within {check.tolerance:.3g}" if check.tolerance else ""
     return (
         f"differs first at tick {first.tick}, {first.column}: recorded {first.recorded!r}, expected "

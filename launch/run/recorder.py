@@ -24,7 +24,7 @@ from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import signal_name
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.nodes.recorder.node import Closed, Lines, Plan, Ready, Status, Stopped, Taken
+from manyhands.nodes.recorder.node import Closed, FileBegun, Lines, RecordingPlan, Status, Taken, WriteFailed
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Stop
@@ -132,7 +132,7 @@ class RecorderProcess(Recorder):
         self._lines = Lines()
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = self._sent = self._taken = 0
-        self._end: Closed | Stopped | None = None
+        self._end: Closed | WriteFailed | None = None
         self._finishing = self._gone = False
 
     def start(self, directory: Path) -> None:
@@ -146,7 +146,7 @@ class RecorderProcess(Recorder):
         """
         plan = directory / "recorder.plan"
         started = time.time_ns()
-        Plan(self.path.absolute(), directory.absolute(), self._recorded, self._attachments, started).save(plan)
+        RecordingPlan(self.path.absolute(), directory.absolute(), self._recorded, self._attachments, started).save(plan)
         pipe, its_end = os.pipe2(os.O_CLOEXEC)
         self._pipe = pipe
         os.set_blocking(pipe, False)
@@ -172,7 +172,7 @@ class RecorderProcess(Recorder):
             self.attend(ready)
             if self.incident is not None or not ready:
                 silent = self.incident or "the recorder did not report that it is ready"
-                why = self._end.text if isinstance(self._end, Stopped) else silent
+                why = self._end.text if isinstance(self._end, WriteFailed) else silent
                 raise RecordingError(f"{self.path}: cannot be recorded to: {why}")
 
     def _wait(self, deadline: Instant, *more: int) -> set[int]:
@@ -247,11 +247,11 @@ class RecorderProcess(Recorder):
 
     def _take(self, status: Status) -> None:
         match status:
-            case Ready(endpoint) if self._transport is not None and self._link is None:
+            case FileBegun(endpoint) if self._transport is not None and self._link is None:
                 self._link = self._transport.connect(endpoint, "recorder")
             case Taken(frames) if self._taken <= frames <= self._sent:
                 self._taken = frames
-            case Closed() | Stopped():
+            case Closed() | WriteFailed():
                 self._end = status
             case _:
                 self._lines.nonsense += 1
@@ -268,7 +268,7 @@ class RecorderProcess(Recorder):
                 self.incident = (
                     f"recording ended at tick {tick}: a signal ended the recorder; {self.path} is complete up to there"
                 )
-            case Stopped(text, tick):
+            case WriteFailed(text, tick):
                 self.incident = f"recording stopped at tick {tick}: {text}; {self.path} can be read up to there"
             case None:
                 how = f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"

@@ -96,23 +96,23 @@ class FrameAllowance:
         self._at = now
 
 
-class LastHeard:
-    """Remembers when each node was last heard from; an unknown node counts as heard from when it is first asked for."""
+class LastMessages:
+    """When the latest message of each node came; for an unknown node, when it is first asked for."""
 
     def __init__(self) -> None:
-        self._heard: dict[str, Instant] = {}
+        self._came: dict[str, Instant] = {}
 
     def note(self, name: str, now: Instant) -> None:
-        """``name`` was heard from at ``now``."""
-        self._heard[name] = now
+        """Note that a message of ``name`` came at ``now``."""
+        self._came[name] = now
 
     def forget(self, name: str) -> None:
         """Forget ``name``: its next message comes from a new process."""
-        self._heard.pop(name, None)
+        self._came.pop(name, None)
 
     def quiet(self, names: Iterable[str], now: Instant, after: Duration) -> list[str]:
-        """Those of ``names`` that have not been heard from for more than ``after``, ns."""
-        return [name for name in names if now - self._heard.setdefault(name, now) > after]
+        """Those of ``names`` whose latest message came more than ``after``, ns, ago."""
+        return [name for name in names if now - self._came.setdefault(name, now) > after]
 
 
 STARTUP_TIME = from_seconds(60.0)
@@ -180,7 +180,7 @@ class Supervisor:
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
-        self._heard, self._reported = LastHeard(), LastHeard()
+        self._received, self._reported = LastMessages(), LastMessages()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
@@ -269,7 +269,7 @@ class Supervisor:
             self._note_incident(recorder.attend(ready))
             if not recorder.has_room:  # we do not read now, so no node counts as silent
                 for name in self._reach.remote:
-                    self._heard.note(name, clock.now())
+                    self._received.note(name, clock.now())
             for name in self._silent():
                 self.carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
@@ -283,7 +283,7 @@ class Supervisor:
                 if phase is SessionPhase.RUNNING:
                     self._began = clock.now()
                     for name in self._reach.remote:
-                        self._heard.note(name, self._began)  # a node that was ready early had nothing to send
+                        self._received.note(name, self._began)  # a node that was ready early had nothing to send
             elif conductor.phase is SessionPhase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
             elif conductor.phase is SessionPhase.RUNNING and len(conductor.reports) > reported:
@@ -322,10 +322,10 @@ class Supervisor:
             self.conductor.incidents.add(incident)
 
     def _silent(self) -> list[str]:
-        """Remote nodes that run and have not been heard from for too long."""
+        """Remote nodes that run and have sent nothing for too long."""
         conductor = self.conductor
         running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
-        return self._heard.quiet(running, self._clock.now(), REMOTE_SILENCE)
+        return self._received.quiet(running, self._clock.now(), REMOTE_SILENCE)
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
         counts = {**transport.refused(), **hub.dropped, "out_of_turn": self.conductor.ignored}
@@ -338,7 +338,7 @@ class Supervisor:
         Telemetry of a tick that cannot have run yet is counted and dropped.
         """
         if sender in self._reach.remote:
-            self._heard.note(sender, self._clock.now())
+            self._received.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry) and message.tick > self._most_ticks():
             self._untimely += 1

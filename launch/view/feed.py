@@ -121,8 +121,8 @@ class Feed:
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
             if node.role is Role.DEVICE and scene.about.certificate is not None:
                 out[name]["covered"] = covered_tau(scene, name)
-            if node.heard is not None and cursor.received.get(name) != node.heard:
-                cursor.received[name] = node.heard
+            if node.received is not None and cursor.received.get(name) != node.received:
+                cursor.received[name] = node.received
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}
         return out
 

@@ -148,7 +148,7 @@ class Holding:
         holder, _ = self._held.get(demand.device, (page, now))
         if holder != page:
             return f"{demand.device} is held by another page"
-        if not self._outlets[demand.device].say(Grasp(np.array(demand.position))):
+        if not self._outlets[demand.device].send(Grasp(np.array(demand.position))):
             self._held.pop(demand.device, None)
             return f"{demand.device} cannot be held now: its process is not there, or does not receive"
         self._held[demand.device] = page, now
@@ -180,4 +180,4 @@ class Holding:
 
     def _release(self, device: str) -> None:
         del self._held[device]
-        self._outlets[device].say(Release())  # a device that does not receive it lets go by itself, or has ended
+        self._outlets[device].send(Release())  # a device that does not receive it lets go by itself, or has ended

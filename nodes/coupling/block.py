@@ -30,7 +30,7 @@ class Block:
         jumps: how often the session had gone on to a later tick without this block.
         ticks: the tick after the latest.
         applied: the force of the latest tick, within its limits, N.
-        said: the tick of the latest p that was sent; -1 before the first.
+        sent: the tick of the latest p that was sent; -1 before the first.
     """
 
     def __init__(self, bundle: CouplingBundle, environment: PeerLink) -> None:
@@ -40,7 +40,7 @@ class Block:
         self.environment = environment
         self.rung = self._next_rung = 0
         self.jumps = self.ticks = 0
-        self._stamp, self.said = 0, -1
+        self._stamp, self.sent = 0, -1
         self._life: Life | None = None  # until the loop begins
         m = len(self._common.ports)
         self._p: Floats = [0.0] * m
@@ -63,14 +63,14 @@ class Block:
         """Begin the loop; ``life`` fails when the environment floods the link."""
         self._life = life
 
-    def say(self, x: Floats, tick: int, stamp: int) -> None:
+    def send(self, x: Floats, tick: int, stamp: int) -> None:
         """Send the environment p(k), m, for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
-        self.said = tick
+        self.sent = tick
         self._stamp = stamp  # the age of the force is counted from the sample
         self._p = p = self.core.free_position(x)
         self.environment.send(Tool, tick, stamp, p)
 
-    def say_again(self, tick: int) -> None:
+    def send_again(self, tick: int) -> None:
         """Send the last p once more: the signal or its answer may have been lost, or the session has gone on."""
         self.environment.send(Tool, tick, self._stamp, self._p)
 
@@ -91,8 +91,8 @@ class Block:
             self.jumps += 1
         elif received is Received.RECONNECTED:
             self._next_rung = 0  # an environment that greets the block has put D_V of rung 0 into its loop
-            if self.said == tick:
-                self.say_again(tick)
+            if self.sent == tick:
+                self.send_again(tick)
         return received
 
     def climb(self, tick: int) -> int | None:
@@ -114,9 +114,9 @@ class Block:
         self._energy[row] = 0.0 if ledger is None else ledger.total
         self._filled += 1
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Stop waiting at a zero force of a later tick: the session has gone on without this block."""
-        return told > awaited and peer_link.other_zero
+        return other > awaited and peer_link.other_zero
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """Note the environment's change of rung; the zero force that follows is the first of the new rung."""
@@ -125,7 +125,7 @@ class Block:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: the environment floods the link, and its forces cannot be told from other frames in time."""
+        """End the node: the environment floods the link, and its forces cannot be found among other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 

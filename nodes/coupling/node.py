@@ -16,7 +16,7 @@ from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
@@ -93,20 +93,20 @@ class CouplingNode:
                 break
             tick = sampled
             stamp = devices[0].gate.stamp
-            block.say(x, tick, stamp)
+            block.send(x, tick, stamp)
             received = block.hear(tick, turn)
             if received is not Received.SIGNAL:
-                told = self._await_reaction(received, tick, block, life, control)
-                if told is None:
+                answered = self._await_reaction(received, tick, block, life, control)
+                if answered is None:
                     break
-                if told > tick:
+                if answered > tick:
                     self._forget()
                     block.publish_rest(control, devices)  # rows follow each other
-                    tick = told
+                    tick = answered
             rung = block.climb(tick)
             for peer_link in devices:
                 if rung is not None:
-                    peer_link.say(Rung(rung))
+                    peer_link.notify(Rung(rung))
                 peer_link.send(Force, tick, stamp, block.applied)
             give_way()
             block.settle(tick)
@@ -122,15 +122,15 @@ class CouplingNode:
         """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshakes."""
         return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Handle the sample of a different tick.
 
         A device that is behind receives its last force again, or a zero force that sends it on. A device that is ahead
         is followed only where this coupling resumes or the device came back: then the device's tick is the true one.
         """
-        if told > awaited:
+        if other > awaited:
             return self._resumes or peer_link.new
-        if told == awaited - 1 and peer_link.tick == told:  # this process has answered it, and the answer was lost
+        if other == awaited - 1 and peer_link.tick == other:  # this process has answered it, and the answer was lost
             peer_link.send_again()
         else:
             peer_link.send_zero(Force, awaited - 1)
@@ -142,7 +142,7 @@ class CouplingNode:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: a device floods its link, and its samples cannot be told from other frames in time."""
+        """End the node: a device floods its link, and its samples cannot be found among other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
@@ -164,7 +164,7 @@ class CouplingNode:
             # the device's tick is the true one: no device will ever send the tick that was awaited
             if received is Received.DECLINED:
                 if block.environment.tick == tick - 1:  # the environment awaits this block's ticks in between
-                    block.environment.say(Absent(peer_link.peer.name))
+                    block.environment.notify(Absent(peer_link.peer.name))
                 self._forget()
                 block.publish_rest(control, self._devices)  # rows follow each other
                 for other in self._devices:
@@ -182,7 +182,7 @@ class CouplingNode:
             if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.RECONNECTED:
                 # report every device without a sample as absent, even one that is connected: it may wait for a
                 # different block, which waits for this environment in turn, and no sample would ever come
-                self._tell_absences(block, [peer_link for peer_link in self._devices if peer_link.tick == tick])
+                self._report_absences(block, [peer_link for peer_link in self._devices if peer_link.tick == tick])
             return None if life.stopping else self._timeouts.look
 
         found = await_all(self._devices, last, x, react(last, received, tick), self, react, pause)
@@ -214,7 +214,7 @@ class CouplingNode:
             if received is Received.DECLINED:
                 return block.environment.other_tick
             if received is Received.RECONNECTED:
-                self._tell_absences(block, [peer_link for peer_link in self._devices if peer_link.here])
+                self._report_absences(block, [peer_link for peer_link in self._devices if peer_link.here])
             for peer_link in self._devices:
                 if peer_link.handshake is not None:
                     peer_link.hear(self._nothing, tick, NOT_AT_ALL, self)
@@ -224,7 +224,7 @@ class CouplingNode:
             now = self._clock.now()
             if now - asked >= self._timeouts.again:
                 asked = now
-                block.say_again(tick)
+                block.send_again(tick)
             received = block.hear(tick, self._timeouts.look)
 
     def _forget_after(self, began: Instant) -> None:
@@ -237,11 +237,11 @@ class CouplingNode:
         for peer_link in self._devices:
             peer_link.gate.forget()
 
-    def _tell_absences(self, block: Block, present: Collection[PeerLink]) -> None:
+    def _report_absences(self, block: Block, present: Collection[PeerLink]) -> None:
         """Report to an environment that is back which devices are missing; it would wait for their samples."""
         for peer_link in self._devices:
             if peer_link not in present:
-                block.environment.say(Absent(peer_link.peer.name))
+                block.environment.notify(Absent(peer_link.peer.name))
 
     def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:
         """After a wait without a signal: check the node's life and follow the supervisor's messages.
@@ -257,4 +257,4 @@ class CouplingNode:
     def _obey(self, word: Word, block: Block, control: ControlLine) -> None:
         lost = follow(word, [*self._devices, block.environment], control)
         if lost in self._devices:
-            block.environment.say(Absent(lost.peer.name))
+            block.environment.notify(Absent(lost.peer.name))

@@ -18,7 +18,7 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
 from manyhands.nodes.process import Node
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
@@ -86,15 +86,15 @@ class Within(PeerLink):
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
         """Make the block send p(k) for x(k); a second call for the same tick sends the same p(k) again."""
-        if tick == self._block.said:
-            self._block.say_again(tick)
+        if tick == self._block.sent:
+            self._block.send_again(tick)
         else:
-            self._block.say(self.share(values), tick, stamp)
+            self._block.send(self.share(values), tick, stamp)
         return True
 
     def send_again(self) -> None:
         """Send the last p again."""
-        self._block.say_again(self._block.said)
+        self._block.send_again(self._block.sent)
 
     def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Listen for the environment's answer, and put the block's force into the device's ``values``."""

@@ -128,7 +128,7 @@ class Guard:
         self._displacement, self._speed = limits.displacement, limits.speed
         self._saturation = Saturation(limits.force)
         self._before: Floats | None = None
-        self._told: Floats | None = None  # x'(k), where it is not x(k)
+        self._reported: Floats | None = None  # x'(k), where it is not x(k)
         self._ratio, self._rises, self._within = 1.0, 0, 0
         self.let_go, self.why = 0, ""
 
@@ -142,7 +142,7 @@ class Guard:
         """Whether s > 0: the device exerts a force."""
         return self._ratio > 0.0
 
-    def tell(self, x: Floats, periods: int = 1) -> Floats:
+    def report(self, x: Floats, periods: int = 1) -> Floats:
         """x'(k), m, for the displacement x(k), m: ``x`` itself as long as the device has never let go.
 
         Args:
@@ -151,13 +151,16 @@ class Guard:
         """
         before = self._before or x
         breach = self.breach(x, periods)
-        if breach is None and self._told is None:
+        if breach is None and self._reported is None:
             return x
-        told, ratio = self._told or before, self._ratio
-        moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(told, x, before, strict=True)]
-        self._told = kept = self._within_limits(moved, told, self._T * periods)
+        reported, ratio = self._reported or before, self._ratio
+        moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(reported, x, before, strict=True)]
+        self._reported = kept = self._within_limits(moved, reported, self._T * periods)
         if breach is None and kept != moved:
-            breach = f"{self._axes[0]} would be told beyond its limits, from where it had let go; it lets go once more"
+            breach = (
+                f"{self._axes[0]} would report a position beyond its limits, counted from where it had let go; "
+                "it lets go once more"
+            )
         self._follow(breach)
         return kept
 
@@ -181,10 +184,10 @@ class Guard:
         held = self._saturation.clip(f)
         return held if self._ratio == 1.0 else [self._ratio * force for force in held]
 
-    def _within_limits(self, moved: Floats, told: Floats, T: float) -> Floats:
-        """``moved``, m, or as much of the way there from ``told``, m, as the limits of reach and speed allow."""
+    def _within_limits(self, moved: Floats, reported: Floats, T: float) -> Floats:
+        """``moved``, m, or as much of the way there from ``reported``, m, as the limits of reach and speed allow."""
         kept = []
-        for to, at, reach, speed in zip(moved, told, self._displacement, self._speed, strict=True):
+        for to, at, reach, speed in zip(moved, reported, self._displacement, self._speed, strict=True):
             kept.append(max(-reach, min(reach, max(at - T * speed, min(at + T * speed, to)))))
         return kept
 

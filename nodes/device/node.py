@@ -31,7 +31,7 @@ from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
 from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
@@ -108,7 +108,7 @@ class DeviceNode:
         self._life, give_way = life, way_giver()
         epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
-        row_x = told_x = self._zero
+        row_x = reported_x = self._zero
         row_at = Instant(0)
         instants = NO_INSTANTS
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
@@ -128,34 +128,34 @@ class DeviceNode:
             at = Instant(sampled - epoch)
             x = list(map(float, driver.sample(turns, at)))
             let_go = guard.let_go
-            goal = guard.tell(x, max(1, -((before - sampled + period // 2) // period)))
+            goal = guard.report(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
             if interface is None:
-                row_x, told_x = x, goal
+                row_x, reported_x = x, goal
             elif sent_tick != tick:
                 row_x, row_at, sent_tick = x, at, tick
                 until = interface.until
-                told_x = interface.send(x, goal, at)
+                reported_x = interface.send(x, goal, at)
                 if interface.until is not until:
                     driver.apply(interface.exerted, at, interface.until)
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             for peer_link in peer_links:
                 if peer_link.tick != tick:
-                    peer_link.send(Sample, tick, sampled, told_x)
+                    peer_link.send(Sample, tick, sampled, reported_x)
             sent = clock.now()
             turns += 1
-            told: int | None = tick
+            answered: int | None = tick
             for peer_link in peer_links:
                 # a device that runs free waits once, to the end of the period
                 result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if result is not Received.SIGNAL:
-                    told = self._await_forces(peer_link, result, f, told_x, tick, sampled, life, control)
+                    answered = self._await_forces(peer_link, result, f, reported_x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
             received = clock.now()
-            if told is None:  # no force in time: the tick is not counted, and comes again in the next period
+            if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.apply(self._zero, Instant(received - epoch))
                 core.sample(x)
                 core.apply(self._zero, driver.intended_work())
@@ -163,9 +163,9 @@ class DeviceNode:
                 account.release(tick)
                 slot += 1
                 continue
-            if told > tick:
+            if answered > tick:
                 self._jump(control)
-                tick = told
+                tick = answered
             at = Instant(received - epoch)
             wanted = f.copy()  # telemetry keeps it, and f is written again in the next tick
             held = guard.clip(wanted)
@@ -198,9 +198,9 @@ class DeviceNode:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
         return self._account.report(self._core, self._guard, self.peer_links, self._rung)
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
-        return told > awaited and peer_link.other_zero
+        return other > awaited and peer_link.other_zero
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
@@ -209,7 +209,7 @@ class DeviceNode:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: a coupling floods its link, and its forces cannot be told from other frames in time."""
+        """End the node: a coupling floods its link, and its forces cannot be found among other frames in time."""
         if self._life is not None:
             self._life.fail(text)
 
@@ -248,7 +248,7 @@ class DeviceNode:
                 peer_link.put(f, [0.0] * len(peer_link.peer.ports))
                 for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
-                        other.say(Absent(self._common.name))  # no sample comes for the ticks in between
+                        other.notify(Absent(self._common.name))  # no sample comes for the ticks in between
                         other.send(Sample, tick, sampled, x)
             elif result is Received.RECONNECTED:
                 peer_link.send(Sample, tick, sampled, x)

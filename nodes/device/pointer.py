@@ -65,14 +65,14 @@ class Pointer:
         self._most_ticks = max(1, round(PATIENCE / T))
         self._ticks = 0  # since the last message of the grasp
         self.goal: Floats | None = None
-        self._said = self._clipped = self._refused = self._lapsed = 0
+        self._grasps = self._clipped = self._refused = self._lapsed = 0
 
-    def tick(self, said: Grasp | Release | None) -> None:
-        """Step by one tick; ``said`` is the latest message since the tick before, None for none.
+    def tick(self, received: Grasp | Release | None) -> None:
+        """Step by one tick; ``received`` is the latest message since the tick before, None for none.
 
         A grasp with the wrong number of axes or a number that is not finite is counted, and changes nothing.
         """
-        match said:
+        match received:
             case Grasp(position):
                 self._grasp(position.tolist())
             case Release():
@@ -94,13 +94,13 @@ class Pointer:
         if goal != position:
             self._clipped += 1
         self.goal, self._ticks = goal, 0
-        self._said += 1
+        self._grasps += 1
 
     def figures(self, malformed: int) -> Mapping[str, float]:
         """Whether the device is held, and counts of grasps; ``malformed`` counts datagrams that were no message."""
         return {
             names.GRASPED: 0.0 if self.goal is None else 1.0,
-            names.GRASPS: float(self._said),
+            names.GRASPS: float(self._grasps),
             names.GRASPS_CLIPPED: float(self._clipped),
             names.GRASPS_REFUSED: float(self._refused + malformed),
             names.GRASPS_LAPSED: float(self._lapsed),

@@ -131,7 +131,7 @@ class DeviceTelemetry:
         self,
         common: Common,
         tau: Duration,
-        told: Callable[[], Mapping[str, float]] = dict,
+        driver_figures: Callable[[], Mapping[str, float]] = dict,
         interface: DeviceInterface | None = None,
     ) -> None:
         """No tick yet.
@@ -139,10 +139,10 @@ class DeviceTelemetry:
         Args:
             common: the device's bundle.
             tau: the delay inside the tick that the certificate assumes, ns.
-            told: returns the driver's own figures for each telemetry.
+            driver_figures: returns the driver's own figures for each telemetry.
             interface: of a device in wall time; None for one in its own.
         """
-        self._common, self._told, self._interface = common, told, interface
+        self._common, self._driver_figures, self._interface = common, driver_figures, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self._assumed_tau = tau
@@ -241,7 +241,7 @@ class DeviceTelemetry:
             **self._interface_figures(),
             **names.stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
-            **self._told(),
+            **self._driver_figures(),
         }
         traces = {
             names.DISPLACEMENT: np.array(self._trace_x[:rows]),

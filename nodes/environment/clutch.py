@@ -154,28 +154,33 @@ class Clutch:
 
     @property
     def offset(self) -> Floats:
-        """x_e - x_c, m; while the block is frozen, its value from before that."""
-        return _difference(self._x_e, self._x_c)
+        """x_e - x_c, m: 0 where the clutch is settled; where it is frozen, that of its last tick with s > 0."""
+        return [0.0] * len(self.ports) if self.settled else _difference(self._x_e, self._x_c)
 
     def seize(self, x_e: Floats) -> None:
         """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
         self._p = self._x_c = self._x_e = self.reference = x_e
         self._last, self.fresh = 1.0, False
 
-    def handle(self, event: ClutchEvent) -> None:
-        """Change the phase by :data:`NEXT`; a settled clutch whose s may leave 1 ceases to be settled."""
+    def handle(self, event: ClutchEvent) -> bool:
+        """Change the phase by :data:`NEXT`; returns whether the clutch ceases to be settled, for s may leave 1."""
         self.phase = NEXT[self.phase, event]
         if self.phase is ClutchPhase.FROZEN:
             self._at = self.ratio = 0.0
             self.reference, self.ready = self._x_e, False
-        if self.settled and self.phase is not ClutchPhase.COUPLED:
-            self.settled, self.fresh = False, True
+        return self.phase is not ClutchPhase.COUPLED and self._unsettle()
 
-    def restrain(self, ratio: float) -> None:
-        """Limit s to ``ratio`` from the next tick on; a settled clutch that is limited below 1 ceases to be settled."""
+    def restrain(self, ratio: float) -> bool:
+        """Limit s to ``ratio`` from the next tick on; returns whether the clutch ceases to be settled by that."""
         self._most = self._ramp * (1.0 if ratio >= 1.0 else 2.0 / math.pi * math.asin(math.sqrt(ratio)))
-        if self.settled and ratio < 1.0:
-            self.settled, self.fresh = False, True
+        return ratio < 1.0 and self._unsettle()
+
+    def _unsettle(self) -> bool:
+        """Cease to be settled; returns whether the clutch was."""
+        if not self.settled:
+            return False
+        self.settled, self.fresh = False, True
+        return True
 
     def advance(self, p: Floats, f_e: Floats) -> None:
         """Choose s(k).
@@ -300,32 +305,9 @@ class Clutches:
         """Lower s to 0 from its present value; then the block is frozen."""
         self.handle(self.all[block], ClutchEvent.DISENGAGE)
 
-    def ratio(self, block: int) -> float:
-        """The block's s: that of the last tick, or 0 if it has been frozen since."""
-        return self.all[block].ratio
-
-    def frozen(self, block: int) -> bool:
-        """Whether s = 0."""
-        return self.all[block].ratio == 0.0
-
-    def rests(self, block: int) -> bool:
-        """Whether s was 0 in the last tick and in the one before it."""
-        return self.all[block].rests
-
-    def settled(self, block: int) -> bool:
-        """Whether s = 1 and the tool is where the coupling's end is."""
-        return self.all[block].settled
-
-    def offset(self, block: int) -> Floats:
-        """x_e - x_c at the block's ports, m: 0 where it is settled; where frozen, that of its last tick with s > 0."""
-        clutch = self.all[block]
-        return [0.0] * len(clutch.ports) if clutch.settled else clutch.offset
-
     def handle(self, clutch: Clutch, event: ClutchEvent) -> None:
         """Apply ``event`` to one of the clutches, and keep :attr:`unsettled`."""
-        was_settled = clutch.settled
-        clutch.handle(event)
-        if was_settled and not clutch.settled:
+        if clutch.handle(event):
             self.unsettled.append(clutch)
 
     def exchanged(self, block: int, D_V: Vector, whole: Vector) -> Vector:
@@ -354,9 +336,7 @@ class Clutches:
     def restrain(self) -> None:
         """Limit every party's ratio by its budget, from the next tick on."""
         for party, clutch in enumerate(self.all):
-            was_settled = clutch.settled
-            clutch.restrain(self._energy.ratio(party))
-            if was_settled and not clutch.settled:
+            if clutch.restrain(self._energy.ratio(party)):
                 self.unsettled.append(clutch)
 
     def seize(self, x_e: Floats) -> None:

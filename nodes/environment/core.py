@@ -23,19 +23,26 @@ it is the identity.
 
 The environment promises that E_hat is (-Phi_E)-ISP: from the tool velocity w to -f_e, the sum of
 T (w^T (-f_e) + w^T Phi_E w) is never below zero.
+
+:func:`environment_core` makes the core that a bundle asks for: E as it is proved, in an :class:`EnvironmentCore`, or
+a model or E under a controller (:mod:`manyhands.nodes.environment.enforced`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats, LinearMap, Rows, dot, linear_map, solve
+from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
+from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
+from manyhands.nodes.environment.model import AskedModel, make_model
 from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
@@ -286,3 +293,42 @@ def _closed(E: StateSpace, D_V: Vector) -> Vector:
     x_e = np.hstack([np.zeros((m, n)), np.eye(m)]) + D_V @ f
     eta = np.hstack([E.A, np.zeros((n, m))]) + E.B @ x_e
     return np.ascontiguousarray(np.vstack([f, x_e, eta]))
+
+
+Core: TypeAlias = EnvironmentCore | EnforcedCore
+"""A core of the environment, with or without a controller."""
+
+
+def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
+    """The core that a bundle asks for, at rest; it imports and makes the model that the bundle names.
+
+    Args:
+        bundle: the environment's part of the session.
+        D_V: the couplings' feedthrough, m x m, m/N, from the handshakes.
+        blocks: the ports of each coupling; None for one block of all ports.
+
+    Raises:
+        ModelError: the model cannot be made.
+        ValueError: the bundle has neither matrices nor a model, or the core cannot be made with this D_V.
+    """
+    common, E = bundle.common, bundle.E
+    law: ForceLaw
+    if bundle.model is not None:
+        model = make_model(bundle.model, common.ports, common.period)
+        law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
+    elif E is None:
+        raise ValueError("found an environment without matrices and without a model; expected one of the two")
+    elif bundle.enforce:
+        law = LinearLaw(E, len(bundle.masses))
+    else:
+        return EnvironmentCore(
+            E,
+            D_V,
+            bundle.Phi_E,
+            common.period,
+            blocks,
+            masses=len(bundle.masses),
+            budgets=bundle.budgets,
+            storage=bundle.storage,
+        )
+    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets)

@@ -1,4 +1,4 @@
-"""The environment's tick for a model without a proof, and the choice of the core that an environment's bundle asks for.
+"""The environment's tick for a model whose promise is enforced by a passivity controller.
 
 At every tick the model returns the forces f_m that it wants to exert. Where its promise is *enforced*, the passivity
 controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exerted:
@@ -12,25 +12,21 @@ tool rests whatever the force is, and h does not matter. There are two kinds of 
 - a black box (:mod:`manyhands.nodes.environment.model`), which receives the tool positions predicted with its forces of
   the tick before. It is explicit, so the algebraic loop closes without any knowledge of the model;
 - matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts.
-
-:func:`environment_core` makes the core that a bundle asks for: E as it is proved, or a model or E under a controller.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
-from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import Energy, EnergyBudget
-from manyhands.nodes.environment.model import AskedModel, make_model
+from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
@@ -299,42 +295,3 @@ class EnforcedCore:
         if not self._unsettled:
             self._compliance = self._D_V
         return r
-
-
-Core: TypeAlias = EnvironmentCore | EnforcedCore
-"""A core of the environment, with or without a controller."""
-
-
-def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
-    """The core that a bundle asks for, at rest; it imports and makes the model that the bundle names.
-
-    Args:
-        bundle: the environment's part of the session.
-        D_V: the couplings' feedthrough, m x m, m/N, from the handshakes.
-        blocks: the ports of each coupling; None for one block of all ports.
-
-    Raises:
-        ModelError: the model cannot be made.
-        ValueError: the bundle has neither matrices nor a model, or the core cannot be made with this D_V.
-    """
-    common, E = bundle.common, bundle.E
-    law: ForceLaw
-    if bundle.model is not None:
-        model = make_model(bundle.model, common.ports, common.period)
-        law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
-    elif E is None:
-        raise ValueError("found an environment without matrices and without a model; expected one of the two")
-    elif bundle.enforce:
-        law = LinearLaw(E, len(bundle.masses))
-    else:
-        return EnvironmentCore(
-            E,
-            D_V,
-            bundle.Phi_E,
-            common.period,
-            blocks,
-            masses=len(bundle.masses),
-            budgets=bundle.budgets,
-            storage=bundle.storage,
-        )
-    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets)

@@ -23,11 +23,11 @@ from typing import Final
 import numpy as np
 
 from manyhands.nodes.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.core import Core
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log, LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received
-from manyhands.nodes.rejoin import follow
+from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine, Word
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant
@@ -336,7 +336,7 @@ class Members:
             return
         core = self._core
         changing = [member for member in self.active if member.wanted != member.rung]
-        resting = [member for member in changing if core.clutches.rests(member.index)]
+        resting = [member for member in changing if core.clutches.all[member.index].rests]
         for member in changing:
             if member not in resting:
                 core.clutches.disengage(member.index)
@@ -346,22 +346,22 @@ class Members:
             name = member.peer_link.peer.name
             core.clutches.freeze(member.index)  # it may have been about to join; only a frozen block is exchanged
             core.exchange(member.index, self._rungs[name][member.wanted - 1] if member.wanted else self._first(member))
-            member.peer_link.say(Rung(member.wanted))
+            member.peer_link.notify(Rung(member.wanted))
             if self.log is not None:
                 self.log.note(LogEvent.RUNG, peer=name, rung=member.wanted, tick=self._tick)
             member.rung = member.wanted
             core.clutches.engage(member.index)
         self._shifting = any(member.wanted != member.rung for member in self.all)
 
-    def on_other_tick(self, peer_link: PeerLink, told: int, awaited: int) -> bool:
-        """A coupling sent the signal of tick ``told``: answer again if it is behind, keep its signal if it is ahead.
+    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+        """A coupling sent the signal of tick ``other``: answer again if it is behind, keep its signal if it is ahead.
 
         A coupling that is behind and may rejoin receives a zero force of a later tick, and goes on after that tick.
         """
         member = self._of[peer_link.peer.name]
-        if told > awaited:
-            return self._hear_ahead(member, told, awaited)
-        if told == awaited - 1 and peer_link.tick == told:
+        if other > awaited:
+            return self._keep_ahead(member, other, awaited)
+        if other == awaited - 1 and peer_link.tick == other:
             peer_link.send_again()  # the answer was sent, and lost on its way
             return False
         if not self.active:
@@ -386,7 +386,7 @@ class Members:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: a coupling floods its link, and its signals cannot be told from other frames in time."""
+        """End the node: a coupling floods its link, and its signals cannot be found among other frames in time."""
         self._life.fail(text)
 
     def soonest(self, tick: int) -> int:
@@ -404,16 +404,16 @@ class Members:
         """The first tick of a resumed environment is complete: from now on it counts the ticks itself."""
         self._resumes = False
 
-    def _hear_ahead(self, member: Member, told: int, awaited: int) -> bool:
+    def _keep_ahead(self, member: Member, other: int, awaited: int) -> bool:
         """Keep the signal of a later tick until that tick, where the coupling was sent on to it."""
         membership = member.membership
-        if membership.state is Membership.ACTIVE or membership.pauses(awaited) or told - awaited > MOST_AHEAD:
+        if membership.state is Membership.ACTIVE or membership.pauses(awaited) or other - awaited > MOST_AHEAD:
             return False
         self._event(member, MembershipEvent.AHEAD, awaited)
-        member.early, member.due = (told, member.peer_link.other_frame), told
+        member.early, member.due = (other, member.peer_link.other_frame), other
         member.peer_link.gate.dropped["future_tick"] -= 1  # the gate counted it as a stray frame, which it is not
         if self._resumes:
-            self.ahead = max(self.ahead, told)
+            self.ahead = max(self.ahead, other)
         return True
 
     def _activated(self, member: Member, tick: int) -> bool:

@@ -95,8 +95,8 @@ def make_model(name: ModelName, ports: tuple[str, ...], T: float) -> Environment
         raise  # the process is to end; this is no failure of the model
     except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the model's name
         raise ModelError(
-            f"the model {name.factory} cannot be made: found {_told(error)}; expected a factory of (ports, period, "
-            "parameters) on Python's import path"
+            f"the model {name.factory} cannot be made: found {_in_one_line(error)}; "
+            "expected a factory of (ports, period, parameters) on Python's import path"
         ) from error
     if not callable(getattr(model, "react", None)):
         raise ModelError(
@@ -129,7 +129,7 @@ class AskedModel:
             # a copy: the model may change the array that it has returned
             f = np.array(self._react(x_e, k), dtype=np.float64)
         except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code: no exception of its may end the loop unnamed
-            return self._failed(k, _told(error), "forces in N")
+            return self._failed(k, _in_one_line(error), "forces in N")
         m = len(self._ports)
         if f.shape != (m,):
             return self._failed(k, f"an answer of the shape {f.shape}", f"{m} forces, one a port")
@@ -145,7 +145,7 @@ class AskedModel:
         return self._none
 
 
-def _told(error: BaseException) -> str:
+def _in_one_line(error: BaseException) -> str:
     """An exception in one line of bounded length; its text comes from the model, and may be anything."""
     try:
         text = str(error)

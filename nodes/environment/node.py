@@ -17,8 +17,8 @@ import numpy as np
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats, feedthrough_digest
 from manyhands.nodes.bundle import Common, EnvironmentBundle
+from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
-from manyhands.nodes.environment.enforced import Core, environment_core
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.lifetime import Life

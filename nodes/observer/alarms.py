@@ -172,9 +172,9 @@ def _tau(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
 
 
 def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
-    heard = [node.heard for node in scene.nodes.values() if node.heard is not None]
+    received = [node.received for node in scene.nodes.values() if node.received is not None]
     over = scene.condition is not None and scene.condition.phase in ("ending", "over")
-    if heard and not over and now - max(heard) > UNHEARD:
+    if received and not over and now - max(received) > UNHEARD:
         yield AlarmCause(
             "unheard",
             AlarmLevel.FAULT,

@@ -295,7 +295,7 @@ class NodeScene:
         tick: the latest tick it reported.
         rate: its ticks a second; None before two observations.
         figures: of its latest telemetry.
-        heard: when its latest telemetry came; None if none has.
+        received: when its latest telemetry came; None if none has.
         late: whether more of its latest ticks than usual were late.
         silent: whether the supervisor has received no telemetry for a while, though the node runs.
     """
@@ -306,7 +306,7 @@ class NodeScene:
     tick: int = 0
     rate: float | None = None
     figures: dict[str, float] = field(default_factory=dict)
-    heard: Instant | None = None
+    received: Instant | None = None
     late: bool = False
     silent: bool = False
     _since: tuple[Instant, int, float] | None = None
@@ -334,7 +334,7 @@ class NodeScene:
             self.rate = done * 1e9 / (now - since)
             self.late = late - late_then > LATE_SHARE * max(done, 1)
             self._since = now, observation.tick, late
-        self.tick, self.figures, self.heard = observation.tick, dict(observation.figures), now
+        self.tick, self.figures, self.received = observation.tick, dict(observation.figures), now
 
     def stand(self, state: str, silent: bool) -> None:
         """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""

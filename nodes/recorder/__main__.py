@@ -5,7 +5,7 @@ from pathlib import Path
 
 from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK
-from manyhands.nodes.recorder.node import Plan, PlanError, record, to_pipe
+from manyhands.nodes.recorder.node import PlanError, RecordingPlan, record, to_pipe
 from manyhands.protocol.clock import RealtimeClock
 
 
@@ -16,7 +16,7 @@ def main() -> int:
         return EXIT_BAD_INPUT
     try:
         life = Life(int(sys.argv[2]))
-        plan = Plan.load(Path(sys.argv[1]))
+        plan = RecordingPlan.load(Path(sys.argv[1]))
         life.enter_loop()  # from here on a request to end is only noted, so that no piece is cut in two
         life.leave_loop()  # garbage collection stays on: there is no tick that it could delay
     except Stopped:

@@ -5,8 +5,8 @@ supervisor keeps frames that the recorder has not taken yet, within bounds, and 
 ends when the session is over, when it cannot write any more, or when the supervisor is gone. The file then has all that
 was taken before. If the recorder is killed, less than a second is lost.
 
-:class:`Plan` is what a recorder starts from: the file, the session, and the folder of its socket. Its statuses go to
-the supervisor on a pipe of their own, one line of JSON each:
+:class:`RecordingPlan` is what a recorder starts from: the file, the session, and the folder of its socket. Its statuses
+go to the supervisor on a pipe of their own, one line of JSON each:
 
     {"ready": ENDPOINT}               the file is begun; observations are expected at this endpoint
     {"taken": N}                      N frames in all have been taken, so there is room for others
@@ -44,7 +44,7 @@ class PlanError(Exception):
 
 
 @dataclass(frozen=True)
-class Plan:
+class RecordingPlan:
     """A recorder's plan.
 
     Attributes:
@@ -78,7 +78,7 @@ class Plan:
             file.write(json.dumps(plain).encode())
 
     @classmethod
-    def load(cls, path: Path) -> Plan:
+    def load(cls, path: Path) -> RecordingPlan:
         """Read a plan.
 
         Raises:
@@ -104,7 +104,7 @@ MAX_LINE_BYTES: Final = 1024 * 1024
 
 
 @dataclass(frozen=True)
-class Ready:
+class FileBegun:
     """The file is begun; observations are expected at ``endpoint``."""
 
     endpoint: str
@@ -118,7 +118,7 @@ class Taken:
 
 
 @dataclass(frozen=True)
-class Stopped:
+class WriteFailed:
     """Nothing more can be written because of ``text``; the file is readable up to ``tick``."""
 
     text: str
@@ -135,18 +135,18 @@ class Closed:
     tick: int
 
 
-Status: TypeAlias = Ready | Taken | Stopped | Closed
+Status: TypeAlias = FileBegun | Taken | WriteFailed | Closed
 
 
 def encode(status: Status) -> bytes:
     """The line of a status."""
     plain: dict[str, object]
     match status:
-        case Ready(endpoint):
+        case FileBegun(endpoint):
             plain = {"ready": endpoint}
         case Taken(frames):
             plain = {"taken": frames}
-        case Stopped(text, tick):
+        case WriteFailed(text, tick):
             plain = {"stopped": text, "tick": tick}
         case Closed(missing, tick):
             plain = {"closed": dict(missing), "tick": tick}
@@ -182,11 +182,11 @@ def _decode(line: bytes) -> Status | None:
     try:
         match json.loads(line):
             case {"ready": str(endpoint)}:
-                return Ready(endpoint)
+                return FileBegun(endpoint)
             case {"taken": int(frames)}:
                 return Taken(frames)
             case {"stopped": str(text), "tick": int(tick)}:
-                return Stopped(text, tick)
+                return WriteFailed(text, tick)
             case {"closed": dict(missing), "tick": int(tick)} if all(type(n) is int for n in missing.values()):
                 return Closed(missing, tick)
             case _:
@@ -221,7 +221,7 @@ def to_pipe(fd: int) -> SendStatus:
     return send
 
 
-def record(plan: Plan, life: Life, clock: Clock, send: SendStatus) -> int:
+def record(plan: RecordingPlan, life: Life, clock: Clock, send: SendStatus) -> int:
     """Record until the session is over or nothing more can be written; returns the exit code."""
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
@@ -232,7 +232,7 @@ def record(plan: Plan, life: Life, clock: Clock, send: SendStatus) -> int:
     transport = ZmqTransport.ipc(plan.directory)
     try:
         link, endpoint = transport.bind("recorder", HUB)
-        send(Ready(endpoint))
+        send(FileBegun(endpoint))
         return _Recording(core, file, link, clock, send).run(life)
     except TransportError as error:
         return _stopped(send, str(error), 0)
@@ -294,6 +294,6 @@ def _reason(error: OSError) -> str:
 
 def _stopped(send: SendStatus, why: str, tick: int) -> int:
     text = presentable(why)
-    send(Stopped(text, tick))
+    send(WriteFailed(text, tick))
     print(f"recording stopped at tick {tick}: {text}", file=sys.stderr)  # noqa: T201 -- the process's own error channel
     return EXIT_FAILED

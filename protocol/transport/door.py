@@ -126,7 +126,7 @@ That takes three seconds with a wrong key, and more than a minute with a host th
 _PASSING: Final = (None, Trouble.NOBODY, Trouble.BROKEN_OFF)
 
 
-class Refused(StrEnum):
+class NotAdmitted(StrEnum):
     """The reasons why a connection was not admitted."""
 
     NO_KEY = "no_key"  # it uses no CURVE key, most likely no security mechanism at all
@@ -234,15 +234,15 @@ class Door:
                 self._open[descriptor] = True
                 return
 
-    def refused(self) -> dict[Refused, int]:
+    def refused(self) -> dict[NotAdmitted, int]:
         """Connections that were not established, by reason, without those whose key was refused."""
         unfinished = self.accepted - self.succeeded - self.no_key - self.not_proved - self.not_admitted
         return {
-            Refused.NO_KEY: self.no_key,
-            Refused.NOT_PROVED: self.not_proved,
-            Refused.SECOND_PEER: self.second,
-            Refused.UNFINISHED: max(0, unfinished),
-            Refused.SHUT: self.shut,
+            NotAdmitted.NO_KEY: self.no_key,
+            NotAdmitted.NOT_PROVED: self.not_proved,
+            NotAdmitted.SECOND_PEER: self.second,
+            NotAdmitted.UNFINISHED: max(0, unfinished),
+            NotAdmitted.SHUT: self.shut,
         }
 
     def _filter(self, drop_all: bool) -> bool:
@@ -284,7 +284,7 @@ _LEAST_FRAMES: Final = 6  # version, request id, domain, address, identity, mech
 
 def judge(
     request: Sequence[bytes], admits: Mapping[bytes, Mapping[bytes, str]], known: Collection[bytes]
-) -> tuple[list[bytes], Refused | None]:
+) -> tuple[list[bytes], NotAdmitted | None]:
     """The answer to a ZAP request.
 
     Args:
@@ -298,13 +298,13 @@ def judge(
     """
     if len(request) != _LEAST_FRAMES + 1 or request[0] != _VERSION or request[5] != b"CURVE":
         number = request[1] if len(request) > 1 else b""
-        return [_VERSION, number, b"400", b"no CURVE key", b"", b""], Refused.NO_KEY
+        return [_VERSION, number, b"400", b"no CURVE key", b"", b""], NotAdmitted.NO_KEY
     _, number, domain, _, _, _, key = request
     name = admits.get(domain, {}).get(key)
     if name is not None:
         return [_VERSION, number, b"200", b"OK", name.encode("ascii"), b""], None
     return [_VERSION, number, b"400", b"not admitted", b"", b""], (
-        Refused.WRONG_KEY if key in known else Refused.UNKNOWN_KEY
+        NotAdmitted.WRONG_KEY if key in known else NotAdmitted.UNKNOWN_KEY
     )
 
 
@@ -334,7 +334,7 @@ class Doorkeeper:
         self._admits: dict[bytes, Mapping[bytes, str]] = {}
         self._doors: list[Door] = []
         self._by_domain: dict[bytes, Door] = {}
-        self._refused = dict.fromkeys(Refused, 0)
+        self._refused = dict.fromkeys(NotAdmitted, 0)
         self._desk = context.socket(zmq.REP)
         self._desk.bind("inproc://zeromq.zap.01")
         self.settled = False
@@ -421,7 +421,7 @@ class Doorkeeper:
             door.look(now)
 
     def refused(self) -> dict[str, int]:
-        """Connections not admitted so far, by :class:`Refused`; reasons that never occurred are absent."""
+        """Connections not admitted so far, by :class:`NotAdmitted`; reasons that never occurred are absent."""
         if not self._desk.closed:
             self._look()  # a connection established since the last look must not count as unfinished
         total = dict(self._refused)

@@ -83,7 +83,7 @@ class PointerOutlet:
     """The end of a pointer that the page's server uses."""
 
     def __init__(self, directory: Path, device: str) -> None:
-        """Open a socket towards ``device``; only :meth:`say` shows whether the device is there.
+        """Open a socket towards ``device``; only :meth:`send` shows whether the device is there.
 
         Raises:
             TransportError: no socket can have the device's path.
@@ -92,7 +92,7 @@ class PointerOutlet:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def say(self, message: Grasp | Release) -> bool:
+    def send(self, message: Grasp | Release) -> bool:
         """Send a message and return at once; False if no device is there, its queue is full, or this end is closed.
 
         Raises:

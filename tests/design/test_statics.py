@@ -20,7 +20,9 @@ from manyhands.design.problem import DeviceLevel, HapticLoop, LinearGiven, Sprin
 from manyhands.design.proof import prove
 from manyhands.design.synthesis import design
 
-CASES = 200  # of each side
+from ..support.cases import cases
+
+CASES = cases(70, 200)  # of each side
 Exact = list[list[Decimal]]
 
 
@@ -130,6 +132,7 @@ def certified() -> list[tuple[int, Exact, dict[str, object]]]:
     return out
 
 
+@pytest.mark.wide
 def test_what_is_semidefinite_is_certified(certified) -> None:
     """Singular, -0.0, entries from 1e-12 to 1e15 in one matrix: nothing of it is in the way."""
     for seed, _, data in certified:
@@ -140,6 +143,7 @@ def test_what_is_semidefinite_is_certified(certified) -> None:
     assert sum(least_pivot(E1, 0) == 0 for _, E1, _ in certified) > CASES // 4
 
 
+@pytest.mark.wide
 def test_design_and_proof_refuse_statics_that_are_off_by_a_hair(certified) -> None:
     """The design refuses the session; the proof refuses its forged certificate: the one of the true neighbour."""
     for seed, true, data in certified:

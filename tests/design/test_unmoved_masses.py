@@ -28,7 +28,7 @@ from manyhands.design.problem import (
     HapticLoop,
     LinearWanted,
     Objective,
-    Pole,
+    PolePair,
     SpringDamperWanted,
     Wish,
 )
@@ -208,7 +208,7 @@ def random_request(rng: np.random.Generator, loop: HapticLoop, linear: bool) -> 
     if not linear:
         return SpringDamperWanted(wish)
     if aim is not None:  # the search of the poles takes long, and is no other question
-        return LinearWanted((2,) * len(loop.partition.blocks), wish, (Pole(30.0, 0.7),))
+        return LinearWanted((2,) * len(loop.partition.blocks), wish, (PolePair(30.0, 0.7),))
     return LinearWanted(tuple(int(rng.integers(0, 3)) for _ in loop.partition.blocks), wish)
 
 

@@ -10,12 +10,12 @@ from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, De
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
 from manyhands.nodes.lifetime import Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, Value
 from manyhands.nodes.peer_link import PeerLink
-from manyhands.nodes.process import Member, run_members
+from manyhands.nodes.process import HostedNode, run_members
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Telemetry
@@ -191,7 +191,7 @@ class SimulatedProcess:
         line.pid = self.pid
         line.silent = self._guest is not None and not self._guest.strategy.telemetry
         # nothing is asked of this machine's kernel
-        member = Member(replace(common, clock=SIMULATED), node, self._transport, line)
+        member = HostedNode(replace(common, clock=SIMULATED), node, self._transport, line)
         self.code = run_members([member], self.life, remote=False)  # type: ignore[arg-type]
         self._transport.close()
 

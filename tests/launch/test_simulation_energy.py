@@ -88,7 +88,7 @@ def test_the_others_receive_no_more_of_a_guest_than_its_budget(
         settle()
         given.append(energy.given[0])
         rooms.append(energy.room(0))
-        ratios.append([simulation.environment.clutches.ratio(block) for block in range(3)])
+        ratios.append([simulation.environment.clutches.all[block].ratio for block in range(3)])
 
     simulation.environment.settle = watched  # type: ignore[method-assign]
     recording = simulation.run(2500)

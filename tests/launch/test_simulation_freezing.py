@@ -182,7 +182,7 @@ def test_the_others_keep_their_promises_and_feel_no_step(base: Prepared, request
             assert np.all(steps <= (gain @ fastest)[others] + size)
             moved += float(np.max(steps)) > 1e-3
         # the returned user is coupled again, and its force rose with the ramp
-        assert returned.environment.clutches.ratio(list(returned.couplings).index(name)) >= SLOWEST - 1e-12
+        assert returned.environment.clutches.all[list(returned.couplings).index(name)].ratio >= SLOWEST - 1e-12
     assert moved > CASES  # something happened at the others in most of the runs
 
 
@@ -204,7 +204,7 @@ def test_the_offset_is_worked_off_by_a_hand_that_moves() -> None:
     plan = [Silence("cx", 300, 700)]
     simulation.run(700 + RAMP + 1, faults=plan)
     at_the_end.run(2500, faults=plan)
-    before, after = (float(it.environment.clutches.offset(0)[0]) for it in (simulation, at_the_end))
+    before, after = (float(it.environment.clutches.all[0].offset[0]) for it in (simulation, at_the_end))
     assert abs(before) > 0.01
     assert 0.0 < after / before < 0.85
     keeps_its_promises(at_the_end)
@@ -223,7 +223,7 @@ def test_two_may_be_silent_at_once_and_one_twice() -> None:
     assert np.all(run.f_v[150:251, y] == 0.0)
     assert np.all(run.f_v[252:, y] != 0.0)
     assert np.all(run.f_v[210:, z] != 0.0)  # its own push begins at 200
-    assert [simulation.environment.clutches.frozen(block) for block in range(3)] == [True, False, False]
+    assert [simulation.environment.clutches.all[block].ratio == 0.0 for block in range(3)] == [True, False, False]
 
 
 def test_one_that_was_never_there() -> None:

@@ -91,8 +91,8 @@ class Ears:
         self.told: list[tuple[int, int]] = []
         self.words: list[object] = []
 
-    def on_other_tick(self, _peer_link: PeerLink, told: int, awaited: int) -> bool:
-        self.told.append((told, awaited))
+    def on_other_tick(self, _peer_link: PeerLink, other: int, awaited: int) -> bool:
+        self.told.append((other, awaited))
         return self._turns
 
     def on_notice(self, _peer_link: PeerLink, message: object) -> bool:
@@ -252,7 +252,7 @@ class Test_a_peer_that_comes_back:
         assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
         peer_link.send_again()
         peer_link.send_zero(Force, TICK)
-        peer_link.say(Rung(1))
+        peer_link.notify(Rung(1))
         assert fresh.said == []
 
     def test_is_not_answered_for_the_one_before(self) -> None:
@@ -314,7 +314,7 @@ def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
     assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
     peer_link.send_again()
     peer_link.send_zero(Force, TICK)
-    peer_link.say(Absent("dx"))
+    peer_link.notify(Absent("dx"))
 
 
 def test_the_last_signal_is_sent_again_unchanged() -> None:
@@ -322,7 +322,7 @@ def test_the_last_signal_is_sent_again_unchanged() -> None:
     peer_link = joined(link)
     peer_link.send_again()  # no signal was sent yet
     peer_link.send(Sample, TICK, 7, np.array([0.5]))
-    peer_link.say(Rung(1))
+    peer_link.notify(Rung(1))
     peer_link.send_zero(Force, TICK + 3)
     peer_link.send_again()
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2

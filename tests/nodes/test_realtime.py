@@ -104,7 +104,7 @@ def test_memory_is_locked_only_where_the_limit_leaves_room(
     granted = prepare(RealtimeWishes(priority=0), system).memory_locked
     assert granted.granted is system.locked is locked
     if not locked:
-        assert f"expected at least {memory_needed(RealtimeWishes(), system) // MIB} MiB" in granted.said
+        assert f"expected at least {memory_needed(RealtimeWishes(), system) // MIB} MiB" in granted.answer
 
 
 @given(st.integers(0, 99), st.integers(0, 99), st.booleans(), st.sets(st.integers(0, 7), min_size=1))
@@ -131,9 +131,9 @@ def test_refusals_of_the_kernel_are_reported_and_undone() -> None:
     system = Answers({CAP_SYS_NICE, CAP_IPC_LOCK}, refuses=errno.EPERM)
     granted = prepare(RealtimeWishes(), system)
     assert not granted.memory_locked.granted
-    assert "mlockall: Operation not permitted" in granted.memory_locked.said
+    assert "mlockall: Operation not permitted" in granted.memory_locked.answer
     assert not granted.fifo.granted
-    assert "Operation not permitted" in granted.fifo.said
+    assert "Operation not permitted" in granted.fifo.answer
     assert system.now == ORDINARY  # its limit, too
     assert granted.figures() == {
         "realtime_memory_locked": 0.0,
@@ -154,8 +154,8 @@ def test_who_may_not_have_children_inherit_again_goes_back_without() -> None:
 
 def test_every_grant_and_every_refused_wish_is_reported() -> None:
     granted = prepare(RealtimeWishes(memory=False, priority=0), Answers())
-    assert all(grant.said for grant in granted.grants().values())
-    assert granted.fifo.said == granted.memory_locked.said == "not asked for"
+    assert all(grant.answer for grant in granted.grants().values())
+    assert granted.fifo.answer == granted.memory_locked.answer == "not asked for"
 
 
 # --- the kernel itself, in processes of their own
@@ -264,7 +264,7 @@ resource.setrlimit(resource.RLIMIT_MEMLOCK, (8 << 20, 8 << 20))
 if os.getuid() == 0:
     os.setuid(65534)
 granted = prepare(RealtimeWishes())
-assert not granted.memory_locked.granted and "RLIMIT_MEMLOCK 8 MiB" in granted.memory_locked.said, granted
+assert not granted.memory_locked.granted and "RLIMIT_MEMLOCK 8 MiB" in granted.memory_locked.answer, granted
 bytearray(256 << 20)
 """
     done = run(code)

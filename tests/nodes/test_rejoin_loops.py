@@ -192,7 +192,7 @@ def test_a_returned_environment_finds_the_rungs_it_knows(
         check(reports)
     assert {reports[name].counts["rung"] for name in ("dx", "cx")} == {int(told)}
     core = stage.nodes[ENVIRONMENT].core  # type: ignore[attr-defined]
-    assert core.clutches.ratio(0) >= SLOWEST - 1e-12  # it may still work an offset off
+    assert core.clutches.all[0].ratio >= SLOWEST - 1e-12  # it may still work an offset off
     rung = stage.nodes["cx"]._bundle.rungs[int(told)].block  # type: ignore[attr-defined]
     np.testing.assert_array_equal(core._D_V[:1, :1], rung.D)
 

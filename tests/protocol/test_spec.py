@@ -15,7 +15,7 @@ from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS, Expected, check_link_hello, check_node_hello
 from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
-from manyhands.protocol.transport.door import Refused
+from manyhands.protocol.transport.door import NotAdmitted
 
 from ..support.spec_text import SPEC, table
 
@@ -143,7 +143,7 @@ def test_of_several_codes_the_first() -> None:
 
 
 def test_what_is_counted_at_a_door() -> None:
-    assert [row[0] for row in table("| count at a door | is |")] == list(Refused)
+    assert [row[0] for row in table("| count at a door | is |")] == list(NotAdmitted)
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])

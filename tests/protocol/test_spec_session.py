@@ -31,7 +31,7 @@ from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import Log
 from manyhands.nodes.peer_link import PeerLink, bind_links, hello_to
-from manyhands.nodes.process import Member, Node
+from manyhands.nodes.process import HostedNode, Node
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.gate import DROP_REASONS
@@ -48,7 +48,7 @@ from manyhands.protocol.messages import (
     Telemetry,
 )
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.door import Refused
+from manyhands.protocol.transport.door import NotAdmitted
 from manyhands.protocol.transport.zeromq import HUB_DROPS, ZmqHub, ZmqTransport
 from tests.support.memory_transport import MemoryTransport
 
@@ -176,7 +176,7 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
             case _:
                 continue
         line = LastMessageLine()
-        member = Member(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
+        member = HostedNode(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
         process._report(member, {}, Life.__new__(Life))
         own = [name for name in line.word.counts if name.removeprefix("dropped_") not in DROP_REASONS]
         counted[bundle.common.role] = own
@@ -251,7 +251,7 @@ def test_who_is_trusted_with_what(prepared: Prepared) -> None:
 def test_every_attack_is_counted_by_a_count_that_there_is() -> None:
     attacks = table("| attacker | can at most | cannot | is counted as |")
     named = {name for row in attacks for name in re.findall(r"\w+", row[3])}
-    assert named == {*Refused, *DROP_REASONS, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit"} | {
+    assert named == {*NotAdmitted, *DROP_REASONS, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit"} | {
         telemetry.CLIPPED,
         telemetry.SATURATED,
     }

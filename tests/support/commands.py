@@ -1,4 +1,4 @@
-"""The program, started as a user starts it, for tests of whole sessions."""
+"""The program's commands: within the test's process, or started as a user starts them for tests of whole sessions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from click.testing import Result
+from typer.testing import CliRunner
+
+from manyhands.launch.cli import app
+
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
+
+
+def manyhands_command(*arguments: object) -> Result:
+    """Run a command within this process; the fixture ``own_interrupt`` restores what it does to Ctrl-C."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def run(*arguments: str | Path, cwd: Path | None = None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manyhands.nodes.environment.enforced import Core
+from manyhands.nodes.environment.core import Core
 
 
 def react(core: Core, p: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ def test_a_hand_at_a_browser_moves_a_running_sessions_other_user() -> None:
             moved = held = False
             while not (moved and held):
                 assert clock.now() < deadline, (moved, held)
-                outlet.say(Grasp(np.array([0.1])))
+                outlet.send(Grasp(np.array([0.1])))
                 frame = visit.recv(from_seconds(5.0))
                 told = None if frame is None else decode(frame, MAX_CONTROL_BYTES)
                 match told:

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
-
-from ..support.commands import MANYHANDS, read_until
+from ..support.commands import MANYHANDS, manyhands_command, read_until
 
 ROLES = {"d": "device", "cx": "coupling", "cy": "coupling", "cz": "coupling", "environment": "environment"}
 END = 60.0  # s, of patience with a process that is about to end
+
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 @pytest.fixture(scope="module")
@@ -47,19 +46,16 @@ def session() -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.fixture(autouse=True)
-def look_there(session: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def look_there(session: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Temporary files are where the session's are, in this process and those that it starts."""
     folder: str = session.folder  # type: ignore[attr-defined]
     monkeypatch.setenv("TMPDIR", folder)
     monkeypatch.setattr(tempfile, "tempdir", folder)
-    before = signal.getsignal(signal.SIGINT)  # which the command line takes over
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def looked(*arguments: object) -> str:
     """What a command prints that ends by itself."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    done = manyhands_command(*arguments)
     assert done.exit_code == 0, done.stderr
     return done.stdout
 

@@ -27,7 +27,7 @@ from manyhands.nodes import telemetry
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.transport import Trouble
-from manyhands.protocol.transport.door import Refused
+from manyhands.protocol.transport.door import NotAdmitted
 from manyhands.protocol.transport.zeromq import HUB_DROPS
 
 from ..support.capture import free_ports
@@ -184,7 +184,7 @@ def rows(header: str) -> list[list[str]]:
 
 
 def test_every_count_is_explained_and_every_count_explained_there_is() -> None:
-    at_supervisor = (*Refused, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit")
+    at_supervisor = (*NotAdmitted, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit")
     expected = [[f"`{name}`", "`refused`"] for name in at_supervisor]
     expected += [[f"`{name}`", "`dropped`"] for name in DROP_REASONS]
     expected += [[f"`{telemetry.SATURATED}`", "a coupling's entry"], [f"`{telemetry.CLIPPED}`", "a device's entry"]]

@@ -12,9 +12,9 @@ function takeToken() {
 }
 
 export class Connection {
-  /** `told` is called with every message; `changed` with the state (live, lost, refused) and its reason. */
-  constructor(told, changed) {
-    this.told = told;
+  /** `received` is called with every message; `changed` with the state (live, lost, refused) and its reason. */
+  constructor(received, changed) {
+    this.received = received;
     this.changed = changed;
     this.attempts = 0;
     this.token = takeToken();
@@ -30,7 +30,7 @@ export class Connection {
     };
     socket.onmessage = (event) => {
       this.attempts = 0;
-      this.told(JSON.parse(event.data));
+      this.received(JSON.parse(event.data));
     };
     socket.onclose = (event) => {
       if (event.code === 4401) {

@@ -21,16 +21,16 @@ let session = null;
 let views = null;
 let pictures = 0;
 
-function begin(told) {
-  const same = session && session.about.pid === told.pid && session.about.started === told.started;
+function begin(about) {
+  const same = session && session.about.pid === about.pid && session.about.started === about.started;
   if (same) {
-    session.about = told; // the socket was lost for a while: the same session continues
+    session.about = about; // the socket was lost for a while: the same session continues
     return;
   }
-  session = new Session(told);
+  session = new Session(about);
   const grips = new Grips(session, (message) => connection.send(message));
-  showFacts(told);
-  worldLegend(told);
+  showFacts(about);
+  worldLegend(about);
   views = null; // built with the first picture: until then there is nothing to draw
   session.grips = grips;
 }
@@ -70,7 +70,7 @@ byId("pause").addEventListener("click", (event) => {
   event.currentTarget.textContent = session.paused ? "Go on" : "Pause";
 });
 
-let [before, plotted, told] = [performance.now(), 0, 0];
+let [before, plotted, written] = [performance.now(), 0, 0];
 
 function frame(now) {
   requestAnimationFrame(frame);
@@ -83,8 +83,8 @@ function frame(now) {
     plotted = now;
     views.plots.draw();
   }
-  if (now - told >= WORDS_EVERY) {
-    told = now;
+  if (now - written >= WORDS_EVERY) {
+    written = now;
     showHeader(session);
     showAlarms(session.alarms);
     views.graph.show(session);

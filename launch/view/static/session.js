@@ -5,10 +5,10 @@ import { Track } from "./tracks.js";
 const BEHIND = 0.2; // s by which the drawing stays behind the latest values: telemetry comes ten times a second
 
 export class Session {
-  constructor(told) {
-    this.about = told;
-    this.tracks = new Map(Object.entries(told.tracks).map(([key, facts]) => [key, new Track(facts, told.buckets)]));
-    this.nodes = new Map(Object.keys(told.nodes).map((name) => [name, { state: "", health: "waiting", figures: {} }]));
+  constructor(about) {
+    this.about = about;
+    this.tracks = new Map(Object.entries(about.tracks).map(([key, facts]) => [key, new Track(facts, about.buckets)]));
+    this.nodes = new Map(Object.keys(about.nodes).map((name) => [name, { state: "", health: "waiting", figures: {} }]));
     this.picture = null;
     this.alarms = [];
     this.head = null; // the tick that is drawn, with its fraction

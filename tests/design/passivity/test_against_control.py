@@ -20,11 +20,15 @@ from manyhands.design.models.statespace import StateSpace, Time
 from manyhands.design.passivity.best_level import greatest_input_level, greatest_output_level
 from manyhands.design.passivity.lemma1 import analyse
 
-COUNT = 204
+from ...support import cases as searches
+
+COUNT = searches.cases(102, 204)
 AGREE = (
     1e-5  # relative to the level or 1: CVXOPT's feastol 1e-7 in unscaled coordinates, and what ours gives away (1e-6)
 )
 RUNAWAY = -1e4  # an "optimum" below that, from data of size 1, is a solver that ran off along an unbounded ray
+
+pytestmark = pytest.mark.wide
 
 
 @dataclass(frozen=True)

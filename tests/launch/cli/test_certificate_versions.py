@@ -7,24 +7,19 @@ release wrote them, one for each shipped session that can be certified, and for 
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import Result
-from typer.testing import CliRunner
 
 from manyhands.design.certificate import identity, load, to_json
 from manyhands.design.proof import prove
-from manyhands.launch import cli
-from manyhands.launch.cli import app
 from manyhands.launch.files import load_named
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.run.directory import kept_files
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
+from ...support.commands import manyhands_command
 from ...support.simulated_recordings import recorded_of, simulated, written
 
 ROOT = Path(__file__).parents[3]
@@ -37,18 +32,7 @@ NOT_RECORDED = (
 UNCOUPLED = "example1-uncoupled"  # cannot be certified
 NAMES = [*sorted({path.stem for path in SESSIONS.glob("*.yaml")} - {UNCOUPLED}), "puck"]
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    monkeypatch.setattr(cli.common, "ctrl_c", [])
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def manyhands_command(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def old(name: str) -> Path:

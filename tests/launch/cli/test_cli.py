@@ -6,19 +6,17 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 import manyhands
 from manyhands.launch import cli, design_report
-from manyhands.launch.cli import app
 from manyhands.launch.plan import prepare
+
+from ...support.commands import manyhands_command
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 BROKEN = sorted((Path(__file__).parents[1] / "broken").glob("*.yaml"))
@@ -29,17 +27,7 @@ MATRICES_27 = (
     "[[0.1674,-0.0003,-0.0005],[-0.0003,0.1685,-0.0006],[-0.0005,-0.0006,0.1675]]",
 )
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def manyhands_command(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def given(K: str, B: str) -> list[str]:

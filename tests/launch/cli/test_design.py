@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
 from manyhands.design import synthesis
 from manyhands.design.certificate import identity, load
 from manyhands.design.proof import prove
 from manyhands.launch import cli
-from manyhands.launch.cli import app
+
+from ...support.commands import manyhands_command
 
 KEYS = {"status", "id", "version", "asked", "margin", "gamma", "coupling", "levels", "margins", "period", "tau"}
 KEYS |= {"structure", "enforced"}
@@ -24,18 +24,7 @@ GIVEN = ["--set", "design.coupling=given", "--set", "design.stiffness=704.9", "-
 SHAPED = [*GIVEN, "--set", "design.objective=loop-shaping"]
 COMPLEMENTARITY = ["--set", "design.algorithm=complementarity"]
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    monkeypatch.setattr(cli.common, "ctrl_c", [])
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def manyhands_command(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def one_object(result: Result) -> dict[str, Any]:

@@ -7,33 +7,24 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
 from manyhands.nodes.realtime import may_raise
+
+from ...support.commands import manyhands_command
 
 PERCENTILES = ["p50", "p99", "p999", "max"]
 DOCUMENT = Path(__file__).parents[3] / "docs" / "doctor.md"
 
-pytestmark = pytest.mark.alone  # it measures the machine
-
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("own_interrupt")]  # it measures the machine
 
 
 def doctor(*arguments: str) -> Result:
-    return CliRunner().invoke(app, ["doctor", *arguments])
+    return manyhands_command("doctor", *arguments)
 
 
 def test_the_object_has_what_was_measured_and_what_it_means() -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
-from collections.abc import Iterator
 
 import click
 import pytest
@@ -12,6 +10,8 @@ import typer
 from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
+
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def commands() -> dict[str, typer.core.TyperCommand]:
@@ -26,13 +26,6 @@ def commands() -> dict[str, typer.core.TyperCommand]:
         else:
             open_ |= {f"{words} {name}".strip(): one for name, one in inner.items()}
     return found
-
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def test_there_are_those_that_are_known() -> None:

@@ -4,38 +4,27 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import socket
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from manyhands.launch.cli import app
 from manyhands.launch.plan.keys import make_keys
 from manyhands.launch.session import load_session
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, ObserverBundle
 from manyhands.protocol.messages import Role
 
+from ...support.commands import manyhands_command
+
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 WATCH = "observers={watch: {reads: [telemetry]}}"
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def manyhands_command(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 @pytest.fixture(scope="module")

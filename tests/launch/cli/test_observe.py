@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,23 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from manyhands.launch.cli import app
 from manyhands.launch.run.directory import run_directory
 
+from ...support.commands import manyhands_command
 from ...support.observed_frames import ABOUT
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def manyhands_command(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def completed(*words: str) -> list[str]:

@@ -22,10 +22,10 @@ from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_obje
 from manyhands.launch.doctor.examination import machine_rows
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
-    Delays,
-    Interrupted,
+    DelayRecorder,
     Measured,
     ProbeFailed,
+    ProbeInterrupted,
     Ticking,
     Way,
     at_rest,
@@ -154,7 +154,7 @@ def test_nothing_moves_in_the_session_at_rest() -> None:
 
 
 def test_the_delays_of_every_telemetry_are_kept_in_nanoseconds() -> None:
-    delays = Delays()
+    delays = DelayRecorder()
     for node, rows in (("dx", [[250.0], [300.5]]), ("dy", [[0.125]])):
         delays.take(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
     delays.take(encode(Observation("cx", 2, {}, {})))
@@ -219,7 +219,7 @@ def test_each_weakness_of_the_machine_has_its_advice(changes: dict[str, object],
 def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says: str, worth: Worth) -> None:
     (one,) = advice(a_machine(), measurement(510.0, 600.0, **{refused: NO}), worth, chains=3)
     assert says in one.change
-    assert NO.said in one.change
+    assert NO.answer in one.change
 
 
 def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Worth) -> None:
@@ -286,7 +286,7 @@ def test_a_silent_process_has_a_deadline(tmp_path: Path, monkeypatch: pytest.Mon
 def test_ctrl_c_ends_every_wait(tmp_path: Path) -> None:
     with Interrupt() as interrupt:
         signal.raise_signal(signal.SIGINT)
-        with pytest.raises(Interrupted) as caught:
+        with pytest.raises(ProbeInterrupted) as caught:
             waking(tmp_path, interrupt)
     assert caught.value.signal is signal.SIGINT
 
@@ -311,7 +311,7 @@ def test_a_session_that_fails_is_reported_with_its_faults(monkeypatch: pytest.Mo
 
 
 def test_an_interrupted_session_interrupts_the_probe(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(Interrupted) as caught:
+    with pytest.raises(ProbeInterrupted) as caught:
         ended(monkeypatch, 128 + signal.SIGTERM)()
     assert caught.value.signal is signal.SIGTERM
 

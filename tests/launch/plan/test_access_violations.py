@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +48,6 @@ def test_blocks_and_ports_that_the_session_does_not_have() -> None:
         "the block 'cx' touches the port 'dw' of none of the couplings; the process 'cx' may read and write dx alone",
         "the block 'cw' has no process; expected one of cx, cy, cz",
     ]
-
-
-@pytest.fixture
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def launch(session: str, overrides: list[str], certificate: Path) -> Result:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
 import stat
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,13 +40,7 @@ from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, 
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 @pytest.fixture(scope="module")

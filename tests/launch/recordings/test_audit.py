@@ -20,7 +20,7 @@ from manyhands.launch.recordings.audit import Audit, audit, bounded
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
 from manyhands.launch.recordings.events import Course, course_of
-from manyhands.launch.recordings.findings import Check, UncheckedTicks, Verdict, compare
+from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import Figures, read_run, there
 from manyhands.launch.session import load_session
@@ -83,10 +83,10 @@ def test_an_honest_recording_holds_to_the_last_bit(kind: str, tmp_path: Path) ->
     nodes = recorded_of(prepared).roles
     for node in nodes:
         ledger = found(done, node, "ledger")
-        assert (ledger.verdict, ledger.numbers, ledger.gaps, ledger.tolerance) == (Verdict.HOLDS, TICKS, (), 0.0)
-        assert found(done, node, "bound").verdict is Verdict.HOLDS
+        assert (ledger.verdict, ledger.numbers, ledger.gaps, ledger.tolerance) == (CheckVerdict.HOLDS, TICKS, (), 0.0)
+        assert found(done, node, "bound").verdict is CheckVerdict.HOLDS
     for check in done.checks:
-        assert check.verdict is Verdict.HOLDS, check
+        assert check.verdict is CheckVerdict.HOLDS, check
     work = found(done, "environment", "work")
     assert (work.numbers, work.tolerance < 1e-13) == (TICKS, True)
     assert sum(check.numbers for check in done.checks) > 20 * TICKS
@@ -193,7 +193,7 @@ def test_a_frozen_couplings_gap_is_reported_and_the_rest_is_checked(prepared: Pr
     for name in ("tools", "masses", "forces", "ledger"):
         check = found(done, "environment", name)
         assert [(gap.begin, gap.end) for gap in check.gaps] == [(150, 600)]
-        assert check.verdict is Verdict.HOLDS
+        assert check.verdict is CheckVerdict.HOLDS
     work = found(done, "environment", "work")
     assert (work.numbers, work.gaps) == (600, ())
 
@@ -395,7 +395,7 @@ def test_a_recording_from_before_the_events_is_audited() -> None:
     run = read_run(path)
     assert not any("@" in name for told in run.figures.values() for _, figures in told for name in figures)
     done = audited(path)
-    assert {check.verdict for check in done.checks} == {Verdict.HOLDS}
+    assert {check.verdict for check in done.checks} == {CheckVerdict.HOLDS}
     assert (done.ticks, findings(path)) == (30, [])
     code, out, _ = invoke("replay", path)
     assert code == 0
@@ -404,14 +404,14 @@ def test_a_recording_from_before_the_events_is_audited() -> None:
 
 def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:
     run = read_run(recording)
-    assert bounded(run, "dx").verdict is Verdict.HOLDS
+    assert bounded(run, "dx").verdict is CheckVerdict.HOLDS
     run.traces["dx", "ledger"].values[AT] = -1e-9
     check = bounded(run, "dx")
-    assert check.verdict is Verdict.BROKEN
+    assert check.verdict is CheckVerdict.BROKEN
     assert check.first is not None
     assert (check.first.tick, check.first.recorded) == (AT, -1e-9)
     run.traces["dx", "ledger"].values[:] = np.nan
-    assert bounded(run, "dx").verdict is Verdict.UNCHECKED
+    assert bounded(run, "dx").verdict is CheckVerdict.UNCHECKED
 
 
 def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:
@@ -421,10 +421,10 @@ def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:
 
     done = audited(forged(tmp_path / "f.mcap", read_run(recording), change))
     tau = found(done, "dx", "tau")
-    assert (tau.verdict, tau.holds, tau.differing) == (Verdict.ASSUMPTION, True, TICKS - AT)
+    assert (tau.verdict, tau.holds, tau.differing) == (CheckVerdict.ASSUMPTION, True, TICKS - AT)
     assert tau.first is not None
     assert tau.first.tick == AT
-    assert found(done, "dy", "tau").verdict is Verdict.HOLDS
+    assert found(done, "dy", "tau").verdict is CheckVerdict.HOLDS
     assert {check.first.tick for check in done.broken if check.name == "limits" and check.first} == {AT}
 
 
@@ -436,14 +436,14 @@ def test_a_certificate_that_proves_nothing_is_found(prepared: Prepared, tmp_path
     done = audited(written(tmp_path / "r.mcap", recorded_of(prepared), parts, simulated(prepared, 20)))
     (check,) = done.checks
     assert (check.name, check.holds) == ("certificate", False)
-    assert "not proved" in check.told
+    assert "not proved" in check.remark
 
 
 def test_another_certificate_than_that_of_the_run_is_found(prepared: Prepared, tmp_path: Path) -> None:
     recorded = dataclasses.replace(recorded_of(prepared), certificate="0" * 64)
     done = audited(written(tmp_path / "r.mcap", recorded, attachments_of(prepared), simulated(prepared, 20)))
     assert broken(done) == {("session", "certificate"): -1}
-    assert "which its session ran under by its metadata" in done.checks[0].told
+    assert "which its session ran under by its metadata" in done.checks[0].remark
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +19,7 @@ from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
 
 from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def test_it_describes_a_whole_recording(tmp_path: Path) -> None:

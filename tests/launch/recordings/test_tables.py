@@ -5,8 +5,6 @@ from __future__ import annotations
 import builtins
 import csv
 import json
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +27,7 @@ NAMES = [
     *("environment.tools[x]_m", "environment.masses[puck]_m", "environment.ledger[E]_J"),
 ]
 
-
-@pytest.fixture(autouse=True)
-def own_interrupt() -> Iterator[None]:
-    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
-from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastHeard, Supervisor
+from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastMessages, Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
@@ -264,12 +264,12 @@ def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
 
 
 def test_attention() -> None:
-    last_heard = LastHeard()
-    assert last_heard.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
-    last_heard.note("b", Instant(10))
-    assert last_heard.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
-    last_heard.forget("a")
-    assert last_heard.quiet(["a", "b"], Instant(20), Duration(10)) == []
+    last_messages = LastMessages()
+    assert last_messages.quiet(["a"], Instant(5), Duration(10)) == []  # heard of now, for the first time
+    last_messages.note("b", Instant(10))
+    assert last_messages.quiet(["a", "b"], Instant(16), Duration(10)) == ["a"]
+    last_messages.forget("a")
+    assert last_messages.quiet(["a", "b"], Instant(20), Duration(10)) == []
 
 
 def test_a_killed_processs_log_goes_on_with_the_next(tmp_path: Path) -> None:

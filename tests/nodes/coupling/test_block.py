@@ -59,7 +59,7 @@ def force(tick: int, value: float) -> Reaction:
 
 def step(block: Block, world: MessageLink, tick: int, x: float, f: float) -> None:
     """A tick in which all goes well."""
-    block.say(np.array([x]), tick, tick)
+    block.send(np.array([x]), tick, tick)
     world.say(force(tick, f))
     assert block.hear(tick, NOW) is Received.SIGNAL
     block.climb(tick)
@@ -71,7 +71,7 @@ def test_a_force_within_the_limits_is_applied_as_it_came(
 ) -> None:
     step(block, world, 0, 0.001, 1.5)
     assert block.applied == [1.5]
-    block.say(np.array([0.001]), 1, 9)
+    block.send(np.array([0.001]), 1, 9)
     p = 0.001 + (bundle.block.C @ bundle.block.B @ [1.5])[0]
     (first, second) = world.said
     assert first == Tool(0, 0, [0.001])
@@ -83,14 +83,14 @@ def test_a_force_within_the_limits_is_applied_as_it_came(
 def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: MessageLink, bundle: CouplingBundle) -> None:
     step(block, world, 0, 0.0, 5 * LIMIT)
     assert block.applied == [LIMIT]
-    block.say(np.zeros(1), 1, 0)
+    block.send(np.zeros(1), 1, 0)
     np.testing.assert_allclose(world.said[-1].values, bundle.block.C @ bundle.block.B @ [LIMIT])  # type: ignore[union-attr]
     assert block.report().counts["saturated"] == 1
 
 
 def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: MessageLink) -> None:
     step(block, world, 0, 0.001, 1.5)
-    block.say(np.array([0.001]), 1, 0)
+    block.send(np.array([0.001]), 1, 0)
     world.say(force(7, 0.0))
     assert block.hear(1, NOW) is Received.DECLINED
     assert block.environment.other_tick == 7
@@ -103,7 +103,7 @@ def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: 
 @pytest.mark.parametrize("stray", [force(7, 0.5), force(0, 0.0), force(0, 0.5)])
 def test_any_other_force_of_another_tick_is_none(block: Block, world: MessageLink, stray: Reaction) -> None:
     step(block, world, 0, 0.001, 1.5)
-    block.say(np.zeros(1), 1, 0)
+    block.send(np.zeros(1), 1, 0)
     world.say(stray)
     assert block.hear(1, NOW) is Received.NOTHING
     assert block.jumps == 0
@@ -113,15 +113,15 @@ def test_any_other_force_of_another_tick_is_none(block: Block, world: MessageLin
 
 
 def test_a_signal_is_sent_again_with_its_stamp(block: Block, world: MessageLink) -> None:
-    block.say(np.array([0.5]), 3, 77)
-    block.say_again(3)
-    block.say_again(5)  # the session has gone on
+    block.send(np.array([0.5]), 3, 77)
+    block.send_again(3)
+    block.send_again(5)  # the session has gone on
     assert world.said == [Tool(3, 77, [0.5]), Tool(3, 77, [0.5]), Tool(5, 77, [0.5])]
 
 
 def shift(block: Block, world: MessageLink, tick: int, rung: int) -> int | None:
     """The environment changes the block at a ratio of 0."""
-    block.say(np.zeros(1), tick, 0)
+    block.send(np.zeros(1), tick, 0)
     world.say(Rung(rung), force(tick, 0.0))
     assert block.hear(tick, NOW) is Received.SIGNAL
     climbed = block.climb(tick)
@@ -138,13 +138,13 @@ def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
     assert (block.rung, block.report().counts["rung"]) == (2, 2)
     assert block.core.ledger is ledger
     assert block.report().counts["saturated"] == 1
-    block.say(np.array([0.001]), 2, 0)
+    block.send(np.array([0.001]), 2, 0)
     np.testing.assert_array_equal(world.said[-1].values, [0.001])  # type: ignore[union-attr] -- at rest
     world.say(force(2, 1.0))
     block.hear(2, NOW)
     assert block.climb(2) is None
     block.settle(2)
-    block.say(np.zeros(1), 3, 0)
+    block.send(np.zeros(1), 3, 0)
     of = bundle.rungs[2].block
     np.testing.assert_allclose(world.said[-1].values, of.C @ of.B @ [1.0])  # type: ignore[union-attr]
 
@@ -161,7 +161,7 @@ def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
 
 def test_a_block_ignores_a_misdirected_absence(block: Block, world: MessageLink) -> None:
     world.say(Absent("dx"), force(0, 0.5))
-    block.say(np.zeros(1), 0, 0)
+    block.send(np.zeros(1), 0, 0)
     assert block.hear(0, NOW) is Received.SIGNAL
     assert block.climb(0) is None
 
@@ -179,7 +179,7 @@ def meet_environment(block: Block, tick: int) -> MessageLink:
 
 
 def test_a_returned_environment_receives_the_blocks_tick(block: Block, world: MessageLink) -> None:
-    block.say(np.array([0.5]), 3, 77)
+    block.send(np.array([0.5]), 3, 77)
     fresh = meet_environment(block, 3)
     assert fresh.said[-1] == Tool(3, 77, [0.5])
     assert len(world.said) == 1
@@ -188,13 +188,13 @@ def test_a_returned_environment_receives_the_blocks_tick(block: Block, world: Me
 def test_a_returned_environment_finds_the_block_at_the_first_rung(block: Block, world: MessageLink) -> None:
     """The handshake gave it D_V of that rung; it knows no other before a shift."""
     assert shift(block, world, 0, 2) == 2
-    block.say(np.zeros(1), 1, 0)
+    block.send(np.zeros(1), 1, 0)
     fresh = meet_environment(block, 1)
     fresh.say(force(1, 0.0))
     assert block.hear(1, NOW) is Received.SIGNAL
     assert block.climb(1) == 0
     block.settle(1)
-    block.say(np.zeros(1), 2, 0)
+    block.send(np.zeros(1), 2, 0)
     fresh.say(Rung(2), force(2, 0.0))  # it receives the shift, and shifts
     block.hear(2, NOW)
     assert block.climb(2) == 2

@@ -102,29 +102,29 @@ def test_a_speed_is_that_of_one_period() -> None:
 def test_a_device_within_its_limits_reports_its_position_unchanged() -> None:
     g = guard()
     for x in ([0.0, 0.0], [0.001, 0.0005], [0.2, 0.5]):
-        assert g.tell(x, 1000) is x
+        assert g.report(x, 1000) is x
         assert g.clip([1.0, 1.0]) == [1.0, 1.0]
     assert (g.let_go, g.holds) == (0, True)
 
 
 def test_beyond_its_speed_a_device_lets_go_and_returns_by_ramp() -> None:
     g = guard()
-    g.tell([0.0, 0.0])
-    assert g.tell([0.01, 0.0]) == [pytest.approx(0.002), 0.0]  # as far as its speed allows
+    g.report([0.0, 0.0])
+    assert g.report([0.01, 0.0]) == [pytest.approx(0.002), 0.0]  # as far as its speed allows
     assert (g.let_go, g.holds, g.clip([1.0, 1.0])) == (1, False, [0.0, 0.0])
     assert "speed of 10 m/s at arm.0" in g.why
     for _ in range(RETURN):
-        assert g.tell([0.011, 0.0]) == [pytest.approx(0.002), 0.0]
+        assert g.report([0.011, 0.0]) == [pytest.approx(0.002), 0.0]
         assert g.clip([1.0, 1.0]) == [0.0, 0.0]
     felt = []
     for _ in range(RETURN):
-        g.tell([0.011, 0.0])
+        g.report([0.011, 0.0])
         felt.append(g.clip([1.0, 1.0])[0])
     assert felt == sorted(felt)
     assert felt[0] < 1e-3
     assert max(np.diff(felt)) <= np.pi / 2.0 / RETURN
     assert felt[-1] == 1.0
-    assert g.tell([0.012, 0.0]) == [
+    assert g.report([0.012, 0.0]) == [
         pytest.approx(0.003),
         0.0,
     ]  # the reported position stays behind, not the motion
@@ -134,17 +134,17 @@ def test_beyond_its_speed_a_device_lets_go_and_returns_by_ramp() -> None:
 def test_who_is_held_beyond_its_displacement_stays_out() -> None:
     g = guard()
     for _ in range(3 * RETURN):
-        told = g.tell([0.3, 0.0])
-        assert told == [0.2, 0.0]
+        reported = g.report([0.3, 0.0])
+        assert reported == [0.2, 0.0]
         assert g.clip([1.0, 1.0]) == [0.0, 0.0]
     assert g.let_go == 1
 
 
 def test_a_non_number_is_sent_to_no_peer() -> None:
     g = guard()
-    g.tell([0.1, 0.0])
+    g.report([0.1, 0.0])
     for x in ([math.nan, 0.0], [0.1, math.inf], [0.1, 0.0]):
-        assert g.tell(x) == [0.1, 0.0]
+        assert g.report(x) == [0.1, 0.0]
         assert g.clip([1.0, 1.0]) == [0.0, 0.0]
 
 
@@ -157,11 +157,11 @@ def test_letting_go_and_taking_hold_makes_no_energy(steps: list[float], forces: 
     """The reported work is done on the device, except in a tick in which the device is beyond its speed."""
     g = Guard(Limits((8.0,), (1e3,), (1.0,)), T, ("arm",))
     x = told = done = said = force = applied = 0.0
-    g.tell([0.0])
+    g.report([0.0])
     for k in range(6 * calm):
         step = steps[k % len(steps)] if k % calm < len(steps) else 0.5e-3 * math.sin(k)
         let_go = g.let_go
-        (now,) = g.tell([x + step])
+        (now,) = g.report([x + step])
         assert abs(now - told) <= T * (1.0 + 1e-9)
         if g.let_go == let_go:
             done += applied * step

@@ -198,13 +198,13 @@ def test_what_comes_from_the_pointer_moves_the_device(prepared: Prepared, tmp_pa
     outlet = PointerOutlet(tmp_path, "left")
     try:
         for turn, (word, grasped) in enumerate(((at(0.05), 1.0), (Release(), 0.0), (at(0.05), 1.0))):
-            assert outlet.say(word)
+            assert outlet.send(word)
             for tick in range(500 * turn, 500 * (turn + 1)):
                 (x,) = driver.sample(tick, instant(tick))
                 driver.idle(instant(tick + 1))
             assert driver.figures()[names.GRASPED] == grasped
         assert x == pytest.approx(0.05, rel=1e-2)
-        assert outlet.say(at(0.0, 1.0))
+        assert outlet.send(at(0.0, 1.0))
         driver.sample(tick + 1, instant(tick + 1))
         driver.idle(instant(tick + 2))
         assert driver.figures()[names.GRASPS_REFUSED] == 1.0

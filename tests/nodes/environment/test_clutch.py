@@ -74,11 +74,11 @@ class Oracle:
         m = len(p)
         S, r = np.ones(m), np.zeros(m)
         for i, block in enumerate(self.blocks):
-            s = core.clutches.ratio(i)
+            s = core.clutches.all[i].ratio
             S[block] = s
             if s == 0.0:
                 r[block] = self.x_e[block]
-            elif core.clutches.settled(i) and not before[i][1]:
+            elif core.clutches.all[i].settled and not before[i][1]:
                 r[block] = p[block]
             else:
                 r[block] = self.x_e[block] + s * (p[block] - self.x_c[block])
@@ -104,7 +104,7 @@ def tools(core: EnvironmentCore) -> np.ndarray:
 
 
 def states(core: EnvironmentCore, count: int) -> list[tuple[float, bool]]:
-    return [(core.clutches.ratio(i), core.clutches.settled(i)) for i in range(count)]
+    return [(core.clutches.all[i].ratio, core.clutches.all[i].settled) for i in range(count)]
 
 
 partitions = st.sampled_from([[[0], [1], [2]], [[0, 2], [1]], [[2, 0, 1]], [[3, 1], [0, 4], [2]], [[0]]])
@@ -133,23 +133,23 @@ def test_a_ramp_takes_its_ticks_and_keeps_its_greatest_rate(ramp: int) -> None:
     world = ClutchedLoop(1, [[0], [1]], ramp)
     core, p = world.core, np.zeros(2)
     core.clutches.freeze(0)
-    ratios = [core.clutches.ratio(0)]
+    ratios = [core.clutches.all[0].ratio]
     for k in range(3 * ramp + 6):
         if k == 2:
             core.clutches.engage(0)
         if k == ramp + 3:
-            assert core.clutches.ratio(0) == 1.0
+            assert core.clutches.all[0].ratio == 1.0
             core.clutches.disengage(0)
         if k == 2 * ramp + 4:
-            assert core.clutches.frozen(0)
+            assert core.clutches.all[0].ratio == 0.0
         react(core, p)
         core.settle()
-        ratios.append(core.clutches.ratio(0))
+        ratios.append(core.clutches.all[0].ratio)
     assert ratios[:4] == [0.0] * 4  # frozen, and the tick that takes the reference
     assert ratios[-1] == 0.0
     steps = np.abs(np.diff(ratios))
     assert np.max(steps) <= math.pi / (2.0 * ramp) + 1e-12
-    assert core.clutches.ratio(1) == 1.0
+    assert core.clutches.all[1].ratio == 1.0
 
 
 def test_who_leaves_may_turn_round() -> None:
@@ -158,11 +158,11 @@ def test_who_leaves_may_turn_round() -> None:
     for _ in range(8):
         react(core, p)
         core.settle()
-    turned = core.clutches.ratio(0)
+    turned = core.clutches.all[0].ratio
     assert 0.0 < turned < 1.0
     core.clutches.engage(0)
     react(core, p)
-    assert turned < core.clutches.ratio(0) <= turned + math.pi / 40.0
+    assert turned < core.clutches.all[0].ratio <= turned + math.pi / 40.0
 
 
 def test_freezing_begins_with_the_next_react() -> None:
@@ -177,7 +177,7 @@ def test_freezing_begins_with_the_next_react() -> None:
         which.settle()
         which.clutches.freeze(0)
         assert f[0] != 0.0
-        assert which.clutches.frozen(0)
+        assert which.clutches.all[0].ratio == 0.0
     np.testing.assert_array_equal(react(core, p * 2), react(other, p * 2))
     core.settle()
     assert core.ledger is not None
@@ -228,7 +228,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         core.settle()
         np.testing.assert_allclose(core.tools, oracle.x_e, rtol=0, atol=1e-12)
         given_up += oracle.given_up
-        newly = [i for i in range(len(blocks)) if core.clutches.settled(i) and not before[i][1]]
+        newly = [i for i in range(len(blocks)) if core.clutches.all[i].settled and not before[i][1]]
         assert len(newly) <= 1
         if not newly:
             assert abs(oracle.given_up) <= oracle.rounding + 1e-18
@@ -238,10 +238,10 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
             assert oracle.given_up <= LET_GO * float(np.linalg.norm(oracle.f_e[block])) + oracle.rounding
         for i in range(len(blocks)):
             # rounded at most once on either side
-            moved = abs(core.clutches.ratio(i) - before[i][0])
-            assert core.clutches.ratio(i) <= allowed[i] + 1e-12
+            moved = abs(core.clutches.all[i].ratio - before[i][0])
+            assert core.clutches.all[i].ratio <= allowed[i] + 1e-12
             # a restraint is obeyed at once
-            assert moved <= math.pi / (2.0 * world.ramp) + 1e-12 or core.clutches.ratio(i) in (
+            assert moved <= math.pi / (2.0 * world.ramp) + 1e-12 or core.clutches.all[i].ratio in (
                 0.0,
                 pytest.approx(allowed[i]),
             )
@@ -280,7 +280,7 @@ def test_all_may_be_frozen_and_come_back() -> None:
     for _ in range(world.ramp + 1):
         f = react(core, p)
         core.settle()
-    assert core.clutches.ratio(0) == core.clutches.ratio(1) == 1.0
+    assert core.clutches.all[0].ratio == core.clutches.all[1].ratio == 1.0
     assert np.all(f != 0.0)
 
 
@@ -382,7 +382,7 @@ def returned(
         core.settle()
         offsets.append(core.clutches.all[0].offset)
         forces.append(np.array(core._f)[block])
-        if core.clutches.settled(0):
+        if core.clutches.all[0].settled:
             break
     return np.array(offsets), np.array(forces)
 
@@ -405,8 +405,8 @@ def test_an_offset_is_worked_off_to_nothing(sign: float, push: float) -> None:
     if push:
         assert np.all(push * forces > 0.0)
     offsets = np.abs(offsets[:, 0])
-    assert core.clutches.settled(0)
-    assert core.clutches.ratio(0) == core.clutches.ratio(1) == 1.0
+    assert core.clutches.all[0].settled
+    assert core.clutches.all[0].ratio == core.clutches.all[1].ratio == 1.0
     assert offsets[-1] == 0.0
     assert 0.0 < offsets[-2] <= LET_GO
     # D_V f of another user's making may move the end against p for a while, and no more than that
@@ -421,7 +421,7 @@ def test_an_offset_of_several_axes_shrinks_by_motion_in_all() -> None:
         return 0.03 * np.array([math.sin(0.01 * k), math.sin(0.0173 * k), math.cos(0.0127 * k)])
 
     offsets, _ = returned(world, hand, np.array([4e-3, -6e-3, 2e-3]), 60_000)
-    assert world.core.clutches.settled(0)
+    assert world.core.clutches.all[0].settled
     assert np.all(offsets[-1] == 0.0)
     assert 0.0 < np.linalg.norm(offsets[-2]) <= LET_GO
 
@@ -439,15 +439,15 @@ def test_an_offset_is_kept_under_a_force_that_has_turned() -> None:
     for p in (-o, -1e-3, 1e-3, 2e-3):  # the reference; the force turns against it; no try, but a lag; let go
         forces.append(react(core, np.array([p]))[0])
         core.settle()
-        assert core.clutches.settled(0) == (p == 2e-3)
+        assert core.clutches.all[0].settled == (p == 2e-3)
     assert forces == pytest.approx([0.0, k * (1e-3 - o), k * s * (1e-3 - o - s * 2e-3), -k * 2e-3], rel=1e-12)
 
 
 def test_a_hand_that_rests_keeps_its_offset_and_full_coupling() -> None:
     world = ClutchedLoop(13, [[0], [1]])
     offsets, _ = returned(world, lambda _: np.zeros(2), np.array([5e-3]), 400)
-    assert world.core.clutches.ratio(0) == 1.0
-    assert not world.core.clutches.settled(0)
+    assert world.core.clutches.all[0].ratio == 1.0
+    assert not world.core.clutches.all[0].settled
     assert np.all(offsets[world.ramp + 1 :] == pytest.approx(5e-3, rel=0.2))
 
 
@@ -496,10 +496,10 @@ def test_a_frozen_block_may_change_its_feedthrough() -> None:
         expected = oracle.step(p, core, before)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * (1.0 + np.max(np.abs(expected))))
         assert abs(oracle.given_up) <= oracle.rounding + LET_GO * float(np.linalg.norm(oracle.f_e)) * any(
-            core.clutches.settled(i) and not before[i][1] for i in range(2)
+            core.clutches.all[i].settled and not before[i][1] for i in range(2)
         )
         core.settle()
-    assert core.clutches.ratio(0) > 0.99 * SLOWEST
+    assert core.clutches.all[0].ratio > 0.99 * SLOWEST
 
 
 def test_a_feedthrough_exchanged_within_a_tick_acts_in_the_next() -> None:
@@ -525,7 +525,7 @@ def test_a_feedthrough_exchanged_within_a_tick_acts_in_the_next() -> None:
                 core.clutches.engage(0)
             found.append(core.tools)
         assert found[:2] == found[2:], k
-    assert within.core.clutches.ratio(0) > 0.99 * SLOWEST
+    assert within.core.clutches.all[0].ratio > 0.99 * SLOWEST
 
 
 def test_only_a_frozen_block_may() -> None:
@@ -593,7 +593,7 @@ def test_a_ratio_without_a_unique_solution_keeps_the_block_frozen() -> None:
         core.settle()
         assert np.all(np.isfinite(f))
         assert f[1] == -1.0
-        assert core.clutches.ratio(0) < s
+        assert core.clutches.all[0].ratio < s
     assert core.ill_posed == 1
-    assert core.clutches.frozen(0)
-    assert core.clutches.ratio(1) == 1.0
+    assert core.clutches.all[0].ratio == 0.0
+    assert core.clutches.all[1].ratio == 1.0

@@ -135,14 +135,14 @@ def test_who_is_given_up_is_frozen_and_not_answered(world: TwoCouplings) -> None
     assert world.cy.missing(world.tick)
     world.members.give_up(world.cy, world.tick)
     assert not world.cy.missing(world.tick)
-    assert world.core.clutches.frozen(1)
+    assert world.core.clutches.all[1].ratio == 0.0
     assert world.members.active == [world.cx]
-    before = world.core.clutches.offset(1)
+    before = world.core.clutches.all[1].offset
     world.finish()
     assert world.forces("cy").keys() == {0}
     world.together(50, but="cy")
-    assert world.core.clutches.frozen(1)
-    np.testing.assert_array_equal(world.core.clutches.offset(1), before)
+    assert world.core.clutches.all[1].ratio == 0.0
+    np.testing.assert_array_equal(world.core.clutches.all[1].offset, before)
     assert (world.members.frozen, world.members.absences) == (1, 1)
 
 
@@ -184,7 +184,7 @@ def test_it_rejoins_by_a_ramp_from_zero_force(world: TwoCouplings) -> None:
     steps = np.diff([forces[first + k] for k in range(RAMP + 1)])
     # s moves by at most pi/(2 RAMP) a tick, and f_c = s f_e with x_e moved by s as well
     assert np.max(np.abs(steps)) <= np.pi / RAMP * (STIFFNESS + DAMPING / T) * 0.01
-    assert world.core.clutches.ratio(1) == 1.0
+    assert world.core.clutches.all[1].ratio == 1.0
 
 
 def test_the_signal_of_its_due_tick_may_come_early(world: TwoCouplings) -> None:
@@ -286,7 +286,7 @@ def test_what_came_early_from_one_that_was_lost_since_is_forgotten(world: TwoCou
         assert world.hear(world.cy) is Received.NOTHING
         world.together(but="cy")
     assert world.cy.membership.state is Membership.GONE
-    assert world.core.clutches.frozen(1)
+    assert world.core.clutches.all[1].ratio == 0.0
 
 
 def test_a_member_absent_when_due_gets_a_pause(world: TwoCouplings) -> None:
@@ -361,7 +361,7 @@ def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> 
     world.together(2)
     assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
     assert world.members.all_active
-    assert 0.0 < world.core.clutches.ratio(0) < 0.01
+    assert 0.0 < world.core.clutches.all[0].ratio < 0.01
 
 
 class Test_a_coupling_that_was_lost:
@@ -384,7 +384,7 @@ class Test_a_coupling_that_was_lost:
         world.come_back("cy", 2 * D_V)
         assert (world.cy.membership.state, world.cy.peer_link.reachable) == (Membership.GONE, False)
         world.together(3, but="cy")
-        assert world.core.clutches.frozen(1)
+        assert world.core.clutches.all[1].ratio == 0.0
 
     def test_is_at_the_first_rung_and_shifted_again_before_it_rejoins(self, world: TwoCouplings) -> None:
         world.together(200)
@@ -401,7 +401,7 @@ class Test_a_coupling_that_was_lost:
         assert (said[1], said[2].values) == (Rung(2), [0.0])  # type: ignore[union-attr]
         assert world.core._D_V[1, 1] == RUNGS["cy"][1][0, 0]
         world.together(RAMP + 1)
-        assert world.core.clutches.ratio(1) == 1.0
+        assert world.core.clutches.all[1].ratio == 1.0
 
 
 class Test_a_change_of_rung:
@@ -421,7 +421,7 @@ class Test_a_change_of_rung:
         assert np.all(np.diff(forces) >= 0.0)  # it only fades
         assert world.core._D_V[1, 1] == RUNGS["cy"][0][0, 0]
         world.together(RAMP + 1)
-        assert world.core.clutches.ratio(1) == 1.0
+        assert world.core.clutches.all[1].ratio == 1.0
         assert not any(isinstance(told, Rung) for told in world.ends["cx"].said)
 
     def test_comes_with_the_second_tick_without_force(self, world: TwoCouplings) -> None:
@@ -440,7 +440,7 @@ class Test_a_change_of_rung:
         for word in (Shift("cy", 1), Shift("cy", 0)):
             world.members.obey(word, world.line, world.tick)  # type: ignore[arg-type]
             world.together(RAMP // 2)
-        assert (world.cy.rung, world.core.clutches.ratio(1)) == (0, 1.0)
+        assert (world.cy.rung, world.core.clutches.all[1].ratio) == (0, 1.0)
 
     @pytest.mark.parametrize("between", [0, RAMP // 2, 2 * RAMP])
     def test_where_no_mixture_is_certified_comes_for_all_in_one_tick(
@@ -457,7 +457,7 @@ class Test_a_change_of_rung:
             world.together()
         assert world.cx.rung == 1
         world.together(RAMP + 1)
-        assert [world.core.clutches.ratio(block) for block in (0, 1)] == [1.0, 1.0]
+        assert [world.core.clutches.all[block].ratio for block in (0, 1)] == [1.0, 1.0]
 
     def test_without_certified_mixture_waits_for_no_frozen_member(self, new_life: Callable[[], Any]) -> None:
         world = TwoCouplings(new_life(), independent=False)
@@ -467,13 +467,13 @@ class Test_a_change_of_rung:
         world.together(RAMP + 2, but="cy")
         assert (world.cx.rung, world.cy.rung) == (1, 0)
         world.together()
-        assert (world.cy.rung, world.core.clutches.ratio(1)) == (1, 0.0)
+        assert (world.cy.rung, world.core.clutches.all[1].ratio) == (1, 0.0)
 
     @pytest.mark.parametrize("word", [Shift("cy", 3), Shift("cz", 1)])
     def test_beyond_the_ladder_or_of_a_stranger_is_none(self, world: TwoCouplings, word: Shift) -> None:
         world.members.obey(word, world.line, world.tick)  # type: ignore[arg-type]
         world.together(3)
-        assert (world.cy.rung, world.cy.wanted, world.core.clutches.ratio(1)) == (0, 0, 1.0)
+        assert (world.cy.rung, world.cy.wanted, world.core.clutches.all[1].ratio) == (0, 0, 1.0)
 
     def test_of_a_frozen_coupling_waits_until_it_is_active(self, world: TwoCouplings) -> None:
         frozen_for(world, 20)
@@ -493,7 +493,7 @@ class Test_an_environment_that_comes_back:
     def test_awaits_everybody_with_nobody_let_in(self, back: TwoCouplings) -> None:
         assert [member.missing(400) for member in back.members.all] == [True, True]
         assert back.members.active == []
-        assert all(back.core.clutches.frozen(block) for block in (0, 1))
+        assert all(back.core.clutches.all[block].ratio == 0.0 for block in (0, 1))
 
     def test_takes_the_greatest_tick_and_sends_it_to_others(self, back: TwoCouplings) -> None:
         back.say("cx", 430)
@@ -608,7 +608,7 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
         for member in world.members.all:
             active = member.membership.state is Membership.ACTIVE
             assert active == (member in world.members.active)
-            assert active or world.core.clutches.frozen(member.index)
+            assert active or world.core.clutches.all[member.index].ratio == 0.0
             rungs[member.peer_link.peer.name] = member.rung
         assert world.members.all_active == (world.members.frozen == 0)
         assert world.members.absences >= absences

@@ -14,7 +14,7 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
-from manyhands.nodes.environment.enforced import environment_core
+from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.node import EnvironmentTelemetry
 from manyhands.nodes.tick_events import TickEvents
 

@@ -24,7 +24,7 @@ from manyhands.nodes.recorder import node as status
 from manyhands.nodes.recorder.core import CHUNK_BYTES, RecorderCore, Ticks, row_texts
 from manyhands.nodes.recorder.format import Recorded, decode_condition, decode_figures, encode_condition, encode_figures
 from manyhands.nodes.recorder.mcap import RecordingFile
-from manyhands.nodes.recorder.node import Plan, PlanError
+from manyhands.nodes.recorder.node import PlanError, RecordingPlan
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role, Stop, Telemetry
 
@@ -253,9 +253,9 @@ class Test_file:
 
 class Test_status:
     every: tuple[status.Status, ...] = (
-        status.Ready("ipc:///x"),
+        status.FileBegun("ipc:///x"),
         status.Taken(3),
-        status.Stopped("no\nspace", 7),
+        status.WriteFailed("no\nspace", 7),
         status.Closed({"dx": 2}, 9),
     )
 
@@ -288,9 +288,9 @@ class Test_status:
 
 
 def test_a_plan_round_trips_and_is_its_owners_alone(tmp_path: Path) -> None:
-    plan = Plan(tmp_path / "r.mcap", tmp_path, RECORDED, {"session.yaml": "name: ü\n".encode()}, 17)
+    plan = RecordingPlan(tmp_path / "r.mcap", tmp_path, RECORDED, {"session.yaml": "name: ü\n".encode()}, 17)
     plan.save(tmp_path / "p")
-    assert Plan.load(tmp_path / "p") == plan
+    assert RecordingPlan.load(tmp_path / "p") == plan
     assert os.stat(tmp_path / "p").st_mode & 0o777 == 0o600
 
 
@@ -298,9 +298,9 @@ def test_a_plan_round_trips_and_is_its_owners_alone(tmp_path: Path) -> None:
 def test_an_invalid_plan_is_reported(text: str, tmp_path: Path) -> None:
     (tmp_path / "p").write_text(text)
     with pytest.raises(PlanError, match="not a recorder's plan"):
-        Plan.load(tmp_path / "p")
+        RecordingPlan.load(tmp_path / "p")
     with pytest.raises(PlanError, match="cannot be read"):
-        Plan.load(tmp_path / "absent")
+        RecordingPlan.load(tmp_path / "absent")
 
 
 def test_a_file_of_somebody_else_is_no_recording(tmp_path: Path) -> None:

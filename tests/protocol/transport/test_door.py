@@ -22,7 +22,7 @@ from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, M
 from manyhands.protocol.transport import Trouble
 from manyhands.protocol.transport import door as doorkeeper_module
 from manyhands.protocol.transport import door as monitor
-from manyhands.protocol.transport.door import Doorkeeper, Refused, judge
+from manyhands.protocol.transport.door import Doorkeeper, NotAdmitted, judge
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 MS = 1_000_000
@@ -57,16 +57,16 @@ class Test_the_answer_to_a_zap_request:
     @pytest.mark.parametrize(
         ("changes", "why"),
         [
-            ({"key": "dy"}, Refused.WRONG_KEY),
-            ({"key": "cx"}, Refused.WRONG_KEY),  # admitted, but at another door
-            ({"key": "stranger"}, Refused.UNKNOWN_KEY),
-            ({"domain": b"elsewhere"}, Refused.WRONG_KEY),
-            ({"domain": b""}, Refused.WRONG_KEY),
-            ({"mechanism": b"NULL"}, Refused.NO_KEY),
-            ({"mechanism": b"PLAIN"}, Refused.NO_KEY),
+            ({"key": "dy"}, NotAdmitted.WRONG_KEY),
+            ({"key": "cx"}, NotAdmitted.WRONG_KEY),  # admitted, but at another door
+            ({"key": "stranger"}, NotAdmitted.UNKNOWN_KEY),
+            ({"domain": b"elsewhere"}, NotAdmitted.WRONG_KEY),
+            ({"domain": b""}, NotAdmitted.WRONG_KEY),
+            ({"mechanism": b"NULL"}, NotAdmitted.NO_KEY),
+            ({"mechanism": b"PLAIN"}, NotAdmitted.NO_KEY),
         ],
     )
-    def test_any_other_is_not(self, changes: dict[str, str | bytes], why: Refused) -> None:
+    def test_any_other_is_not(self, changes: dict[str, str | bytes], why: NotAdmitted) -> None:
         reply, refused = judge(self.request(**changes), ADMITS, KNOWN)  # type: ignore[arg-type]
         assert reply[:3] == [b"1.0", b"7", b"400"]
         assert reply[4:] == [b"", b""]
@@ -167,14 +167,14 @@ def crowd(outside: ExitStack, port: int, size: int) -> list[socket.socket]:
 @pytest.mark.parametrize(
     ("who", "server", "why"),
     [
-        ("stranger", "cx", Refused.UNKNOWN_KEY),
-        ("dy", "cx", Refused.WRONG_KEY),
-        (None, "cx", Refused.NO_KEY),
-        ("dx", "stranger", Refused.NOT_PROVED),  # expects a different server
+        ("stranger", "cx", NotAdmitted.UNKNOWN_KEY),
+        ("dy", "cx", NotAdmitted.WRONG_KEY),
+        (None, "cx", NotAdmitted.NO_KEY),
+        ("dx", "stranger", NotAdmitted.NOT_PROVED),  # expects a different server
     ],
 )
 def test_each_kind_of_stranger_is_counted_once(
-    who: str | None, server: str, why: Refused, house: House, outside: ExitStack
+    who: str | None, server: str, why: NotAdmitted, house: House, outside: ExitStack
 ) -> None:
     if who is None:
         raw_client(outside, house.port).sendall(PLAIN_GREETING)

@@ -35,28 +35,28 @@ def outlet(tmp_path: Path) -> Iterator[PointerOutlet]:
 def test_the_latest_word_counts(inlet: PointerInlet, outlet: PointerOutlet) -> None:
     assert inlet.latest() is None
     for word in (grasp(0.1), Release(), grasp(0.2, -0.3)):
-        assert outlet.say(word)
+        assert outlet.send(word)
     assert inlet.latest() == grasp(0.2, -0.3)
     assert inlet.latest() is None
-    assert outlet.say(Release())
+    assert outlet.send(Release())
     assert inlet.latest() == Release()
     assert inlet.malformed == 0
 
 
 def test_nobody_there(tmp_path: Path, outlet: PointerOutlet) -> None:
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
     inlet = PointerInlet(tmp_path, "dx")
-    assert outlet.say(Release()) is True
+    assert outlet.send(Release()) is True
     inlet.close()
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
 
 
 def test_a_process_that_was_killed_leaves_a_file_and_nobody(tmp_path: Path, outlet: PointerOutlet) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as killed:
         killed.bind(str(pointer_path(tmp_path, "dx")))
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
     with closing(PointerInlet(tmp_path, "dx")) as inlet:  # the device's next process takes its place
-        assert outlet.say(grasp(1.0)) is True
+        assert outlet.send(grasp(1.0)) is True
         assert inlet.latest() == grasp(1.0)
 
 
@@ -65,7 +65,7 @@ def test_a_new_inlet_replaces_an_old_one_which_leaves_it_alone(tmp_path: Path, o
     with closing(PointerInlet(tmp_path, "dx")) as new:
         old.close()
         old.close()
-        assert outlet.say(grasp(1.0)) is True
+        assert outlet.send(grasp(1.0)) is True
         assert new.latest() == grasp(1.0)
     assert list(tmp_path.iterdir()) == []
 
@@ -79,13 +79,13 @@ def test_what_is_neither_grasp_nor_release_is_counted(
             stranger.sendto(frame, str(pointer_path(tmp_path, "dx")))
     assert inlet.latest() is None
     assert inlet.malformed == len(garbage)
-    assert outlet.say(grasp(0.5))
+    assert outlet.send(grasp(0.5))
     assert inlet.latest() == grasp(0.5)
 
 
 def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: PointerInlet, outlet: PointerOutlet) -> None:
     said = 0
-    while outlet.say(grasp(float(said))):
+    while outlet.send(grasp(float(said))):
         said += 1
         assert said < 1_000_000
     looks = 0
@@ -94,21 +94,21 @@ def test_one_look_is_bounded_and_a_full_inlet_holds_nobody_up(inlet: PointerInle
         last, looks = heard, looks + 1
     assert last == grasp(float(said - 1))  # in the end the latest, however many there were
     assert looks >= said // 16
-    assert outlet.say(Release())
+    assert outlet.send(Release())
 
 
 def test_in_its_place_something_else(tmp_path: Path, outlet: PointerOutlet) -> None:
     path = pointer_path(tmp_path, "dx")
     path.write_text("no socket")
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
     path.unlink()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
         other.bind(str(path))
         other.listen()
-        assert outlet.say(Release()) is False
+        assert outlet.send(Release()) is False
     path.unlink()
     path.mkdir()
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
     with pytest.raises(TransportError, match="cannot bind"):
         PointerInlet(tmp_path, "dx")
 
@@ -117,7 +117,7 @@ def test_a_closed_end_sends_nothing(tmp_path: Path, inlet: PointerInlet) -> None
     outlet = PointerOutlet(tmp_path, "dx")
     outlet.close()
     outlet.close()
-    assert outlet.say(Release()) is False
+    assert outlet.send(Release()) is False
 
 
 @pytest.mark.parametrize("end", [PointerInlet, PointerOutlet])

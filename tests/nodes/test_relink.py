@@ -8,7 +8,7 @@ import pytest
 
 from manyhands.nodes.bundle import Peer
 from manyhands.nodes.peer_link import PeerLink
-from manyhands.nodes.rejoin import meet, part
+from manyhands.nodes.relink import relink, unlink
 from manyhands.nodes.supervisor_line import NOT_AT_ALL
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.codec import decode
@@ -67,7 +67,7 @@ def peer_links(transport: MemoryTransport) -> list[PeerLink]:
 
 def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[PeerLink], line: OfferingLine) -> None:
     before = peer_links[0].link
-    assert part(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
+    assert unlink(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
     assert peer_links[0].link is line.bound[0] is not before
     assert peer_links[0].reachable
     assert not peer_links[0].here  # not before hands are shaken
@@ -80,11 +80,11 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[Pee
 
 
 def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
-    assert part(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
+    assert unlink(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
     assert not peer_links[1].reachable
     assert not line.offers
     bound, endpoint = line.transport.bind("environment-cx.1", "cx")
-    meet(Return("environment", endpoint), peer_links, line)  # type: ignore[arg-type]
+    relink(Return("environment", endpoint), peer_links, line)  # type: ignore[arg-type]
     assert peer_links[1].reachable
     assert not peer_links[1].here
     frame = bound.recv(NOT_AT_ALL)
@@ -94,7 +94,7 @@ def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], li
 
 def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
-        part(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
+        unlink(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3
     assert peer_links[0].link is line.bound[-1]
     for old in line.bound[:-1]:
@@ -104,17 +104,17 @@ def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLin
 
 def test_a_peer_for_whom_there_is_no_place_stays_away(peer_links: list[PeerLink], line: OfferingLine) -> None:
     line.full = True
-    assert part(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
+    assert unlink(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
     assert not peer_links[0].reachable
     assert not line.offers
 
 
 def test_strangers_and_wrong_ends_are_nobodys_business(peer_links: list[PeerLink], line: OfferingLine) -> None:
     before = [peer_link.link for peer_link in peer_links]
-    assert part(Absent("dz"), peer_links, line) is None  # type: ignore[arg-type]
-    meet(Return("dz", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type]
-    meet(Return("dx", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type] -- its own to bind
-    meet(Return("environment", "carrier pigeon"), peer_links, line)  # type: ignore[arg-type]
+    assert unlink(Absent("dz"), peer_links, line) is None  # type: ignore[arg-type]
+    relink(Return("dz", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type]
+    relink(Return("dx", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type] -- its own to bind
+    relink(Return("environment", "carrier pigeon"), peer_links, line)  # type: ignore[arg-type]
     assert [peer_link.link for peer_link in peer_links] == before
     assert all(peer_link.here for peer_link in peer_links)
     assert not line.offers

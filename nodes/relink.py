@@ -1,4 +1,4 @@
-"""What a node in its loop does when the supervisor reports that a peer is lost, or that it is back.
+"""The links that a node in its loop closes and opens anew, when the supervisor reports that a peer is lost or back.
 
 The link to a lost peer is closed. Of the two ends of a link one binds: it binds a new link at once and reports the
 endpoint, which the supervisor hands to the peer's new process. The other end connects when the peer is back. Either
@@ -23,13 +23,13 @@ def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> 
     """
     match word:
         case Absent():
-            return part(word, peer_links, control)
+            return unlink(word, peer_links, control)
         case Return():
-            meet(word, peer_links, control)
+            relink(word, peer_links, control)
     return None
 
 
-def part(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
+def unlink(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
     """Close the link to a lost peer; where this node binds it, bind a new one and report its endpoint.
 
     Returns:
@@ -49,7 +49,7 @@ def part(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -
     return peer_link
 
 
-def meet(back: Return, peer_links: Sequence[PeerLink], control: ControlLine) -> None:
+def relink(back: Return, peer_links: Sequence[PeerLink], control: ControlLine) -> None:
     """Connect to a peer that is back, where the peer binds the link."""
     peer_link = peer_link_of(peer_links, back.peer)
     if peer_link is None or peer_link.peer.binds:
