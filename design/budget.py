@@ -11,7 +11,8 @@ which no coupling can replace. So the supremum of K_s over the class, in every d
 
     K_s < 2 Lambda/T = Delta_D/(kappa T),    kappa the least gain that leaves the share that Phi_E needs
 
-(:mod:`manyhands.design.levels.device`). For every passive environment this is Delta_D/(T/2 + 3 tau/2).
+(:mod:`manyhands.design.levels.device`). For every passive environment this is Delta_D/(lambda T/2 + 3 tau/2), with
+lambda T the longest period to be covered, lambda = 1 + rho.
 
 For comparison, the limit of [Colgate1997]_ is for one device of damping b that renders a wall H directly and passively
 for every hand:
@@ -22,6 +23,9 @@ The right side is (T k/2) sin((T/2 + tau) w)/sin(wT/2). It is greatest as w -> 0
 and 0 <= x <= pi/2:
 
     k < b/(T/2 + tau).
+
+Where periods up to lambda T are to be covered, a constant period of lambda T is one of them: T is lambda T here. The
+two limits meet at tau = 0.
 
 Colgate's wall is fixed and belongs to one device. The certified coupling may be joined to any passive environment and,
 through it, to any number of other users.
@@ -50,7 +54,7 @@ class Stiffness:
         tau: longest delay inside the tick, s.
         certified: supremum of the certified stiffness in the device's weakest direction, N/m; 0 if no coupling can be
             certified.
-        colgate: Colgate's passivity limit in the same direction, N/m.
+        colgate: Colgate's passivity limit in the same direction, at the longest period that is covered, N/m.
         kappa: of the gain K = kappa T Delta_D^-1 at which ``certified`` is reached; None if no coupling can be
             certified.
     """
@@ -62,7 +66,7 @@ class Stiffness:
     kappa: float | None
 
 
-def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffness:
+def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0, period_tolerance: float = 0.0) -> Stiffness:
     """The greatest stiffness of a coupling to a device of this level.
 
     Args:
@@ -70,10 +74,11 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffne
         T: period, s.
         tau: the longest delay inside the tick, s, 0 ... T.
         share: part of the devices' levels that the environment needs, :func:`needed_share`; 0 if it is passive.
+        period_tolerance: rho; periods are at most (1 + rho) T; 0 ... 1.
 
     Raises:
-        ValueError: T is not positive and finite, tau is outside 0 ... T, share negative, or level not
-            positive definite.
+        ValueError: T is not positive and finite, tau is outside 0 ... T, share negative, the tolerance outside 0 ... 1,
+            or level not positive definite.
     """
     if not 0.0 < T < np.inf:
         raise ValueError(f"T: found {T!r} s, expected a finite positive period")
@@ -85,9 +90,10 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0) -> Stiffne
     if least <= 0.0:
         raise ValueError(f"level: found the eigenvalue {least:.3g}, expected a positive definite OSP level")
     # (10) is strict: at the greatest share itself no coupling remains
-    kappa = gain_for_share(share, tau / T) if share < greatest_share(tau / T) else None
+    left = greatest_share(tau / T, period_tolerance)
+    kappa = gain_for_share(share, tau / T, period_tolerance=period_tolerance) if share < left else None
     certified = 0.0 if kappa is None else least / (kappa * T)
-    return Stiffness(T, tau, certified, colgate_limit(least, T, tau), kappa)
+    return Stiffness(T, tau, certified, colgate_limit(least, (1.0 + period_tolerance) * T, tau), kappa)
 
 
 def colgate_limit(damping: float, T: float, tau: float) -> float:

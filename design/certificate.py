@@ -6,8 +6,11 @@ Every fact stands in the file once: a check rebuilds what follows from the physi
 of springs and dampers). Floats are written by their shortest exact representation, so that the file round-trips bit by
 bit.
 
-A file of version 2 does not record the request, and its id does not cover the order of keys. It is read, proved and
-written again as version 2 (docs/decisions/0027-certificate-format-3.md).
+A file whose claim covers periods longer than T has the key ``period_tolerance`` and is of version 4: a reader that does
+not know the key must not take the claim for one about periods of T. Every other file is of version 3
+(docs/decisions/0010-delay-inside-the-tick.md). A file of version 2 does not record the request, and its id does not
+cover the order of keys. It is read, proved and written again as version 2
+(docs/decisions/0027-certificate-format-3.md).
 
 Requests, environments, couplings and aims come in several kinds; each ``describe_`` function turns one into JSON
 values. All except requests are read back. A proof alone does not show that a certificate is about a given loop and
@@ -61,7 +64,8 @@ MOST_DELAY = 64  # ticks; the order of the delayed environment grows with it
 def describe_request(wanted: CouplingRequest, names: Sequence[str]) -> dict[str, Any]:
     """The request for a coupling as JSON values, by the keys of a session's ``design:``.
 
-    The delay and a given coupling's numbers are left out, because a certificate has them elsewhere. Weights are in z.
+    The delay, the period tolerance and a given coupling's numbers are left out, because a certificate has them
+    elsewhere. Weights are in z.
 
     Args:
         wanted: the request.
@@ -302,12 +306,19 @@ def square(rows: Any) -> Matrix:
 
 FORMAT = "manyhands-certificate"
 VERSION = 3
+WITH_TOLERANCE = 4
+"""The version with a period tolerance greater than 0; otherwise it is like version 3."""
 WITHOUT_ASKED = 2
 """The version that does not record the request; its id is computed over the content with sorted keys."""
 MAX_FILE_BYTES = 256 * 2**20
 _KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
 _ASKED = {"coupling", "objective", "weights", "algorithm", "iterations", "order", "poles"}
 _KEYS |= {"coupling", "levels", "storage", "transparency", "margins", "method"}
+_EXTRA_KEYS: Mapping[int, set[str]] = {
+    WITHOUT_ASKED: set(),
+    VERSION: {"asked"},
+    WITH_TOLERANCE: {"asked", "period_tolerance"},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,12 +366,19 @@ class Certificate:
     @property
     def version(self) -> int:
         """The version of the file format that holds exactly this content."""
+        if self.loop.period_tolerance:
+            return WITH_TOLERANCE
         return WITHOUT_ASKED if self.asked is None else VERSION
 
     @property
     def tau(self) -> float:
         """Longest delay inside the tick that the proof covers, s."""
         return self.loop.tau
+
+    @property
+    def period_tolerance(self) -> float:
+        """rho: the proof covers periods up to (1 + rho) T."""
+        return self.loop.period_tolerance
 
     @cached_property
     def blocks(self) -> tuple[StateSpace, ...]:
@@ -391,6 +409,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "session": loop.session,
         "period": loop.period,
         "tau": loop.tau,
+        **({"period_tolerance": loop.period_tolerance} if loop.period_tolerance else {}),
         "ports": list(ports),
         "devices": {d.name: {"ports": [ports[p] for p in d.ports], "osp": d.level.tolist()} for d in loop.devices},
         "structure": {
@@ -490,15 +509,18 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
             type, shape or size.
     """
     form, version = data["format"], data["version"]
-    if form != FORMAT or type(version) is not int or version not in (WITHOUT_ASKED, VERSION):
-        expected = f"{FORMAT} version {WITHOUT_ASKED} or {VERSION}"
+    if form != FORMAT or type(version) is not int or version not in _EXTRA_KEYS:
+        expected = f"{FORMAT} version {WITHOUT_ASKED}, {VERSION} or {WITH_TOLERANCE}"
         raise ValueError(f"expected {expected}, found {form!r} {version!r}")
-    keys = _KEYS if version == WITHOUT_ASKED else _KEYS | {"asked"}
+    keys = _KEYS | _EXTRA_KEYS[version]
     if unknown := set(data) - keys:
         raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(keys)}")
     asked = None if version == WITHOUT_ASKED else data["asked"]
-    if version == VERSION and not isinstance(asked, Mapping):
+    if version != WITHOUT_ASKED and not isinstance(asked, Mapping):
         raise ValueError("expected asked to be an object")
+    period_tolerance = float(data["period_tolerance"]) if version == WITH_TOLERANCE else 0.0
+    if version == WITH_TOLERANCE and not period_tolerance > 0.0:
+        raise ValueError(f"period_tolerance: found {period_tolerance}, expected more than 0 in version {version}")
     if unknown := set(asked or ()) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}, expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
@@ -518,6 +540,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         partition=Partition(tuple(structure), tuple(tuple(index[p] for p in block) for block in structure.values())),
         environment=environment_of(data["environment"], ports),
         tau=float(data["tau"]),
+        period_tolerance=period_tolerance,
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     Phi_E = levels["Phi_E"]
@@ -603,6 +626,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("session's name", own.session, loop.session),
             ("period", own.period, loop.period),
             ("delay inside the tick", own.tau, loop.tau),
+            ("period tolerance", own.period_tolerance, loop.period_tolerance),
             ("list of ports", ", ".join(own.ports), ", ".join(loop.ports)),
         )
         if mine != theirs

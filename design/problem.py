@@ -145,6 +145,7 @@ class HapticLoop:
         partition: the blocks of V.
         environment: the environment, with the same ports in the same order.
         tau: longest delay inside the tick to be certified, from the sample of x(k) until f_v(k) acts, s, at most T.
+        period_tolerance: rho; the periods to be certified are at most (1 + rho) T; dimensionless, 0 ... 1.
     """
 
     session: str
@@ -154,6 +155,7 @@ class HapticLoop:
     partition: Partition
     environment: Environment
     tau: float = 0.0
+    period_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         m = len(self.ports)
@@ -167,6 +169,13 @@ class HapticLoop:
             raise ValueError("expected a positive period")
         if not 0.0 <= self.tau <= self.period:
             raise ValueError(f"expected a delay from 0 to the period, found {self.tau} s")
+        if not 0.0 <= self.period_tolerance <= 1.0:
+            raise ValueError(f"expected a period tolerance from 0 to 1, found {self.period_tolerance}")
+
+    @property
+    def punctual(self) -> bool:
+        """Whether every force is to act at its sample and no period to exceed T, which is the paper's case."""
+        return self.tau == 0.0 and self.period_tolerance == 0.0
 
     @cached_property
     def Delta_D_blocks(self) -> tuple[Matrix, ...]:

@@ -199,21 +199,30 @@ def gain_of_stiffest(loop: HapticLoop, needed: float) -> DeviceShare:
     Raises:
         Infeasible: no kappa leaves enough.
     """
-    if loop.tau == 0.0:
+    if loop.punctual:
         return DeviceShare()
-    tau_hat = loop.tau / loop.period
-    most = greatest_share(tau_hat)
+    tau_hat, rho = loop.tau / loop.period, loop.period_tolerance
+    most = greatest_share(tau_hat, rho)
     wanted = SHARE_KEPT if needed <= 0.0 else (needed + most) / 2.0  # between the two, (10) keeps a margin
-    kappa = gain_for_share(wanted, tau_hat, PIECES) if needed < most else None
+    kappa = gain_for_share(wanted, tau_hat, PIECES, rho) if needed < most else None
     if kappa is None:
         raise Infeasible(
-            f"a delay of {loop.tau:g} s in the tick leaves at most {most:.3g} of the devices' "
+            f"a delay of {loop.tau:g} s in the tick{_with_tolerance(loop)} leaves at most {most:.3g} of the devices' "
             f"level, and the environment needs {needed:.3g} of it",
-            ("shorten the delay", "use devices with more damping (a greater osp)", "soften the environment"),
+            (
+                *(("shorten the delay",) if loop.tau else ()),
+                *(("lower the period tolerance",) if rho else ()),
+                "use devices with more damping (a greater osp)",
+                "soften the environment",
+            ),
         )
     kappa *= 1.0 + 1e-12  # rounding
-    share = device_share(kappa, tau_hat)
+    share = device_share(kappa, tau_hat, period_tolerance=rho)
     return DeviceShare(kappa, share.share, share.c)
+
+
+def _with_tolerance(loop: HapticLoop) -> str:
+    return f" with periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
 
 
 def tools() -> dict[str, str | int]:

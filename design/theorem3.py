@@ -443,7 +443,8 @@ Progress = Callable[[str], None]
 MOST_SEARCHED = 250  # order of Rest above which a passive network is proved by its energy instead of a matrix
 MOST_JOINT = 48  # ports and states of Rest up to which the joint program is solved; cost: their fourth power
 _GIVEN_UP = 1e-9  # of a level in closed form, so that it holds in exact arithmetic: far above rounding
-# values of (2 kappa - 1 - 3 tau/T) T/tau to be tried; the share is greatest at 2
+_ROUNDING = 1e-12  # of the least gain without a delay, which serves, but is not always a floating-point number
+# values of (2 kappa - 1 - rho - 3 tau/T) T/tau to be tried; the share is greatest at 2
 _GAINS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.0, 3.0)
 
 
@@ -540,14 +541,14 @@ def _caps(coupling: tuple[CouplingBlock, ...]) -> tuple[float, ...]:
 
 def devices(loop: HapticLoop) -> tuple[DeviceShare, ...]:
     """The gains kappa to be tried, the greatest share first: one gain without delay, up to ten with a delay."""
-    if loop.tau == 0.0:
+    if loop.punctual:
         return (DeviceShare(),)
     out = []
-    tau_hat = loop.tau / loop.period
-    for gain in _GAINS:
-        kappa = least_gain(tau_hat) + gain * tau_hat / 2.0
+    tau_hat, rho = loop.tau / loop.period, loop.period_tolerance
+    least = least_gain(tau_hat, rho)
+    for kappa in [least + gain * tau_hat / 2.0 for gain in _GAINS] if tau_hat else [least * (1.0 + _ROUNDING)]:
         try:
-            found = device_share(kappa, tau_hat)
+            found = device_share(kappa, tau_hat, period_tolerance=rho)
         except ValueError:  # so near to the least gain that no share is left in floating point
             continue
         out.append(DeviceShare(kappa, found.share, found.c))

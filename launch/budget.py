@@ -90,8 +90,8 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
             DeviceBudget(
                 device.name,
                 level,
-                tuple(_limits(level, T, delay, share(T)) for delay in delays),
-                tuple(_limits(level, period, delay, share(period)) for period, delay in grid),
+                tuple(_limits(loop, level, T, delay, share(T)) for delay in delays),
+                tuple(_limits(loop, level, period, delay, share(period)) for period, delay in grid),
             )
         )
     return DelayBudget(loop, periods, share, tuple(devices))
@@ -105,8 +105,9 @@ def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
     return tuple(sorted({*wanted, loop.period}))
 
 
-def _limits(level: Matrix, T: float, tau: float, share: float) -> Stiffness:
-    return stiffest(level, T, tau, min(share, 1.0))  # a share of 1 or more leaves nothing
+def _limits(loop: HapticLoop, level: Matrix, T: float, tau: float, share: float) -> Stiffness:
+    # a share of 1 or more leaves nothing
+    return stiffest(level, T, tau, min(share, 1.0), loop.period_tolerance)
 
 
 def budget_object(found: DelayBudget) -> dict[str, Any]:
@@ -116,6 +117,7 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
         "session": loop.session,
         "period": loop.period,
         "tau": loop.tau,
+        "period_tolerance": loop.period_tolerance,
         "environment": [
             {"T": period, "share": json_number(share)}
             for period, share in ((period, found.share_at(period)) for period in found.periods)
@@ -172,6 +174,9 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     if len(groups) > len(shown):
         left = len(groups) - len(shown)
         console.print(f"the {left} stronger levels are not shown; --json has every device", markup=False)
+    if loop.period_tolerance:
+        longest = f"{1.0 + loop.period_tolerance:g}"
+        console.print(f"Periods may be up to {longest} T long, Colgate's as well as ours.", markup=False)
     console.print(_environment_text(found), markup=False, soft_wrap=True)
 
 
@@ -206,7 +211,7 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
     for axes, (names, device) in zip(rows, panels, strict=True):
         for T, colour in zip(periods, colours, strict=True):
             delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
-            curve = [_limits(device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
+            curve = [_limits(loop, device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
             certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
             axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
             axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")

@@ -69,6 +69,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "margins": dict(certificate.margins),
         "period": loop.period,
         "tau": certificate.tau,
+        "period_tolerance": certificate.period_tolerance,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
     }
@@ -88,6 +89,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "margins": {},
         "period": loop.period,
         "tau": None,
+        "period_tolerance": None,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
         "reason": reason,
@@ -106,9 +108,10 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         table.add_row("asked for", _escaped(asked_text(certificate.asked)))
     table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
     table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
-    table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s")
+    tolerance = f", periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
+    table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s{tolerance}")
     levels = certificate.levels
-    if loop.tau:
+    if not loop.punctual:
         table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
     if certificate.spring_damper is not None:
         _coupling_rows(table, certificate.spring_damper)

@@ -236,6 +236,7 @@ def _trimmed(coefficients: tuple[Number, ...]) -> tuple[Number, ...]:
 
 
 FORMAT = "manyhands-certificate"
+WITH_TOLERANCE = 4
 VERSION = 3
 WITHOUT_ASKED = 2
 _KEYS: tuple[str, ...] = (
@@ -252,6 +253,7 @@ _KEYS: tuple[str, ...] = (
 )
 _KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
 _ASKED = "asked"
+_TOLERANCE = "period_tolerance"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
 _DEEPEST_ASKED = 8
 
@@ -329,6 +331,7 @@ class Claim:
         id: the stated SHA-256.
         period: T, s.
         tau: greatest delay inside the tick, s.
+        period_tolerance: rho; the periods are at most (1 + rho) T; dimensionless.
         ports: names of the m ports.
         devices: name and ports of each device.
         osp: the promised level of each device, N*s/m.
@@ -349,6 +352,7 @@ class Claim:
     id: str
     period: fmpq
     tau: fmpq
+    period_tolerance: fmpq
     ports: tuple[str, ...]
     devices: tuple[PortGroup, ...]
     osp: tuple[StatedMatrix, ...]
@@ -372,13 +376,15 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS, (_ASKED,))
+    fields = Item(data, "").fields(_KEYS, (_ASKED, _TOLERANCE))
     fields["format"].text(FORMAT)
-    version = fields["version"].whole(WITHOUT_ASKED, VERSION)
-    if (_ASKED in fields) != (version == VERSION):
-        raise ProofInputError(f"{_ASKED}: expected it in version {VERSION}, and not in version {WITHOUT_ASKED}")
+    version = fields["version"].whole(WITHOUT_ASKED, WITH_TOLERANCE)
+    if (_ASKED in fields) != (version != WITHOUT_ASKED):
+        raise ProofInputError(f"{_ASKED}: expected it from version {VERSION} on, and not in version {WITHOUT_ASKED}")
     if _ASKED in fields:
         _require_plain(fields[_ASKED])
+    if (_TOLERANCE in fields) != (version == WITH_TOLERANCE):
+        raise ProofInputError(f"{_TOLERANCE}: expected it in version {WITH_TOLERANCE}, and in no other")
     fields["session"].text()
     for item in fields["method"].entries(1_000).values():
         if not isinstance(item.value, str):
@@ -406,6 +412,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         id=fields["id"].text(),
         period=exact_decimal(fields["period"].number()),
         tau=exact_decimal(fields["tau"].number()),
+        period_tolerance=exact_decimal(fields[_TOLERANCE].number()) if _TOLERANCE in fields else fmpq(0),
         ports=ports,
         devices=tuple(devices),
         osp=tuple(osp),

@@ -23,7 +23,7 @@ from __future__ import annotations
 from flint import fmpq
 
 from manyhands.design.proof import exact, rational
-from manyhands.design.proof.claim import Claim, StatedSpringDamper
+from manyhands.design.proof.claim import WITH_TOLERANCE, Claim, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
@@ -74,14 +74,20 @@ def one_party_each(claim: Claim) -> Finding:
 
 
 def times(claim: Claim) -> Finding:
-    """0 < T, 0 <= tau <= T."""
-    T, tau = claim.period, claim.tau
-    holds = T > 0 and 0 <= tau <= T
-    return Finding("0 < T and 0 <= tau <= T", holds, rational.rounded(T) if holds else 0.0, 0.0, "", "exactly")
+    """0 < T, 0 <= tau <= T; and 0 < rho <= 1 where periods longer than T are claimed."""
+    T, tau, rho = claim.period, claim.tau, claim.period_tolerance
+    holds, condition = T > 0 and 0 <= tau <= T, "0 < T and 0 <= tau <= T"
+    if claim.version == WITH_TOLERANCE:
+        holds, condition = holds and 0 < rho <= 1, f"{condition}, 0 < rho <= 1"
+    return Finding(condition, holds, rational.rounded(T) if holds else 0.0, 0.0, "", "exactly")
 
 
 def device_findings(claim: Claim) -> list[Finding]:
-    """The devices promise Delta_D, each device its own part if there is a delay; and Delta_D > 0."""
+    """The devices promise Delta_D, each device its own part if there is a delay; and Delta_D > 0.
+
+    Different periods alone do not separate the devices: without a delay, the form needs only what they dissipate
+    together, at least sigma^T Delta_D sigma/lambda.
+    """
     m = len(claim.ports)
     level, promised = Delta_D(claim), device_levels(claim)
     verdict = exact.definite_by_groups(exact.difference(promised, level), m, strict=False)

@@ -36,7 +36,7 @@ from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import rounded
 
-_SHARED = ("period", "ports", "devices", "structure", "environment")
+_SHARED = ("period", "period_tolerance", "ports", "devices", "structure", "environment")
 _STRUCTURED = "Phi_E joins no two blocks, so that every mixture is made of conditions that (10) of a rung contains"
 _PASSIVE = "Phi_E <= 0, so that (10) is positive for all levels that are"
 
@@ -92,7 +92,7 @@ def _one_loop(claims: Sequence[Claim]) -> Finding:
     condition = "the rungs are certificates of one loop, for growing delays"
     first = claims[0]
     for number, claim in enumerate(claims[1:], 1):
-        different = [key for key in _SHARED if claim.data[key] != first.data[key]]
+        different = [key for key in _SHARED if claim.data.get(key) != first.data.get(key)]
         if different or claim.blocks != first.blocks:  # equal mappings may differ in the order of the blocks
             argument = f"rung {number}: {different[0] if different else 'the order of structure'} is not rung 0's"
             return Finding(condition, False, float("nan"), 0.0, argument=argument)

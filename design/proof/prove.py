@@ -41,7 +41,8 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     promises = [*contract.device_findings(claim), contract.gains(claim)]
     if not all(finding.holds for finding in promises):
         return (*findings, *promises)
-    promises.append(device_form(claim.kappa, claim.share, claim.c, claim.tau / claim.period))
+    tau_hat = claim.tau / claim.period
+    promises.append(device_form(claim.kappa, claim.share, claim.c, tau_hat, 1 + claim.period_tolerance))
     promises.append(contract.level_of_coupling(claim))
     report("the coupling's blocks")
     promises += [_block(claim, i) for i in range(len(claim.blocks))] if promises[-1].holds else []

@@ -55,7 +55,11 @@ class Worth:
             return {device.name: 0.0 for device in loop.devices}
         return {
             device.name: stiffest(
-                loop.Delta_D[np.ix_(device.ports, device.ports)], loop.period, tau, min(self.share, 1.0)
+                loop.Delta_D[np.ix_(device.ports, device.ports)],
+                loop.period,
+                tau,
+                min(self.share, 1.0),
+                loop.period_tolerance,
             ).certified
             for device in loop.devices
         }
@@ -157,7 +161,7 @@ def _at(worth: Worth, T: float, tau: float) -> str:
         return "what manyhands budget shows"
     loop = worth.loop
     levels = (loop.Delta_D[np.ix_(device.ports, device.ports)] for device in loop.devices)
-    return f"{min(stiffest(level, T, tau).certified for level in levels):.0f} N/m"
+    return f"{min(stiffest(level, T, tau, 0.0, loop.period_tolerance).certified for level in levels):.0f} N/m"
 
 
 def _round_up(seconds: float) -> float:

@@ -155,7 +155,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     session = prepared.session
     commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)
-    of_devices = tuple(DeviceRung(rung.tau, 0.0, rung.share) for rung in rungs)
+    of_devices = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in rungs)
     bundles: dict[str, Bundle] = {}
     tank = None if prepared.certificate is None else session.faults.enforced_tank  # without a certificate, no promise
     for name in session.devices:
@@ -214,6 +214,7 @@ class _Rung:
 
     Attributes:
         tau: the delay inside the tick that the rung covers, s.
+        period_tolerance: rho; the rung covers periods up to (1 + rho) T.
         share: the share of the devices' levels that remains behind their samplers.
         gains: K of each block, m/N.
         blocks: the blocks of V.
@@ -221,6 +222,7 @@ class _Rung:
     """
 
     tau: float
+    period_tolerance: float
     share: DeviceShare
     gains: tuple[Matrix, ...]
     blocks: tuple[StateSpace, ...]
@@ -232,11 +234,12 @@ def _rungs(prepared: Prepared) -> list[_Rung]:
     loop, certificate, ladder = prepared.loop, prepared.certificate, prepared.ladder
     if certificate is None:
         share = DeviceShare()
-        return [_Rung(0.0, share, loop.loop_gain(share.kappa), prepared.blocks, (None,) * len(prepared.blocks))]
+        return [_Rung(0.0, 0.0, share, loop.loop_gain(share.kappa), prepared.blocks, (None,) * len(prepared.blocks))]
     rungs = []
     for proof in (certificate,) if ladder is None else ladder.rungs:
         share = proof.levels.device
-        rungs.append(_Rung(proof.tau, share, loop.loop_gain(share.kappa), proof.blocks, proof.levels.Delta_V))
+        gains = loop.loop_gain(share.kappa)
+        rungs.append(_Rung(proof.tau, proof.period_tolerance, share, gains, proof.blocks, proof.levels.Delta_V))
     return [replace(rungs[0], blocks=prepared.blocks), *rungs[1:]]
 
 

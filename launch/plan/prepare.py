@@ -71,6 +71,7 @@ def haptic_loop(session: Session) -> HapticLoop:
         ),
         environment=_environment(session),
         tau=session.design.tau,
+        period_tolerance=session.design.period_tolerance,
     )
 
 

@@ -57,7 +57,7 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.device.core import Guard
-from manyhands.nodes.device.telemetry import PERIOD_TOLERANCE
+from manyhands.nodes.device.telemetry import longest_period
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
 
@@ -192,11 +192,17 @@ def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Chec
     return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, remark=remark)
 
 
-def period_assumed(run: RecordedRun, node: str) -> Check:
-    """The certificate assumes that samples come every T; the device itself has counted the ticks where they did not."""
+def period_assumed(run: RecordedRun, node: str, period_tolerance: float) -> Check:
+    """The certificate assumes that samples come every T, or earlier; the device itself has counted the later ones.
+
+    Args:
+        run: the recording.
+        node: a device.
+        period_tolerance: rho of the certificate, which covers periods up to (1 + rho) T.
+    """
     figures = run.figures.get(node, ())
     counts = [one[names.PERIOD_BREACHES] for _, one in figures if names.PERIOD_BREACHES in one]
-    what = f"samples come every T, within {PERIOD_TOLERANCE:g} T, as the device counted"
+    what = f"samples are at most {longest_period(1.0, period_tolerance):g} T apart, as the device counted"
     if not counts:
         return Check("period", node, what, CheckVerdict.UNCHECKED)
     most = max(counts)
@@ -436,7 +442,8 @@ class _AuditRun:
             taus = {0: device.rungs[0].tau} | {
                 tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
             }
-            out += [delay_assumed(self._run, name, taus), period_assumed(self._run, name)]
+            tolerance = device.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
+            out += [delay_assumed(self._run, name, taus), period_assumed(self._run, name, tolerance)]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
 

@@ -1,9 +1,9 @@
 """What follows when a device measures that its loop differs from the certified one: pure.
 
-A certificate assumes that a force acts at most tau after its sample, and that samples come every T. Each device counts
-the ticks in which that did not hold. :class:`BreachPolicy` turns these counts into a decision: a notice, a softer
-coupling, or the session's end. :class:`Assumptions` feeds it with the telemetry of one run, and reports each notice
-once.
+A certificate assumes that a force acts at most tau after its sample, and that samples are at most (1 + rho) T apart,
+with rho the period tolerance. Each device counts the ticks in which that did not hold. :class:`BreachPolicy` turns
+these counts into a decision: a notice, a softer coupling, or the session's end. :class:`Assumptions` feeds it with the
+telemetry of one run, and reports each notice once.
 
 The time that a device waited for *another* user is not its own. The environment charges late couplings
 (:mod:`manyhands.nodes.environment.late_arrivals`), and freezes one that is late again and again. The ticks that were
@@ -183,6 +183,7 @@ class BreachPolicy:
         period: float,
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
+        period_tolerance: float = 0.0,
     ) -> None:
         """Begin without any telemetry.
 
@@ -193,9 +194,10 @@ class BreachPolicy:
             period: T, s.
             ladder: softer couplings; None where there are none.
             rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
+            period_tolerance: rho; the certificate allows periods up to (1 + rho) T.
         """
         self._policy, self._chains, self._tau, self._period = policy, chains, tau, period
-        self._ladder = ladder
+        self._ladder, self._longest_period = ladder, period * (1.0 + period_tolerance)
         self._rungs = rungs
         self._watched: dict[str, _DeviceHistory] = {}
         self._held: dict[str, deque[_DeviceTelemetry]] = {}
@@ -329,7 +331,7 @@ class BreachPolicy:
         nothing.
         """
         found = f"a delay of {measured * 1e6:.0f} us" if breach is Breach.DELAY else "a period"
-        allowed = f"{self._tau * 1e6:g} us" if breach is Breach.DELAY else f"{self._period * 1e6:g} us"
+        allowed = f"{self._tau * 1e6:g} us" if breach is Breach.DELAY else f"{self._longest_period * 1e6:g} us"
         what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
         match REMEDIES[self._policy, breach]:
             case Remedy.END:
@@ -403,6 +405,7 @@ class Assumptions:
             session.period,
             prepared.ladder,
             rungs,
+            0.0 if certificate is None else certificate.period_tolerance,
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self._chains, self._moved = chains, dict[str, float]()

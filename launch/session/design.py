@@ -225,6 +225,7 @@ Blocks: TypeAlias = Mapping[str, tuple[str, ...]]
 _FREQUENCY: Final = Quantity("a natural frequency", "rad/s", above=0.0, smallest=MIN_POSITIVE)
 _RATIO: Final = Quantity("a damping ratio", above=0.0, most=1.0, smallest=MIN_POSITIVE)
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
+_TOLERANCE: Final = Quantity("a part of the period", least=0.0, most=1.0)
 _DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
@@ -273,6 +274,11 @@ class Design(SessionModel):
     weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
     tau: Annotated[float, BeforeValidator(_DELAY)] = Field(
         default=0.0, description="the delay inside the tick that the certificate is to allow, in s"
+    )
+    period_tolerance: Annotated[float, BeforeValidator(_TOLERANCE)] = Field(
+        default=0.0,
+        description="by which part of the period the time between two samples may be longer, as the certificate is to "
+        "allow",
     )
     ladder: Annotated[tuple[float, ...] | None, BeforeValidator(optional(_DELAYS))] = Field(
         default=None, description="longer delays, growing, for each of which a softer coupling is held ready, in s"

@@ -62,7 +62,7 @@ class DeviceNode:
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
         self._interface = self._interface_of(bundle) if bundle.time == WALL else None
-        self._account = DeviceTelemetry(common, from_seconds(bundle.rungs[0].tau), driver.figures, self._interface)
+        self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self._interface)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -312,4 +312,4 @@ class DeviceNode:
         self._core.change(*self._promises[self._rung])
         if self._interface is not None:
             self._interface.change(rung.share, rung.tau, rung.period_tolerance)
-        self._account.change_rung(tick, self._rung, from_seconds(rung.tau))
+        self._account.change_rung(tick, self._rung, rung)

@@ -30,7 +30,7 @@ import numpy as np
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import Common
+from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.interface import DeviceInterface
 from manyhands.nodes.peer_link import PeerLink
@@ -105,7 +105,21 @@ class LatenessCounter:
 
 
 PERIOD_TOLERANCE = 0.25
-"""Part of a period by which the time between two samples may differ from T; beyond it counts as a breach."""
+"""Part of T by which a period may be longer without counting as a breach, where the certificate covers no more.
+
+A shorter period is no breach: the certificate covers it, because the device then dissipates more than in a whole one.
+"""
+
+
+def longest_period(T: float, period_tolerance: float) -> float:
+    """The longest time between two samples that counts as no breach, s.
+
+    Args:
+        T: the period, s.
+        period_tolerance: rho of the certificate, which covers periods up to (1 + rho) T.
+    """
+    return T * (1.0 + max(period_tolerance, PERIOD_TOLERANCE))
+
 
 Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
 """The instants of a tick: due, ready, sampled, sent, received and applied, as in :func:`cause`."""
@@ -130,7 +144,7 @@ class DeviceTelemetry:
     def __init__(
         self,
         common: Common,
-        tau: Duration,
+        rung: DeviceRung,
         driver_figures: Callable[[], Mapping[str, float]] = dict,
         interface: DeviceInterface | None = None,
     ) -> None:
@@ -138,17 +152,15 @@ class DeviceTelemetry:
 
         Args:
             common: the device's bundle.
-            tau: the delay inside the tick that the certificate assumes, ns.
+            rung: the rung in force, with the delay and the longest period that it covers.
             driver_figures: returns the driver's own figures for each telemetry.
             interface: of a device in wall time; None for one in its own.
         """
         self._common, self._driver_figures, self._interface = common, driver_figures, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
-        self._assumed_tau = tau
         period = self._period = from_seconds(common.period)
-        self._shortest = Duration(round(period * (1.0 - PERIOD_TOLERANCE)))
-        self._longest = Duration(round(period * (1.0 + PERIOD_TOLERANCE)))
+        self._assume(rung)
         self._lateness = LatenessCounter(period)
         self._tau, self._true_period = Distribution(), Distribution()
         self._tau_worst = 0
@@ -164,10 +176,14 @@ class DeviceTelemetry:
         self._sampled: Instant | None = None
         self._events = TickEvents()
 
-    def change_rung(self, tick: int, rung: int, tau: Duration) -> None:
-        """Record the change to ``rung`` at ``tick``; from now on the certificate assumes ``tau``, ns."""
-        self._events.change_rung(tick, rung)
-        self._assumed_tau = tau
+    def change_rung(self, tick: int, number: int, rung: DeviceRung) -> None:
+        """Record the change to the rung ``number`` at ``tick``; from now on its delay and period are covered."""
+        self._events.change_rung(tick, number)
+        self._assume(rung)
+
+    def _assume(self, rung: DeviceRung) -> None:
+        self._assumed_tau = from_seconds(rung.tau)
+        self._longest = from_seconds(longest_period(self._common.period, rung.period_tolerance))
 
     def tick(
         self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times, instants: Instants = NO_INSTANTS
@@ -183,7 +199,7 @@ class DeviceTelemetry:
         if self._sampled is not None:
             between = sampled - self._sampled
             self._true_period.add(between / 1e3)
-            if not self._shortest <= between <= self._longest:
+            if between > self._longest:
                 self._period_breaches += 1
         self._sampled = sampled
         if applied > due + self._period:

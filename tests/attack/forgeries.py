@@ -125,6 +125,14 @@ def _tau(rng: Generator, data: Data) -> None:
     data["tau"] = float(rng.choice([0.0, data["period"], data["period"] * rng.random(), data["tau"] * factor(rng)]))
 
 
+def _period_tolerance(rng: Generator, data: Data) -> None:
+    """Longer periods are claimed, of the version that has the key; or they are none, or the key is in the wrong one."""
+    before = data.get("period_tolerance", 0.0)
+    rho = float(rng.choice([1.0, 10.0 ** rng.uniform(-9.0, 0.0), before * factor(rng), -0.1, 0.0]))
+    data["period_tolerance"] = rho
+    data["version"] = 4 if rng.random() < 0.95 else data["version"]
+
+
 def _period(rng: Generator, data: Data) -> None:
     by = factor(rng)
     data["period"] *= by
@@ -238,6 +246,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "osp": _osp,
     "storage": _storage,
     "tau": _tau,
+    "period_tolerance": _period_tolerance,
     "period": _period,
     "kappa, share, c": _gain,
     "delay": _delay,

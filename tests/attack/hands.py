@@ -50,7 +50,10 @@ def _dense(rng: np.random.Generator, m: int) -> Any:
 
 
 def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independent: bool = True) -> tuple[Tick, ...]:
-    """A sequence that repeats: delays within [0, tau], ratios within [0, 1], rungs that change after two ticks at 0."""
+    """A sequence that repeats: delays within [0, tau], ratios within [0, 1], rungs that change after two ticks at 0.
+
+    Periods are of T, and up to (1 + rho) T where the certificate covers them.
+    """
     devices, blocks = len(data["devices"]), len(data["structure"])
     delays: list[tuple[float, ...]]
     style = rng.choice(["none", "latest", "latest", "constant", "two", "any"]) if _late(data, rungs) else "none"
@@ -62,6 +65,11 @@ def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independe
         delays = [tuple(_end(rng) for _ in range(devices)) for _ in range(length)]
     else:
         delays = [(part,) * devices]
+    stretches: list[tuple[float, ...]] = [()]
+    if data.get("period_tolerance"):
+        number = int(rng.choice([1, 1, len(delays), 2]))
+        stretches = [tuple(_end(rng) for _ in range(devices)) for _ in range(number)]
+        stretches = [(1.0,) * devices] if rng.random() < 0.5 else stretches
     clutch = rng.choice(["engaged", "engaged", "constant", "moving"])
     ratios = [(1.0,) * blocks]
     at: list[tuple[int, ...]] = [tuple(int(rng.integers(rungs)) for _ in range(blocks))]
@@ -76,11 +84,16 @@ def random_ticks(rng: np.random.Generator, data: Data, rungs: int = 1, independe
                 here = [int(rng.integers(rungs)) for _ in range(blocks)]
                 at.append(tuple(here if independent else here[:1] * blocks))
             ratios = _changing(ratios, at)
-    length = math.lcm(len(delays), len(ratios), len(at))
+    length = math.lcm(len(delays), len(ratios), len(at), len(stretches))
     if length > 24:
-        delays, length = delays[:1], math.lcm(len(ratios), len(at))
+        delays, stretches, length = delays[:1], stretches[:1], math.lcm(len(ratios), len(at))
     return tuple(
-        Tick(delays[k % len(delays)], ratios[k % len(ratios)], at[k % len(at)] if rungs > 1 else ())
+        Tick(
+            delays[k % len(delays)],
+            ratios[k % len(ratios)],
+            at[k % len(at)] if rungs > 1 else (),
+            stretches[k % len(stretches)],
+        )
         for k in range(length)
     )
 

@@ -4,8 +4,9 @@ A device of the certificate's level osp is held by a passive hand, C = osp + ske
 
     M a + C v + K x + sum_j k_j n_j (n_j'x - q_j) = f,     mu_j q_j'' = k_j (n_j'x - q_j),
 
-sampled at kT, its force changed at kT + tau_k. Between coupling and environment, each block has a clutch of the ratio
-s(k), with x_c the coupling's end and x_e the tool:
+sampled every T, or up to (1 + rho) T where a certificate covers longer periods; its force changes tau_k after a sample.
+Between coupling and environment, each block has a clutch of the ratio s(k), with x_c the coupling's end and x_e the
+tool:
 
     x_e - x_e- = s (x_c - x_c-),     x_c = x + C_V xi + D_V f_c,     f_c = s f_e,     f_e = -(C_E eta + D_E x_e).
 
@@ -51,11 +52,13 @@ class Tick:
         ratios: of each block's clutch.
         rungs: of each block, where a ladder has several; a block changes where its ratio is 0 and was
             in the tick before, and starts from rest.
+        stretches: of each device, by which part of rho T its period is longer than T; none for periods of T.
     """
 
     delays: tuple[float, ...]
     ratios: tuple[float, ...]
     rungs: tuple[int, ...] = ()
+    stretches: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,22 +96,22 @@ def period_map(readers: Sequence[Reader], sequence: Repeating) -> Array:
     if all(tick == ticks[0] for tick in ticks):
         ticks = ticks[:1]
     moving = any(ratio != 1.0 for tick in ticks for ratio in tick.ratios)
-    devices: dict[tuple[float, ...], Realisation] = {}
+    rho = reader.arithmetic.number(reader.data.get("period_tolerance", 0.0))
+    devices: dict[tuple[tuple[float, ...], ...], Realisation] = {}
     whole = None
     for tick in ticks:
         rungs = tick.rungs or (0,) * len(reader.data["structure"])
         latest = min(tau[rung] for rung in rungs) if len(tau) > 1 else tau[0]
-        if tick.delays not in devices:
-            devices[tick.delays] = _held(reader, sequence.hands, [latest * part for part in _numbers(reader, tick)])
+        timing = (tick.delays, tick.stretches or (0.0,) * len(tick.delays))
+        if timing not in devices:
+            late, longer = ([reader.arithmetic.number(part) for part in parts] for parts in timing)
+            periods = [reader.T * (1 + rho * part) for part in longer]
+            devices[timing] = _held(reader, sequence.hands, [latest * part for part in late], periods)
         V = Vs[0] if len(Vs) == 1 else _mixture(reader, readers, Vs, rungs)
-        step = _tick(reader, devices[tick.delays], V, E, _ratios(reader, tick) if moving else None)
+        step = _tick(reader, devices[timing], V, E, _ratios(reader, tick) if moving else None)
         whole = step if whole is None else step @ whole
     assert whole is not None
     return whole
-
-
-def _numbers(reader: Reader, tick: Tick) -> list[Any]:
-    return [reader.arithmetic.number(part) for part in tick.delays]
 
 
 def _ratios(reader: Reader, tick: Tick) -> Array:
@@ -119,13 +122,14 @@ def _ratios(reader: Reader, tick: Tick) -> Array:
     return out
 
 
-def _held(reader: Reader, hands: Sequence[Hand], delays: Sequence[Any]) -> Realisation:
+def _held(reader: Reader, hands: Sequence[Hand], delays: Sequence[Any], periods: Sequence[Any]) -> Realisation:
     """All devices: states of each, then the ports' forces of the tick before; input f, output x."""
     m, ports = len(reader.ports), reader.ports
     zeros = reader.arithmetic.zeros
     parts = []
-    for device, hand, delay in zip(reader.data["devices"].values(), hands, delays, strict=True):
-        parts.append(([ports.index(port) for port in device["ports"]], _late_device(reader, device, hand, delay)))
+    for device, hand, delay, period in zip(reader.data["devices"].values(), hands, delays, periods, strict=True):
+        own = [ports.index(port) for port in device["ports"]]
+        parts.append((own, _late_device(reader, device, hand, delay, period)))
     n = sum(len(free) for _, (free, _, _) in parts)
     A, B, C = zeros(n + m, n + m), zeros(n + m, m), zeros(m, n + m)
     for i in range(m):
@@ -142,8 +146,8 @@ def _held(reader: Reader, hands: Sequence[Hand], delays: Sequence[Any]) -> Reali
     return A, B, C, zeros(m, m)
 
 
-def _late_device(reader: Reader, device: Any, hand: Hand, delay: Any) -> tuple[Array, Array, Array]:
-    """What a tick makes of the states (x, v, q, q'), of the force before, and of the new one."""
+def _late_device(reader: Reader, device: Any, hand: Hand, delay: Any, period: Any) -> tuple[Array, Array, Array]:
+    """What a period makes of the states (x, v, q, q'), of the force before, and of the new one."""
     arithmetic, m, r = reader.arithmetic, len(device["ports"]), len(hand.resonators)
     n = 2 * m + 2 * r
     M, K, G = (reader.matrix(part) for part in (hand.mass, hand.stiffness, hand.gyration))
@@ -168,9 +172,9 @@ def _late_device(reader: Reader, device: Any, hand: Hand, delay: Any) -> tuple[A
         whole = arithmetic.exponential(W * seconds)
         return whole[:n, :n], whole[:n, n:]
 
-    rest = reader.T - delay
+    rest = period - delay
     if not delay > 0:
-        free, new = moved(reader.T)
+        free, new = moved(period)
         return free, arithmetic.zeros(n, m), new
     early, old = moved(delay)
     if not rest > 0:

@@ -88,7 +88,7 @@ def levels(data: Data) -> list[str]:
     osp = joined({name: (device["ports"], device["osp"]) for name, device in data["devices"].items()})
     D, V, Phi = (by_block(claimed[key]) for key in ("Delta_D", "Delta_V", "Phi_E"))
     kappa, share, c = (decimal(claimed[key]) for key in ("kappa", "share", "c"))
-    t = decimal(data["tau"]) / decimal(data["period"])
+    t, stretch = decimal(data["tau"]) / decimal(data["period"]), 1 + decimal(data.get("period_tolerance", 0))
     if not semidefinite([[osp[i][j] - D[i][j] for j in range(m)] for i in range(m)]):
         out.append("Delta_D <= osp")
     if not semidefinite(D, strict=True):
@@ -101,7 +101,9 @@ def levels(data: Data) -> list[str]:
         out.append("condition (10)")
     if not (0 <= t <= 1 and decimal(data["period"]) > 0 and c >= 0 and kappa > 0 and share > 0):
         out.append("0 <= tau <= T, kappa > 0, share > 0, c >= 0")
-    elif not all(_device_keeps(kappa, share, c, t * part) for part in (_DELAYS if t > 0 else (fmpq(0),))):
+    elif ("period_tolerance" in data) != (1 < stretch <= 2):
+        out.append("0 < rho <= 1 where it is stated")
+    elif not all(_device_keeps(kappa, share, c, t * part, stretch) for part in (_DELAYS if t > 0 else (fmpq(0),))):
         out.append("the device keeps its share")
     exact = {"(10)": ten, "Delta_D": D, "Delta_V": V}
     for name, stated in data["margins"].items():
@@ -118,13 +120,15 @@ def levels(data: Data) -> list[str]:
     return out
 
 
-def _device_keeps(kappa: fmpq, share: fmpq, c: fmpq, t: fmpq) -> bool:
+def _device_keeps(kappa: fmpq, share: fmpq, c: fmpq, t: fmpq, stretch: fmpq) -> bool:
     """A tick's energy, T = Delta_D = 1, is not negative, whatever alpha (moved under the old force) and beta (the new).
 
-    alpha^2/t + beta^2/(1-t) + g (alpha + beta) + g- alpha + (kappa/2 - c) g^2 + c g-^2
+    With ``stretch`` the longest period, in units of T,
+
+    alpha^2/t + beta^2/(stretch-t) + g (alpha + beta) + g- alpha + (kappa/2 - c) g^2 + c g-^2
         - share (alpha + beta + kappa g)^2
     """
-    motions = [v for v, seconds in (((1, 0, 0, 0), t), ((0, 1, 0, 0), 1 - t)) if seconds != 0]
+    motions = [v for v, seconds in (((1, 0, 0, 0), t), ((0, 1, 0, 0), stretch - t)) if seconds != 0]
     basis = [*motions, (0, 0, 1, 0), (0, 0, 0, 1)]
 
     def form(x: tuple[int, ...], y: tuple[int, ...]) -> fmpq:
@@ -133,8 +137,8 @@ def _device_keeps(kappa: fmpq, share: fmpq, c: fmpq, t: fmpq) -> bool:
         out += (kappa / 2 - c) * x[2] * y[2] + c * x[3] * y[3]
         if t != 0:
             out += x[0] * y[0] / t
-        if t != 1:
-            out += x[1] * y[1] / (1 - t)
+        if t != stretch:
+            out += x[1] * y[1] / (stretch - t)
         return out - share * (x[0] + x[1] + kappa * x[2]) * (y[0] + y[1] + kappa * y[2])
 
     return semidefinite([[form(x, y) for y in basis] for x in basis])

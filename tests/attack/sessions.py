@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def parts(rng: Generator, m: int) -> list[tuple[int, ...]]:
 
 
 def loop_of(rng: Generator, environment: Environment, T: float, osp: float, tau: float = 0.0) -> HapticLoop:
-    """Devices of about this level, with axes of their own, and any structure of V."""
+    """Devices of about this level, with axes of their own, any structure of V, and longer periods as often as not."""
     m = len(environment.ports)
     devices = tuple(
         DeviceLevel(f"d{i}", ports, symmetric(rng, len(ports), osp * spread(rng, -0.5, 0.5)))
@@ -87,7 +88,7 @@ def loop_of(rng: Generator, environment: Environment, T: float, osp: float, tau:
     blocks = tuple(parts(rng, m))
     return HapticLoop(
         "attack", T, environment.ports, devices, Partition(tuple(f"c{i}" for i in range(len(blocks))), blocks),
-        environment, tau,
+        environment, tau, float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, 1.0), 0.1, 1.0])),
     )  # fmt: skip
 
 
@@ -101,10 +102,11 @@ def spring_damper(rng: Generator, loop: HapticLoop, aim: Transparency | None = N
     if aim is None and rng.random() < 0.15:
         return SpringDamperWanted(Wish("stiffest" if rng.random() < 0.5 else "feasible"))
     t = loop.tau / loop.period
-    limit = loop.Delta_D / ((0.5 + 1.5 * t) * loop.period)
+    least = 0.5 * (1.0 + loop.period_tolerance) + 1.5 * t
+    limit = loop.Delta_D / (least * loop.period)
     part = float(rng.choice([0.999, rng.uniform(0.7, 1.0), rng.uniform(0.1, 0.9)])) * (1.0 if t == 0.0 else 0.97)
     damping = float(rng.uniform(-0.3, 1.0)) * (1.0 - part)
-    K, B = part * limit, damping * loop.Delta_D / (1.0 + 3.0 * t)
+    K, B = part * limit, damping * loop.Delta_D / (2.0 * least)
     return SpringDamperGiven(SpringDamper((K + K.T) / 2.0, (B + B.T) / 2.0), aim)
 
 
@@ -301,7 +303,7 @@ def of_linear(rng: Generator) -> Data | None:
     loop = loop_of(rng, environment, T, osp, late(rng, T) if rng.random() < 0.3 else 0.0)
     blocks = []
     for level in loop.Delta_D_blocks:
-        k = float(rng.uniform(0.2, 0.95)) / ((0.5 + 1.5 * loop.tau / T) * T)
+        k = float(rng.uniform(0.2, 0.95)) / ((0.5 * (1.0 + loop.period_tolerance) + 1.5 * loop.tau / T) * T)
         b = float(rng.uniform(-0.1, 0.4))
         num, den = np.array([T, 0.0]) / (T * k + b), np.array([1.0, -b / (T * k + b)])
         for _ in range(int(rng.integers(0, 4))):
@@ -360,11 +362,12 @@ def ladder(rng: Generator) -> list[Data] | None:
         level = symmetric(rng, m, osp)
         loop = HapticLoop(
             "attack", T, environment.ports, (DeviceLevel("d", tuple(range(m)), level),),
-            Partition(tuple(f"c{i}" for i in range(m)), tuple((i,) for i in range(m))), environment,
+            Partition(tuple(f"c{i}" for i in range(m)), tuple((i,) for i in range(m))), environment, 0.0,
+            loop.period_tolerance,
         )  # fmt: skip
     rungs: list[Data] = []
     for part in sorted({0.0, *(float(x) for x in rng.choice([0.1, 0.25, 0.5, 1.0], size=2))}):
-        at = HapticLoop("attack", T, loop.ports, loop.devices, loop.partition, environment, part * T)
+        at = replace(loop, tau=part * T)
         data = designed(at, spring_damper(rng, at))
         if data is not None:
             rungs.append(data)

@@ -294,6 +294,17 @@ def test_a_tick_is_what_its_equations_say() -> None:
     np.testing.assert_allclose(whole @ start, found, rtol=1e-7, atol=1e-9 * np.abs(found).max())
 
 
+@pytest.mark.parametrize(("rho", "limit"), [(0.25, 2192.0), (1.0, 1370.0)])
+def test_a_spring_for_periods_of_T_is_shaken_by_longer_ones(rho: float, limit: float) -> None:
+    assert not any("shaken" in finding for finding in findings(wall(1.2 * limit), 6, 60))
+    unsteady = {"period_tolerance": rho, "version": 4}
+    found = findings(wall(1.2 * limit) | unsteady, 6, 60)
+    assert "the device keeps its share" in found
+    assert any("shaken" in finding for finding in found)
+    kappa = 0.5 * (1.0 + rho)
+    assert findings(wall(0.9 * limit, kappa=kappa, share=0.5 / kappa) | unsteady, 6, 60) == []
+
+
 def test_an_environment_at_its_level_is_lossless_beside_it() -> None:
     data = wall(1000.0)
     data["levels"]["Phi_E"] = {"v": [[0.7]]}

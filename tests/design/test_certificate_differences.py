@@ -155,6 +155,7 @@ def test_another_loop_is_named(problems, proved: Certificate) -> None:
     for other, words in (
         (problems.example_1(T=2e-3), "the period"),
         (dataclasses.replace(loop, tau=1e-4), "the delay inside the tick"),
+        (dataclasses.replace(loop, period_tolerance=0.1), "the period tolerance"),
         (problems.example_1(osp=1.4), "the level or order of devices"),
         (dataclasses.replace(loop, devices=loop.devices[::-1]), "the level or order of devices"),
         (problems.example_1(problems.centralised), "the block structure"),

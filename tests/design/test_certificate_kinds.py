@@ -73,6 +73,8 @@ def kinds(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
         "box": (on(NetworkBox(low, high)), soft),
         "late": (on(DelayedNetwork(low, 2), strong), SpringDamperGiven(problems.uniform(1.4e4, 0.5))),
         "tau": (on(low, tau=2.5e-4), soft),
+        "longer periods": (dataclasses.replace(loop, period_tolerance=0.25), soft),
+        "tau and longer periods": (dataclasses.replace(loop, tau=2.5e-4, period_tolerance=0.1), soft),
         "backward Euler": (on(oscillator("backward-euler")), soft),
         "Tustin": (on(oscillator("tustin"), strong), soft),
         "hold": (on(oscillator("zoh"), strong, tau=1e-4), soft),
@@ -88,7 +90,8 @@ def kinds(problems) -> dict[str, tuple[HapticLoop, CouplingRequest]]:
 
 
 KINDS = (
-    "network", "no mass", "drifting", "box", "late", "tau", "backward Euler", "Tustin", "hold", "discrete, late",
+    "network", "no mass", "drifting", "box", "late", "tau", "longer periods", "tau and longer periods",
+    "backward Euler", "Tustin", "hold", "discrete, late",
     "transfer function", "transfer function, Tustin, late", "linear", "static", "shaped", "shaped, linear",
     "closed loop",
 )  # fmt: skip
@@ -108,6 +111,9 @@ def test_every_kind_round_trips_and_is_proved_from_its_file(problems, path: Path
     assert all_hold(data)
     assert read.loop.environment == loop.environment
     assert (read.loop.tau, read.tau) == (loop.tau, loop.tau)
+    assert (read.loop.period_tolerance, read.period_tolerance) == (loop.period_tolerance,) * 2
+    assert data["version"] == (4 if "longer periods" in kind else 3)
+    assert ("period_tolerance" in data) == ("longer periods" in kind)
     assert (read.spring_damper is None) == isinstance(wanted, LinearGiven)
     assert (read.transparency is None) == (wanted.aim is None)
     assert read.asked == certificate.asked == describe_request(wanted, loop.partition.names)

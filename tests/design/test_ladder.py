@@ -105,6 +105,19 @@ def test_example_1_has_a_rung_for_every_quarter(problems, partition: str) -> Non
         assert rung.margins["(10)"] == pytest.approx(alone.margins["(10)"], rel=1e-3)
 
 
+def test_every_rung_covers_the_longer_periods_of_the_first(problems) -> None:
+    loop = replace(problems.example_1(), period_tolerance=0.2)
+    ladder = ladder_of(loop)
+    assert ladder.taus == (0.0, *QUARTERS)
+    assert ladder.independent
+    assert [rung.period_tolerance for rung in ladder.rungs] == [0.2] * 4
+    for rung, prompt in zip(ladder.rungs, ladder_of(problems.example_1()).rungs, strict=True):
+        assert all(finding.holds for finding in prove(plain(rung)))
+        assert rung.spring_damper is not None
+        assert prompt.spring_damper is not None
+        assert rung.spring_damper.stiffness[0, 0] < prompt.spring_damper.stiffness[0, 0]
+
+
 def test_the_stiffest_stays_the_stiffest(problems) -> None:
     loop, wanted = problems.example_1(), SpringDamperWanted(Wish("stiffest"))
     for rung in ladder_of(loop, wanted).rungs:
@@ -282,6 +295,9 @@ def test_rungs_of_another_loop_or_in_another_order_are_refused(lacking) -> None:
         first, second = forged(lacking)
         second[key] = change
         assert refused(first, second) == f"rung 1: {key} is not rung 0's"
+    first, second = forged(lacking)
+    second |= {"period_tolerance": 0.1, "version": 4}
+    assert refused(first, second) == "rung 1: period_tolerance is not rung 0's"
     first, second = forged(lacking)
     second["structure"] = dict(reversed(second["structure"].items()))
     assert refused(first, second) == "rung 1: the order of structure is not rung 0's"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import struct
 from pathlib import Path
@@ -69,7 +70,7 @@ def test_the_sessions_own_delay_and_period_are_among_them() -> None:
 
 def test_the_object_is_plain_json() -> None:
     said = json.loads(json.dumps(budget_object(budget(loop([1.37, 2.0], tau=3e-4))), allow_nan=False))
-    assert set(said) == {"session", "period", "tau", "environment", "devices"}
+    assert set(said) == {"session", "period", "tau", "period_tolerance", "environment", "devices"}
     assert set(said["devices"]) == {"d0", "d1"}
     rows = said["devices"]["d1"]["against_tau"]
     assert {"T", "tau", "certified", "colgate", "kappa"} == set(rows[0])
@@ -88,6 +89,19 @@ def test_the_tables_say_what_is_what() -> None:
     assert "longer than T" in text
     assert "The environment is passive" in text
     assert printed(loop([1.37])).count("τ = 0") == 2  # its own and Colgate's: no third for the session's
+
+
+def test_longer_periods_cost_stiffness() -> None:
+    """The limits are b/(lambda T/2 + 3 tau/2), and Colgate's at a constant period of lambda T; they meet at tau = 0."""
+    of = dataclasses.replace(loop([1.37], tau=0.3e-3), period_tolerance=0.1)
+    rows = {row.tau: row for row in budget(of).devices[0].against_delay}
+    assert rows[0.0].certified == pytest.approx(1.37 / 0.55e-3)
+    assert rows[0.0].colgate == pytest.approx(rows[0.0].certified)
+    assert rows[0.3e-3].certified == pytest.approx(1.37 / (0.55e-3 + 0.45e-3))
+    assert rows[0.3e-3].colgate == pytest.approx(1.37 / (0.55e-3 + 0.3e-3))
+    assert budget_object(budget(of))["period_tolerance"] == 0.1
+    assert "Periods may be up to 1.1 T long" in printed(of)
+    assert "Periods may be" not in printed(loop([1.37], tau=0.3e-3))
 
 
 def test_many_devices_of_many_levels_stay_readable() -> None:

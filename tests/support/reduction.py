@@ -102,6 +102,7 @@ def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
                 partition=remaining,
                 environment=environment,
                 tau=loop.tau,
+                period_tolerance=loop.period_tolerance,
             ),
             coupling=tuple(certificate.coupling[i] for i in kept),
             levels=parts,

@@ -45,6 +45,13 @@ def late(problems) -> Data:
     return plain(design(loop, SpringDamperGiven(problems.uniform(5000.0, 0.5))).certificate)
 
 
+@pytest.fixture(scope="module")
+def unsteady(problems) -> Data:
+    """Late inside the tick, and with periods up to 1.1 T."""
+    loop = dataclasses.replace(problems.example_1(), tau=1e-4, period_tolerance=0.1)
+    return plain(design(loop, SpringDamperGiven(problems.uniform(800.0, 0.3))).certificate)
+
+
 def resealed(data: Data) -> Data:
     """With the id and the margins of its own content, as a careful forger would have them."""
     levels = data["levels"]
@@ -62,8 +69,8 @@ def failing(data: Data) -> list[str]:
         return [str(error)]
 
 
-def test_what_design_returns_is_proved(proved: Data, linear: Data, late: Data) -> None:
-    for data in (proved, linear, late):
+def test_what_design_returns_is_proved(proved: Data, linear: Data, late: Data, unsteady: Data) -> None:
+    for data in (proved, linear, late, unsteady):
         assert failing(data) == []
         assert failing(resealed(copy.deepcopy(data))) == []  # and what a forger does on top spoils nothing
     assert proved["margins"]["(10)"] == pytest.approx(0.7979, abs=1e-3)
@@ -98,6 +105,11 @@ def springs(stiffness: float, damping: float) -> Callable[[Data], None]:
         *(change("coupling", "blocks", block, "stiffness", by=lambda M: [[stiffness]]) for block in ("cx", "cy", "cz")),
         *(change("coupling", "blocks", block, "damping", by=lambda M: [[damping]]) for block in ("cx", "cy", "cz")),
     )
+
+
+def tolerance(rho: float, *others: Callable[[Data], None]) -> Callable[[Data], None]:
+    """Periods up to (1 + rho) T are claimed, in the version that has the key."""
+    return every(lambda data: data.update(version=4, period_tolerance=rho), *others)
 
 
 def links(by: float) -> Callable[[Data], None]:
@@ -162,6 +174,34 @@ FORGERIES = {
     "a port in two blocks": ("proved", lambda data: data["structure"].update(cx=["dy"]), "every port has one"),
     "a delay": ("proved", change("tau", by=lambda _: 1e-4), "F_t >= 0"),
     "a longer delay": ("late", change("tau", by=lambda tau: 1.02 * float(tau)), "F_t >= 0"),
+    "longer periods": ("proved", tolerance(0.1), "F_t >= 0"),
+    "hardly longer periods": ("proved", tolerance(1e-12), "F_t >= 0"),
+    "longer periods behind a delay": ("late", tolerance(0.02), "F_t >= 0"),
+    "longer periods than were designed for": ("unsteady", tolerance(0.11), "F_t >= 0"),
+    "longer periods with their gain, and the old share": (
+        "proved",
+        tolerance(0.1, change("levels", "kappa", by=lambda _: 0.56)),
+        "F_t >= 0",
+    ),
+    "longer periods with their share, and the old gain": (
+        "proved",
+        tolerance(0.1, change("levels", "share", by=lambda _: 0.9)),
+        "F_t >= 0",
+    ),
+    "no longer periods, in the version of longer ones": ("unsteady", tolerance(0.0), "0 < rho <= 1"),
+    "periods of less than T": ("unsteady", tolerance(-0.1), "0 < rho <= 1"),
+    "periods of more than 2 T": ("unsteady", tolerance(1.5), "0 < rho <= 1"),
+    "a tolerance that is no number": ("unsteady", tolerance("0.1"), "period_tolerance"),  # type: ignore[arg-type]
+    "a tolerance that an older version would ignore": (
+        "unsteady",
+        lambda data: data.update(version=3),
+        "period_tolerance: expected it in version 4, and in no other",
+    ),
+    "a version of longer periods without them": (
+        "unsteady",
+        lambda data: data.pop("period_tolerance"),
+        "period_tolerance: expected it in version 4, and in no other",
+    ),
     "a greater share": ("late", change("levels", "share", by=lambda s: 1.001 * float(s)), "F_t >= 0"),
     "a smaller gain": ("late", change("levels", "kappa", by=lambda k: 0.999 * float(k)), V_HAT),
     "a gain for a stiffer coupling": ("late", change("levels", "kappa", by=lambda _: 0.5), "F_t >= 0"),
@@ -193,9 +233,9 @@ FORGERIES = {
 
 
 @pytest.mark.parametrize("name", FORGERIES)
-def test_a_false_claim_is_found(proved: Data, linear: Data, late: Data, name: str) -> None:
+def test_a_false_claim_is_found(proved: Data, linear: Data, late: Data, unsteady: Data, name: str) -> None:
     which, forge, words = FORGERIES[name]
-    forged = copy.deepcopy({"proved": proved, "linear": linear, "late": late}[which])
+    forged = copy.deepcopy({"proved": proved, "linear": linear, "late": late, "unsteady": unsteady}[which])
     forge(forged)
     try:
         forged = resealed(forged)
@@ -204,6 +244,14 @@ def test_a_false_claim_is_found(proved: Data, linear: Data, late: Data, name: st
     found = failing(forged)
     assert found
     assert any(words in condition for condition in found), found
+
+
+def test_fewer_periods_than_are_proved_are_a_true_claim(unsteady: Data) -> None:
+    """A lower tolerance, or none in the version without the key, claims less of the same numbers."""
+    for forge in (tolerance(0.05), lambda data: (data.pop("period_tolerance"), data.update(version=3))):
+        less = copy.deepcopy(unsteady)
+        forge(less)
+        assert failing(resealed(less)) == []
 
 
 def test_without_a_new_id_anything_is_found_at_once(proved: Data) -> None:

@@ -19,7 +19,7 @@ from manyhands.launch import cli
 from ...support.commands import manyhands_command
 
 KEYS = {"status", "id", "version", "asked", "margin", "gamma", "coupling", "levels", "margins", "period", "tau"}
-KEYS |= {"structure", "enforced"}
+KEYS |= {"period_tolerance", "structure", "enforced"}
 GIVEN = ["--set", "design.coupling=given", "--set", "design.stiffness=704.9", "--set", "design.damping=0.0372"]
 SHAPED = [*GIVEN, "--set", "design.objective=loop-shaping"]
 COMPLEMENTARITY = ["--set", "design.algorithm=complementarity"]
@@ -78,6 +78,26 @@ def test_the_object_of_a_design_with_a_delay() -> None:
     assert said["levels"]["kappa"] > 0.5
     assert 0.0 < said["levels"]["share"] < 1.0
     assert "0.00025 s" in manyhands_command("design", "example1.yaml", "--set", "design.tau=0.00025").stdout
+
+
+def test_a_design_for_longer_periods(tmp_path: Path) -> None:
+    file = str(tmp_path / "c.json")
+    wanted = ("--set", "design.objective=stiffest", "--set", "design.period_tolerance=0.25")
+    result = manyhands_command("design", "example1.yaml", "-o", file, "--json", *wanted)
+    assert result.exit_code == 0, result.stderr
+    said = one_object(result)
+    assert (said["tau"], said["period_tolerance"], said["version"]) == (0.0, 0.25, 4)
+    assert said["levels"]["share"] == pytest.approx(0.8)
+    assert max(map(max, said["coupling"]["stiffness"])) < 2740.0 / 1.25
+    assert (
+        "T = 0.001 s, tau = 0 s, periods up to 1.25 T" in manyhands_command("design", "example1.yaml", *wanted).stdout
+    )
+    assert "periods up to (1 + rho) T" in manyhands_command("verify", file).stdout
+    simulate = ("simulate", "example1.yaml", "--certificate", file, "--duration", "0.01")
+    assert manyhands_command(*simulate, *wanted).exit_code == 0
+    other = manyhands_command(*simulate, *wanted[:2])
+    assert other.exit_code != 0
+    assert "the period tolerance differs: the certificate has 0.25, the session 0.0" in other.stderr
 
 
 def test_the_object_of_linear_blocks() -> None:

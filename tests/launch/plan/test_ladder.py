@@ -122,6 +122,19 @@ def test_delays_without_a_rung_are_reported() -> None:
     assert found.notes[0].startswith("no rung for a delay of 0.9 ms: ")
 
 
+def test_a_device_is_given_the_tolerance_of_every_rung(tmp_path: Path) -> None:
+    steady, unsteady = (
+        cut(prepare(example("design.ladder=[0.0006]", *more)), RunPlan("simulated", tmp_path, ""))["dx"]
+        for more in ((), ("design.period_tolerance=0.2",))
+    )
+    assert isinstance(steady, DeviceBundle)
+    assert isinstance(unsteady, DeviceBundle)
+    assert [(rung.tau, rung.period_tolerance) for rung in steady.rungs] == [(0.0, 0.0), (0.0006, 0.0)]
+    assert [(rung.tau, rung.period_tolerance) for rung in unsteady.rungs] == [(0.0, 0.2), (0.0006, 0.2)]
+    for of_steady, of_unsteady in zip(steady.promises, unsteady.promises, strict=True):
+        assert of_unsteady.level[0, 0] < of_steady.level[0, 0]
+
+
 def test_a_run_that_nothing_proves_has_no_ladder(tmp_path: Path) -> None:
     stiff = prepare(example("design.coupling=given", "design.stiffness=3000", SINGLE), uncertified=True)
     assert stiff.ladder is None

@@ -35,6 +35,7 @@ def test_a_certificate_from_a_file_is_proved_again_and_used(tmp_path: Path) -> N
         ("session=other", "the session's name differs"),
         ("design.stiffness=706", "the coupling is not the one"),
         ("design.tau=0.0001", "the delay inside the tick differs"),
+        ("design.period_tolerance=0.1", "the period tolerance differs"),
         ("environment.delay=1", "the environment differs"),
     ],
 )

@@ -16,7 +16,7 @@ from manyhands.launch.cli import app
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit, bounded
+from manyhands.launch.recordings.audit import Audit, audit, bounded, period_assumed
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
 from manyhands.launch.recordings.events import Course, course_of
@@ -426,6 +426,16 @@ def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:
     assert tau.first.tick == AT
     assert found(done, "dy", "tau").verdict is CheckVerdict.HOLDS
     assert {check.first.tick for check in done.broken if check.name == "limits" and check.first} == {AT}
+
+
+def test_the_period_that_is_assumed_is_the_certificates(recording: Path) -> None:
+    run = read_run(recording)
+    assert period_assumed(run, "dx", 0.0).what == "samples are at most 1.25 T apart, as the device counted"
+    assert period_assumed(run, "dx", 0.4).what == "samples are at most 1.4 T apart, as the device counted"
+    assert period_assumed(run, "dx", 0.0).verdict is CheckVerdict.HOLDS
+    run.figures["dx"][-1][1]["period_breaches"] = 3.0
+    check = period_assumed(run, "dx", 0.0)
+    assert (check.verdict, check.remark) == (CheckVerdict.ASSUMPTION, "not in 3 ticks")
 
 
 def test_a_certificate_that_proves_nothing_is_found(prepared: Prepared, tmp_path: Path) -> None:

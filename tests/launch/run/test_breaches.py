@@ -41,9 +41,9 @@ class Rungs:
 class Measured:
     """Devices that send telemetry, one message after the other; what is decided is carried out."""
 
-    def __init__(self, policy: Policy, ladder: Rungs | None = None) -> None:
+    def __init__(self, policy: Policy, ladder: Rungs | None = None, period_tolerance: float = 0.0) -> None:
         self.rungs: dict[str, int] = {}
-        self.policy = BreachPolicy(policy, CHAINS, 100e-6, 1e-3, ladder, self.rungs)
+        self.policy = BreachPolicy(policy, CHAINS, 100e-6, 1e-3, ladder, self.rungs, period_tolerance)
         self.notices: dict[str, str] = {}
         self._counts: dict[str, dict[str, float]] = {}
         self._ticks: dict[str, int] = {}
@@ -372,6 +372,15 @@ def test_changes_grow_with_the_logarithm_of_time(stretches: list[tuple[int, floa
     doublings = math.log2(1.0 + ticks * 1e-3 / CALM)
     assert doublings < MOST_DOUBLINGS
     assert climbs <= (len(Rungs.taus) - 1) * (1.0 + doublings)
+
+
+def test_the_period_that_the_certificate_covers_is_named() -> None:
+    m = Measured(Policy.WARN, period_tolerance=0.4)
+    for late in (0, 50):
+        m.tell("dx", 0, late_periods=late)
+    (notice,) = m.tell("dx", 0, late_periods=50)
+    assert isinstance(notice, Notice)
+    assert notice.text.endswith("does not cover (it assumes 1400 us)")
 
 
 @pytest.mark.parametrize("policy", Policy)

@@ -149,6 +149,14 @@ def test_tau_may_be_a_whole_period() -> None:
         example("example1", "design.tau=0.001", "period=0.0005")
 
 
+def test_a_period_may_be_longer_by_up_to_the_whole() -> None:
+    assert example("example1").design.period_tolerance == 0.0
+    assert example("example1", "design.period_tolerance=1").design.period_tolerance == 1.0
+    for value in ("-0.1", "1.01", ".nan", "often"):
+        with pytest.raises(SessionError, match=r"design\.period_tolerance: found .*; expected .*a part of the period"):
+            example("example1", f"design.period_tolerance={value}")
+
+
 def test_the_level_of_a_given_coupling_may_be_asked_for() -> None:
     given = ["design.coupling=given", "design.stiffness=704.9", "design.damping=0.0372"]
     design = example("example2", *given).design

@@ -10,15 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.bundle import Common, Limits
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.nodes.bundle import Common, DeviceRung, Limits
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.telemetry import PERIOD_TOLERANCE, DeviceTelemetry
-from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 
 MS = 1_000_000
 ROWS = 10
-TAU = Duration(MS // 4)
+TAU = MS // 4
 
 COMMON = Common(
     session="s", name="dx", role=Role.DEVICE, certificate="c", period=0.001, clock="realtime",
@@ -29,11 +30,16 @@ CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)
 GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
 
 
+def rung(tau: int, period_tolerance: float = 0.0) -> DeviceRung:
+    """A rung that covers delays of ``tau``, ns, and periods up to (1 + period_tolerance) T."""
+    return DeviceRung(tau / 1e9, period_tolerance, DeviceShare())
+
+
 class TelemetryDevice:
     """A device's telemetry, and a session that feeds it tick by tick."""
 
     def __init__(self, line: Any) -> None:
-        self.account, self.line, self.at = DeviceTelemetry(COMMON, TAU), line, 0
+        self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU)), line, 0
 
     def tick(self, tick: int, after: int = MS, tau: int = 0, value: float | None = None) -> None:
         """A tick that comes ``after`` ns, and whose force is there ``tau`` ns after the sample."""
@@ -100,7 +106,7 @@ def test_delays_beyond_the_certificates_are_counted_by_the_rung_that_holds(devic
     for tick, tau in enumerate([TAU, TAU + 1, 3 * TAU]):
         device.tick(tick, tau=tau)
     assert device.end()["tau_breaches"] == 2
-    device.account.change_rung(2, 1, Duration(3 * TAU))
+    device.account.change_rung(2, 1, rung(3 * TAU))
     device.tick(3, tau=3 * TAU)
     device.tick(4, tau=3 * TAU + 1)
     assert device.end()["tau_breaches"] == 3
@@ -130,11 +136,30 @@ def test_telemetry_has_percentiles_of_the_true_period_since_the_start(device: Te
         (MS, 0),
         (round(MS * (1 + PERIOD_TOLERANCE)), 0),
         (round(MS * (1 + PERIOD_TOLERANCE)) + 1, 1),
-        (round(MS * (1 - PERIOD_TOLERANCE)), 0),
-        (round(MS * (1 - PERIOD_TOLERANCE)) - 1, 1),
+        (round(MS * (1 - PERIOD_TOLERANCE)) - 1, 0),
+        (TAU, 0),
     ],
 )
-def test_periods_that_are_none_are_counted(device: TelemetryDevice, after: int, breaches: int) -> None:
+def test_periods_that_are_too_long_are_counted(device: TelemetryDevice, after: int, breaches: int) -> None:
+    """A shorter one is covered: the device dissipates more in it."""
+    device.tick(0)
+    device.tick(1, after=after)
+    assert device.end()["period_breaches"] == breaches
+
+
+@pytest.mark.parametrize(
+    ("rho", "after", "breaches"),
+    [
+        (0.1, round(1.25 * MS), 0),
+        (0.1, round(1.25 * MS) + 1, 1),
+        (0.4, round(1.4 * MS), 0),
+        (0.4, round(1.4 * MS) + 1, 1),
+    ],
+)
+def test_periods_that_the_certificate_covers_are_not_counted(
+    device: TelemetryDevice, rho: float, after: int, breaches: int
+) -> None:
+    device.account.change_rung(0, 1, rung(TAU, rho))
     device.tick(0)
     device.tick(1, after=after)
     assert device.end()["period_breaches"] == breaches
