@@ -104,7 +104,7 @@ def run(index: int, clock: str, faults: int, seed: int) -> Run:
         silent = [node for node in chaos.graph.nodes if node not in reports]
         if silent:
             violations.append(f"no last word of {', '.join(silent)}")
-        least = {node: entry["ledger"]["min"] for node, entry in reports.items() if "ledger" in entry}
+        least = {node: entry["ledger"]["margin"] for node, entry in reports.items() if "ledger" in entry}
         for node, told in chaos.ledgers.items():
             least[node] = min(told, least.get(node, 0.0))
         violations += broken_promises(least)

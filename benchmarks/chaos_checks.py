@@ -2,7 +2,8 @@
 
 - **Limits**: no force, displacement or speed in the recording is beyond the device's limits; in real time, where a
   device moves on between the ticks that it misses, its speed is the device's own affair, which ends the session.
-- **Promises**: no party ever reported an energy ledger below -1e-12 J, including processes that were killed later.
+- **Promises**: no party's energy ledger was ever more than 1e-12 J below its bound, including processes that were
+  killed later.
 - **Steps**: from one tick to the next no user's force changes by more than twice what the single-process simulation of
   such faults finds, except where it falls to exactly zero: there a user lets go, and under the simulated clock
   there are at most as many of these as faults that concern the user.
@@ -114,7 +115,7 @@ def examine(
 def broken_promises(ledgers: Mapping[str, float]) -> list[str]:
     """Ledgers that fell below their bound."""
     return [
-        f"{node}: found a ledger of {least:g} J; expected none below {PROMISE:g} J"
+        f"{node}: found a ledger {-least:g} J below its bound; expected none"
         for node, least in ledgers.items()
         if least < PROMISE
     ]

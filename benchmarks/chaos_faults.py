@@ -39,7 +39,7 @@ class Chaos:
         done: the kinds so far.
         hits: how often each user may have been made to let go.
         stuck: why the run was given up; empty for none.
-        ledgers: the least total that each node ever reported, J.
+        ledgers: the least margin that each node's ledger ever had, J.
     """
 
     graph: Topology
@@ -58,8 +58,8 @@ class Chaos:
     def show(self, progress: Progress) -> None:
         """Take the supervisor's progress."""
         for node, told in progress.telemetry.items():
-            if names.LEDGER_MIN in told.figures:
-                self.ledgers[node] = min(self.ledgers.get(node, 0.0), told.figures[names.LEDGER_MIN])
+            if names.LEDGER_MARGIN in told.figures:
+                self.ledgers[node] = min(self.ledgers.get(node, 0.0), told.figures[names.LEDGER_MARGIN])
         if progress.phase is not SessionPhase.RUNNING or self._interrupted:
             return
         self._hold(progress)

@@ -60,17 +60,22 @@ class Ledger:
         at: the number of ticks after which the total was least; 0 where it never fell below 0.
     """
 
-    __slots__ = ("at", "minimum", "ticks", "total")
+    __slots__ = ("_allowed", "at", "minimum", "ticks", "total")
 
-    def __init__(self) -> None:
+    def __init__(self, allowed: float = 0.0) -> None:
+        """No energy is entered yet; ``allowed`` is how far the total may fall below 0, J."""
+        self._allowed = allowed
         self.total = 0.0
         self.minimum = 0.0
         self.ticks = self.at = 0
 
     @property
     def margin(self) -> float:
-        """The least total's distance from its bound, -V(psi_0) = 0, J; negative for a broken promise."""
-        return self.minimum
+        """The least total's distance from its bound, J; negative for a broken promise.
+
+        The bound is -V(psi_0) = 0; for a device whose lateness is bounded it is less by what lateness may put in.
+        """
+        return self.minimum + self._allowed
 
     def enter(self, energy: float) -> None:
         """Add one tick's T (y^T u - y^T Delta y - u^T Phi u), J."""

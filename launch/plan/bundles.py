@@ -37,6 +37,7 @@ from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     OWN,
+    REALTIME,
     SIMULATED,
     BrowserHand,
     Bundle,
@@ -270,7 +271,7 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
             other = link.connector if binds else link.binder
             address = run.reach.address(graph, index) if binds else ""
             peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
-    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name))
+    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name, run.clock == REALTIME))
     return Common(
         session=prepared.session.name,
         name=name,
@@ -296,12 +297,12 @@ def mass_names(session: Session) -> tuple[str, ...]:
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
 
 
-def _columns(session: Session, graph: Topology, name: str) -> int:
+def _columns(session: Session, graph: Topology, name: str, wall: bool) -> int:
     """The number of columns in all traces of a node; 0 for an observer."""
     if name not in graph.nodes:
         return 0
     ports, masses = graph.ports[name], mass_names(session)
-    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses, wall=True))
+    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses, wall))
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

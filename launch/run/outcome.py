@@ -108,6 +108,14 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             entry["ledger"]["at"] = int(tick)
         if names.LEDGER_MARGIN in figures:
             entry["ledger"]["margin"] = figures[names.LEDGER_MARGIN]
+    if {names.INTERFACE, names.INTERFACE_LEAST} <= figures.keys():
+        entry["interface"] = {
+            "min": figures[names.INTERFACE_LEAST],
+            "final": figures[names.INTERFACE],
+            "changed_ticks": int(figures.get(names.INTERFACE_TICKS, 0.0)),
+            "kept_back": figures.get(names.INTERFACE_KEPT_BACK, 0.0),
+            "offset": figures.get(names.INTERFACE_OFFSET, 0.0),
+        }
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
         ticks = min(max(figures[names.ENFORCED_TICKS], 0.0), MAX_COUNT)
         entry["enforcement"] = {"ticks": int(ticks), "energy": figures[names.ENFORCED_ENERGY]}

@@ -7,6 +7,10 @@
 with share = 1 and kappa = 1/2 without delay, and what :mod:`manyhands.design.levels.device` gives for a delay inside
 the tick.
 
+For a device in wall time, x and f are what its couplings received and asked for
+(:mod:`manyhands.nodes.device.interface`). Lateness may then lower the ledger below zero, by the interface's tank at the
+most where it is bounded.
+
 The *intention* of the hand is no part of that promise. Where it is known, as for a simulated hand, the work that it did
 is added to the ledger.
 
@@ -57,19 +61,20 @@ class DeviceCore:
         peak_speed: the greatest speed so far, m/s.
     """
 
-    def __init__(self, level: Vector, K: Vector, T: float) -> None:
+    def __init__(self, level: Vector, K: Vector, T: float, allowed: float = 0.0) -> None:
         """Start at rest in x = 0.
 
         Args:
             level: share Delta_D of this device, m_i x m_i, N*s/m.
             K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
             T: period, s.
+            allowed: how far the ledger may fall below 0, J.
         """
         self._T = T
         self.change(level, K)
         self._x: Floats = [0.0] * level.shape[0]
         self._f, self._velocity = self._x, self._x
-        self.ledger = Ledger()
+        self.ledger = Ledger(allowed)
         self.speed = 0.0
         self.peak_speed = 0.0
 
@@ -82,12 +87,17 @@ class DeviceCore:
         """
         self._level, self._K_over_T = linear_map(level), linear_map(K / self._T)
 
-    def sample(self, x: Floats) -> None:
-        """Take the displacement x(k), m; the list is kept until the next call."""
+    def sample(self, x: Floats, speed: float | None = None) -> None:
+        """Take the displacement x(k), m; the list is kept until the next call.
+
+        Args:
+            x: what the couplings received.
+            speed: the device's own, m/s; None for that of x over one period.
+        """
         T = self._T
         self._velocity = [(at - last) / T for at, last in zip(x, self._x, strict=True)]
         self._x = x
-        self.speed = speed = math.hypot(*self._velocity)
+        self.speed = speed = math.hypot(*self._velocity) if speed is None else speed
         if speed > self.peak_speed:
             self.peak_speed = speed
 

@@ -195,6 +195,7 @@ class DeviceInterface:
         ticks: the number of ticks in which the motion or the force was changed.
         kept_back: the energy that the changed motions kept from being lost, J.
         offset: the greatest offset so far between the device and the motion sent, of any axis, m.
+        speed: the device's mean speed between the last two samples that were sent, m/s.
     """
 
     def __init__(
@@ -228,7 +229,9 @@ class DeviceInterface:
         self._tolerance = tolerance
         self._sent: Floats = [0.0] * len(speed)
         self._goal = self._sent
-        self._at = Instant(0)  # of the sample
+        self._x: Floats = self._sent  # of the sample
+        self._at: Instant | None = None  # likewise
+        self.speed = 0.0
         self._booked, self._changed = 0.0, False
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
 
@@ -259,7 +262,9 @@ class DeviceInterface:
         """
         account, before = self.account, self._sent
         account.sampled(x, at)
-        self._at = at
+        if self._at is not None and at > self._at:
+            self.speed = math.dist(x, self._x) / ((at - self._at) * _NS)
+        self._x, self._at = x, at
         w = [to - last for to, last in zip(goal, before, strict=True)]
         if not self._bounded:
             self._sent = goal
@@ -297,18 +302,18 @@ class DeviceInterface:
             held: the part of it within the device's limits, N.
             at: the present instant.
         """
-        account, T = self.account, self._T
+        account, T, sampled = self.account, self._T, at if self._at is None else self._at
         account.answered(f)
         if not self._bounded:
             return held, None
         self._book()
-        late = max(0.0, (at - self._at) * _NS)
+        late = max(0.0, (at - sampled) * _NS)
         self._expected += CALM * (min(late, LONGEST * T) - self._expected)
         power, expected = account.cost(held), max(self._tau, self._expected)
         self.tank = min(self.tank, self._E_0 + ROOM * (T + expected) * power)
-        until = Instant(self._at + self._longest)
+        until = Instant(sampled + self._longest)
         if power > 0.0:
-            spent = min(late, self._left(self._at)) * account.cost(account.exerted)
+            spent = min(late, self._left(sampled)) * account.cost(account.exerted)
             paid = max(0.0, self.tank - spent + account.least_gain(self._best(f)))
             needed = (1.0 + self._tolerance) * T + expected - late
             if needed * power > paid:

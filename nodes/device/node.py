@@ -54,7 +54,8 @@ class DeviceNode:
         common = bundle.common
         self._common, self._driver = common, driver
         self._rungs, self._promises = bundle.rungs, bundle.promises
-        self._core = DeviceCore(*bundle.promises[0], common.period)
+        allowed = bundle.tank if bundle.tank is not None and bundle.time == WALL else 0.0
+        self._core = DeviceCore(*bundle.promises[0], common.period, allowed)
         self._guard = Guard(bundle.limits, common.period, common.ports)
         self._realtime: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(common)
@@ -114,6 +115,7 @@ class DeviceNode:
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
         interface, sent_tick = self._interface, -1  # the tick for which a motion was sent last
+        intended = 0.0  # the work of the hand's intention that the ledger does not have yet, J
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
@@ -157,8 +159,11 @@ class DeviceNode:
             received = clock.now()
             if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.apply(self._zero, Instant(received - epoch))
-                core.sample(x)
-                core.apply(self._zero, driver.intended_work())
+                if interface is None:
+                    core.sample(x)
+                    core.apply(self._zero, driver.intended_work())
+                else:  # the couplings were given nothing in this period, and know of no motion in it
+                    intended += driver.intended_work()
                 driver.idle(Instant((slot + 1) * period))
                 account.release(tick)
                 slot += 1
@@ -180,8 +185,14 @@ class DeviceNode:
                 give_way()
                 ended = interface.applied(list(map(float, moved)), at, held, until)
                 instants = (row_at, at, ended)
-            core.sample(x)  # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
-            core.apply(held, driver.intended_work())
+            # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
+            if interface is None:
+                core.sample(x)
+                core.apply(held, driver.intended_work())
+            else:
+                core.sample(reported_x, interface.speed)
+                core.apply(wanted, intended + driver.intended_work())
+                intended = 0.0
             for peer_link in peer_links:
                 peer_link.settle(tick)
             driver.idle(Instant((slot + 1) * period))

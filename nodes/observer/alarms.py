@@ -27,7 +27,7 @@ MOST_ALARMS: Final = 1000
 """The most alarms that are kept. Above it the cleared ones go first, then the oldest. Sentences alone may be 384."""
 
 LEDGER_BOUND: Final = 0.0
-"""-V(psi_0) of every party, J: its ledger may not fall below this, since all start at rest."""
+"""J: the least that a ledger's margin may be; its bound is -V(psi_0) = 0, less what lateness may put in."""
 
 LEDGER_ROUNDING: Final = 1e-9
 """The largest rounding error of a long session's sums, J."""
@@ -135,7 +135,7 @@ def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
         yield AlarmCause(
             f"{node.name} ledger",
             AlarmLevel.FAULT,
-            f"{node.name}: its ledger fell to {margin:.3g} J, below its bound of {LEDGER_BOUND:g} J",
+            f"{node.name}: its ledger fell {-margin:.3g} J below its bound",
             "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
         )
 

@@ -240,9 +240,9 @@ class SimulatedSession:
     def _hear(self, sender: str, frame: bytes) -> None:
         message = decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Telemetry):
-            least = message.figures.get(names.LEDGER_MIN, 0.0)
-            if least < PROMISE and (self._guest is None or sender != self._guest.name):
-                self.violate(f"{sender}: found a ledger of {least:g} J; expected none below {PROMISE:g} J")
+            margin = message.figures.get(names.LEDGER_MARGIN, 0.0)
+            if margin < PROMISE and (self._guest is None or sender != self._guest.name):
+                self.violate(f"{sender}: found a ledger {-margin:g} J below its bound; expected none")
         elif not isinstance(message, Probe):
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")

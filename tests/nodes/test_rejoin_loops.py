@@ -54,7 +54,7 @@ def check(reports: dict[str, Report], ticks: int = TICKS) -> None:
     """All are done, and have kept their promises."""
     for name, report in reports.items():
         assert report.ticks == ticks, name
-        assert report.figures["ledger_min"] >= ROUNDING, name
+        assert report.figures["ledger_margin"] >= ROUNDING, name
 
 
 def check_rows(stage: ThreadedSession) -> None:
@@ -226,7 +226,7 @@ class Test_in_real_time:
             reports = stage.end()
             check_rows(stage)
         for name, report in reports.items():
-            assert report.figures["ledger_min"] >= ROUNDING, name
+            assert report.figures["ledger_margin"] >= ROUNDING, name
 
     @pytest.mark.parametrize("session", ["prepared", "colocated"])
     def test_a_temporarily_silent_user_is_frozen_and_rejoins(
@@ -248,7 +248,7 @@ class Test_in_real_time:
             check_rows(stage)
         assert reports["dx"].counts["jumps"] >= 1
         for name, report in reports.items():
-            assert report.figures["ledger_min"] >= ROUNDING, name
+            assert report.figures["ledger_margin"] >= ROUNDING, name
 
     def test_a_device_without_force_runs_free_until_it_hears_again(
         self, prepared: Prepared, new_life: Callable[[], Any]

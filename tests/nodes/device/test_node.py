@@ -124,7 +124,16 @@ class Alone:
 
 @pytest.fixture(scope="module")
 def prepared() -> Prepared:
-    return prepare(load_session(SESSIONS / "example1.yaml", [f"devices.dx.limits={{displacement: {REACH}}}"]))
+    return prepare(
+        load_session(
+            SESSIONS / "example1.yaml", [f"devices.dx.limits={{displacement: {REACH}}}", "devices.dx.time=own"]
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def in_wall_time() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
 
 
 @pytest.fixture
@@ -153,6 +162,16 @@ def test_a_stale_force_is_let_go_and_the_device_runs_free(alone: Callable[..., A
     assert (report.ticks, report.counts["stale"]) == (SILENT, 1)
     assert report.counts["released"] >= len(after) - 1
     assert report.counts["jumps"] == 0
+
+
+def test_in_wall_time_the_same_motion_is_sent_until_the_tick_is_answered(
+    in_wall_time: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
+) -> None:
+    """The account knows what the couplings received only if every copy of a sample is the same."""
+    one = Alone(in_wall_time, new_life(), new_line(), nothing, periods=40)
+    asked = one.coupling.samples[SILENT:]
+    assert len(asked) > 20
+    assert {(sample.tick, float(sample.values[0])) for sample in asked} == {(SILENT, float(asked[0].values[0]))}
 
 
 def test_while_it_runs_free_its_limits_hold(alone: Callable[..., Alone]) -> None:

@@ -48,7 +48,11 @@ def test_a_session_that_is_well_has_none() -> None:
         (conditioned(faults=("vl was killed",)), AlarmLevel.FAULT, "vl was killed"),
         (conditioned(silent=("vr",)), AlarmLevel.FAULT, "vr: no telemetry has come"),
         (conditioned(lost=("left",)), AlarmLevel.FAULT, "left: lost"),
-        (observed("vl", 100, NO_TRACE, ledger_margin=-0.25), AlarmLevel.FAULT, "vl: its ledger fell to -0.25 J"),
+        (
+            observed("vl", 100, NO_TRACE, ledger_margin=-0.25),
+            AlarmLevel.FAULT,
+            "vl: its ledger fell 0.25 J below",
+        ),
         (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
         (
             observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
