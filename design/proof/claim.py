@@ -380,7 +380,8 @@ def read(data: Mapping[str, Any]) -> Claim:
     fields["format"].text(FORMAT)
     version = fields["version"].whole(WITHOUT_ASKED, WITH_TOLERANCE)
     if (_ASKED in fields) != (version != WITHOUT_ASKED):
-        raise ProofInputError(f"{_ASKED}: expected it from version {VERSION} on, and not in version {WITHOUT_ASKED}")
+        where = f"in version {VERSION} and later, and not in version {WITHOUT_ASKED}"
+        raise ProofInputError(f"{_ASKED}: expected it {where}")
     if _ASKED in fields:
         _require_plain(fields[_ASKED])
     if (_TOLERANCE in fields) != (version == WITH_TOLERANCE):

@@ -109,7 +109,9 @@ def test_anything_at_all(value: Any) -> None:
         (("devices", "d0", "osp"), [[]], "devices.d0.osp[0]"),
         (("method",), {"a": 1.5}, "method.a"),
         (("version",), 2, "asked"),
+        (("version",), 4, "period_tolerance"),
         (("version",), 5, "version"),
+        (("period_tolerance",), 0.1, "period_tolerance"),
         (("asked",), None, "asked"),
         (("asked",), "stiffest", "asked"),
         (("asked", "objective"), "x" * 1001, "asked"),
@@ -149,7 +151,7 @@ def test_what_was_asked_is_any_plain_data_of_bounded_size(certificates) -> None:
     ):
         assert all(finding.holds for finding in prove(certificates.seal(data | {"asked": asked})))
     missing = {key: value for key, value in data.items() if key != "asked"}
-    with pytest.raises(ProofInputError, match="asked: expected it from version 3 on"):
+    with pytest.raises(ProofInputError, match="asked: expected it in version 3"):
         prove(missing)
     old = certificates.seal(missing | {"version": 2})
     findings = prove(old)
