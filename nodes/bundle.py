@@ -345,6 +345,14 @@ SIMULATED = "simulated"
 REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
 
+WALL = "wall"
+"""The time of a device that goes on by the wall clock, as a real device does."""
+
+OWN = "own"
+"""The time of a device that goes on by one period from sample to sample, however long that took."""
+
+TIMES = (WALL, OWN)
+
 MAX_TELEMETRY_TICKS = 1000
 """The most ticks between two telemetry messages: a node keeps the traces of all of them."""
 
@@ -364,10 +372,11 @@ class DeviceBundle:
             is for a longer delay.
         source: what moves the device.
         limits: the limits of the device.
+        time: :data:`WALL` or :data:`OWN`, the time in which the source moves the device.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, or the rungs' delays do not grow.
+            the ports, the rungs' delays do not grow, the time is unknown, or it is wall time under the simulated clock.
     """
 
     common: Common
@@ -375,9 +384,15 @@ class DeviceBundle:
     rungs: tuple[DeviceRung, ...]
     source: Source
     limits: Limits
+    time: str = OWN
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
+        if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
+            raise ValueError(
+                f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "
+                f"or {OWN} under the {REALTIME} clock, {OWN} under the {SIMULATED} one"
+            )
         if self.source.axes != m:
             raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
         if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
@@ -637,6 +652,7 @@ _READ: dict[str, Any] = {
     "feedthrough": dict,
     "osp": array,
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
+    "time": lambda time: time,
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }

@@ -36,6 +36,8 @@ from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
+    OWN,
+    SIMULATED,
     BrowserHand,
     Bundle,
     Common,
@@ -158,7 +160,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     for name in session.devices:
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
-        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits)
+        source, time = _source(session, name), OWN if run.clock == SIMULATED else session.devices[name].time
+        bundles[name] = DeviceBundle(commons[name], osp, of_devices, source, limits, time)
     for index, name in enumerate(prepared.loop.partition.names):
         own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
         limits = limits_at(session, commons[name].ports)

@@ -72,7 +72,7 @@ class _State:
 
 def recompute_device(
     bundle: DeviceBundle,
-    make: Callable[[], Driver | None],
+    make: Callable[[], Driver | str],
     x: Array,
     f: Array,
     course: Course,
@@ -82,17 +82,15 @@ def recompute_device(
 
     Args:
         bundle: the device's part of the session.
-        make: makes the device with its hand, at rest; returns None where a person was the hand.
+        make: makes the device with its hand, at rest; or returns the reason why its motion is unknown.
         x: recorded, ticks x axes, m; used for the ledger alone.
         f: recorded, the force that was applied, ticks x axes, N.
         course: what happened between the rows.
         progress: called now and then with the number of ticks that are done.
     """
     out, driver = Recomputed.nothing(*x.shape), make()
-    if driver is None:
-        out.gaps.append(
-            UncheckedTicks(0, len(x), "a person moved the device: its motion and its ledger are not checked")
-        )
+    if isinstance(driver, str):
+        out.gaps.append(UncheckedTicks(0, len(x), f"{driver}: its motion and its ledger are not checked"))
         return out
     state: _State | None = _State(bundle, driver)
     nothing, freed = Happening(), 0
@@ -100,7 +98,7 @@ def recompute_device(
         happened = course.before.get(k, nothing)
         if happened.began and k > 0:
             again = make()
-            state = None if again is None else _State(bundle, again)
+            state = None if isinstance(again, str) else _State(bundle, again)
         freed += happened.released
         why = happened.unknown
         if freed > MOST_FREE:

@@ -24,7 +24,7 @@ from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
 from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
-from manyhands.nodes.bundle import SIMULATED, DeviceBundle
+from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.recorder.coverage import Coverage
@@ -42,9 +42,14 @@ def given_devices(session: Session, clock: str) -> tuple[str, ...]:
     return tuple(name for name, device in session.devices.items() if device.driver not in COMPUTED)
 
 
-def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | None:
-    """The device and its hand, at rest; None where a person was the hand."""
-    return None if bundle.common.name in given_devices(session, clock) else driver_of(bundle)
+def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | str:
+    """The device and its hand, at rest; or the reason why its motion does not follow from the recording."""
+    name = bundle.common.name
+    if name in given_devices(session, clock):
+        return "a person moved the device"
+    if clock != SIMULATED and session.devices[name].time == WALL:
+        return "the device was in wall time, and the recording has no instants"
+    return driver_of(bundle)
 
 
 class GivenMotion:

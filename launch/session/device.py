@@ -67,6 +67,7 @@ from manyhands.launch.session.fields import (
 from manyhands.launch.session.limits import MAX_DOF, MAX_TRACE_ROWS, PROBE_COUNT, PROBE_SECONDS
 from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import Motion, TraceData, motion_of, read_trace, trace_from_numbers
+from manyhands.nodes.bundle import TIMES
 from manyhands.nodes.device.intent import ALLOWED, Formula, FormulaError
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
@@ -284,6 +285,10 @@ class Device(SessionModel):
     )
     driver: Annotated[Literal["simulated", "trace", "browser"], BeforeValidator(Choice(_DRIVERS))] = Field(
         description="what moves it: simulated, trace or browser"
+    )
+    time: Annotated[Literal["wall", "own"], BeforeValidator(Choice(TIMES))] = Field(
+        default="wall",
+        description="under the realtime clock, wall: it goes on by the wall clock; own: by one period a tick",
     )
     trace: Annotated[Motion | None, BeforeValidator(_trace)] = Field(
         default=None, description="with driver: trace, the recorded motion"

@@ -1,9 +1,10 @@
 """The interface of a force-feedback device (:class:`Driver`), the driver of each bundle, and that of a recorded hand.
 
-:class:`TraceDriver` moves the device as it was recorded, whatever force acts on it. Such a hand does not yield, and is
-passive all the same: in a frame that moves with the recorded motion r, the device stays where it is. The hand is the
-limit of the simulated hand (:mod:`manyhands.design.models.device`) for a stiffness k_h without bound, on a device
-without mass. The work of its intention is the limit as well, with v_m = dx/T:
+The drivers of a recorded motion, :class:`TraceDriver` in its own time and :class:`WallTimeTrace`, move the device as it
+was recorded, whatever force acts on it. Such a hand does not yield, and is passive all the same: in a frame that moves
+with the recorded motion r, the device stays where it is. The hand is the limit of the simulated hand
+(:mod:`manyhands.design.models.device`) for a stiffness k_h without bound, on a device without mass. The work of its
+intention is the limit as well, with v_m = dx/T:
 
     W(k) = -f_v(k-1)^T dx + dx^T Delta_D dx / T,    dx = r(k) - r(k-1), r(-1) = 0.
 
@@ -21,11 +22,12 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from manyhands.nodes.arithmetic import Floats, dot, linear_map
-from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, SimulatedHand
+from manyhands.nodes.bundle import WALL, BrowserHand, DeviceBundle, RecordedMotion, SimulatedHand
 from manyhands.nodes.device.intent import SampledSignal
-from manyhands.nodes.device.pointer import BrowserDriver, pointer_of
-from manyhands.nodes.device.simulated import simulated_driver
-from manyhands.protocol.clock import Instant
+from manyhands.nodes.device.pointer import pointer_hand, pointer_of
+from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, intent_hand
+from manyhands.nodes.device.wall_time import WallTimeDriver
+from manyhands.protocol.clock import Duration, Instant, seconds
 
 
 class Driver(Protocol):
@@ -79,7 +81,7 @@ class Driver(Protocol):
 
 
 class TraceDriver:
-    """A :class:`manyhands.nodes.device.drivers.Driver` that plays a motion; at its end it stays there."""
+    """A :class:`manyhands.nodes.device.drivers.Driver` that plays a motion, tick by tick; at its end it stays there."""
 
     def __init__(self, motion: RecordedMotion, T: float) -> None:
         """Be at rest in 0 before the first sample.
@@ -142,6 +144,53 @@ class TraceDriver:
         return [trace(t) for trace in self._traces]
 
 
+class WallTimeTrace(WallTimeDriver):
+    """A :class:`manyhands.nodes.device.drivers.Driver` that plays a motion by the clock; at its end it stays there.
+
+    The work W is that of :class:`TraceDriver`, over each piece of time between two events or grid points in place of T.
+    """
+
+    def __init__(self, motion: RecordedMotion, T: float) -> None:
+        """Be at rest in 0 until one period before the first sample.
+
+        Args:
+            motion: the recorded motion, linear between its samples.
+            T: period, s.
+
+        Raises:
+            ValueError: the motion has no samples, or its times or values cannot be used.
+        """
+        self._traces = [SampledSignal(motion.times, axis) for axis in motion.values]
+        self._level = linear_map(motion.damping)
+        self._T = T
+        super().__init__(len(self._traces), T)
+
+    def _begin(self, at: int) -> tuple[Floats, float]:
+        x = self._at(at)
+        return x, dot(x, self._level(x)) / self._T
+
+    def _prepare(self, tick: int) -> None:
+        """Nothing is known ahead."""
+
+    def _enter(self, tick: int, state: Floats) -> Floats:
+        return state
+
+    def _advance(self, state: Floats, f: Floats, begin: int, end: int) -> Floats:
+        return self._at(end)
+
+    def _seen(self, state: Floats, f: Floats, begin: int, end: int) -> Floats:
+        return self._at(end)
+
+    def _work_over(self, before: Floats, after: Floats, f: Floats, begin: int, end: int) -> float:
+        moved = [now - last for now, last in zip(after, before, strict=True)]
+        return dot(moved, self._level(moved)) / seconds(Duration(end - begin)) - dot(f, moved)
+
+    def _at(self, at: int) -> Floats:
+        tick, part = divmod(at, self._period)
+        t = tick * self._T + seconds(Duration(part))  # as TraceDriver has it at the grid points, to the last bit
+        return [trace(t) for trace in self._traces]
+
+
 def driver_of(bundle: DeviceBundle) -> Driver:
     """The driver of the source that the bundle names; the caller closes it.
 
@@ -149,11 +198,15 @@ def driver_of(bundle: DeviceBundle) -> Driver:
         ValueError: the bundle's numbers make no device.
         TransportError: the socket of its pointer cannot be opened.
     """
-    T = bundle.common.period
+    T, wall = bundle.common.period, bundle.time == WALL
     match bundle.source:
         case SimulatedHand() as hand:
-            return simulated_driver(hand, T)
+            return _held(intent_hand(hand, T, wall), T, wall)
         case RecordedMotion() as motion:
-            return TraceDriver(motion, T)
+            return WallTimeTrace(motion, T) if wall else TraceDriver(motion, T)
         case BrowserHand(physics):
-            return BrowserDriver(physics, bundle.limits, T, pointer_of(bundle.common))
+            return _held(pointer_hand(physics, bundle.limits, T, pointer_of(bundle.common), wall), T, wall)
+
+
+def _held(hand: Hand, T: float, wall: bool) -> Driver:
+    return HeldDeviceDriver(hand, T) if wall else OwnTimeDriver(hand)

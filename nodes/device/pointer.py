@@ -1,7 +1,7 @@
-"""The browser driver: a person with a browser drags a simulated device by a pointer. The person feels no force.
+"""The hand of a person with a browser, who drags a simulated device by a pointer. The person feels no force.
 
 The pointer gives a trajectory, which is smoothed and becomes the intended motion of a simulated hand: a spring and a
-damper join the device to it (:class:`BrowserDriver`). The coupling acts on that hand as on every simulated device, and
+damper join the device to it (:class:`PointerHand`). The coupling acts on that hand as on every simulated device, and
 the work of the motion is in the ledger.
 
 While no person holds the device, the hand is open: the device is a mass with its damping. A hand that opens forgets the
@@ -10,7 +10,7 @@ Either way the energy stored in the hand is lost or 0, so the hand is passive al
 Its mass stays.
 
 **The grasp** (:class:`Pointer`, pure) is what the browser's page sends. A page may end without a message, for example
-with its computer. So a grasp that is not sent again ends after :data:`PATIENCE`, in ticks of the device's own time.
+with its computer. So a grasp that is not sent again ends after :data:`PATIENCE`, in periods of the device's time.
 
 **The smoothed motion** (:class:`Follower`, pure) is one that a hand could make, bounded in reach, speed and
 acceleration. A pointer moves in steps, a few dozen a second, and the motion that holds a device must not. Axis by axis,
@@ -38,7 +38,7 @@ from typing import Final
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, Common, Limits, SimulatedHand
-from manyhands.nodes.device.simulated import Intention, Plant, PlantDriver, bare_device_of, device_of
+from manyhands.nodes.device.simulated import Hand, Intention, Plant, bare_device_of, device_of
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
 
@@ -169,27 +169,28 @@ RATE: Final = 30.0
 """omega of the follower, rad/s: it is some 0.1 s behind a hand that moves steadily."""
 
 
-class BrowserDriver(PlantDriver):
-    """A :class:`manyhands.nodes.device.drivers.Driver` of a simulated device that a person may hold by a pointer."""
+class PointerHand(Hand):
+    """The hand of a person, who may hold a simulated device by a pointer; open at first."""
 
-    def __init__(self, hand: SimulatedHand, limits: Limits, T: float, inlet: PointerInlet | None) -> None:
-        """Start at rest in x = 0, with an open hand.
+    def __init__(self, held: Plant, bare: Plant, limits: Limits, T: float, inlet: PointerInlet | None) -> None:
+        """Hold nothing.
 
         Args:
-            hand: the device, and the hand that joins it to the pointer.
+            held: the device with the hand that joins it to the pointer.
+            bare: the device with the open hand.
             limits: the limits of the device.
             T: period, s.
-            inlet: receives the pointer's messages, and is closed by the driver; None where no pointer can connect.
-
-        Raises:
-            ValueError: a mass of the device is not positive.
+            inlet: receives the pointer's messages, and is closed by the hand; None where no pointer can connect.
         """
         self._inlet = inlet
-        self._held, self._bare = Plant(device_of(hand), T), Plant(bare_device_of(hand), T)
-        super().__init__(self._bare)
+        self._held, self._bare = held, bare
+        self.plant = bare
+        m = self._m = bare.axes
         speed = [min(SPEED, SPEED * limit) for limit in limits.speed]
         self._follower = Follower([REACH * most for most in limits.displacement], speed, ACCELERATION, RATE, T)
-        self._pointer = Pointer(self.axes, self._follower.within, T)
+        self._pointer = Pointer(m, self._follower.within, T)
+        self._prepared = False
+        self._zero: Floats = [0.0] * m
         self._at_rest = Intention(self._zero, self._zero)
 
     def figures(self) -> Mapping[str, float]:
@@ -201,23 +202,49 @@ class BrowserDriver(PlantDriver):
         if self._inlet is not None:
             self._inlet.close()
 
-    def _intend(self, tick: int) -> Intention:
-        if self._inlet is not None:
-            self._pointer.tick(self._inlet.latest())
+    def prepare(self, tick: int) -> None:
+        """Read the pointer's messages."""
+        if not self._prepared:
+            self._prepared = True
+            if self._inlet is not None:
+                self._pointer.tick(self._inlet.latest())
+
+    def intend(self, tick: int, state: Floats) -> tuple[Floats, Intention]:
+        """Open or close the hand, and follow the pointer while it is closed."""
+        self.prepare(tick)
+        self._prepared = False
         goal = self._pointer.goal
         if goal is None:
-            self._become(self._bare)
-            return self._at_rest
-        if self._plant is not self._held:
-            self._become(self._held)
-            self._follower.begin(self._state[: self._m])
-        return Intention(self._zero, self._follower.step(goal))
+            return self._become(self._bare, state), self._at_rest
+        if self.plant is not self._held:
+            state = self._become(self._held, state)
+            self._follower.begin(state[: self._m])
+        return state, Intention(self._zero, self._follower.step(goal))
 
-    def _become(self, plant: Plant) -> None:
+    def _become(self, plant: Plant, state: Floats) -> Floats:
         """Open or close the hand: position and velocity of the device stay, and the state of the hand begins at 0."""
-        if self._plant is not plant:
-            m = self._m
-            self._plant, self._state = plant, plant.holding(self._state[:m], self._state[m : 2 * m])
+        if self.plant is plant:
+            return state
+        m, self.plant = self._m, plant
+        return plant.holding(state[:m], state[m : 2 * m])
+
+
+def pointer_hand(
+    hand: SimulatedHand, limits: Limits, T: float, inlet: PointerInlet | None, parts: bool = False
+) -> PointerHand:
+    """The hand of a person on the device that a bundle describes.
+
+    Args:
+        hand: the device, and the hand that joins it to the pointer.
+        limits: the limits of the device.
+        T: period, s.
+        inlet: see :class:`PointerHand`.
+        parts: whether the plants step over parts of a period, for a driver in wall time.
+
+    Raises:
+        ValueError: a mass of the device is not positive.
+    """
+    return PointerHand(Plant(device_of(hand), T, parts), Plant(bare_device_of(hand), T, parts), limits, T, inlet)
 
 
 def pointer_of(common: Common) -> PointerInlet | None:

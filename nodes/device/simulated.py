@@ -1,26 +1,29 @@
-"""Simulated devices: a mass held by a hand, discretised exactly, in its own time (:class:`Plant`), and drivers for it.
+"""Simulated devices: a mass held by a hand, discretised exactly (:class:`Plant`), and drivers for it.
 
-One call of :meth:`PlantDriver.sample` is one period of the device's own time, however long the tick took by the clock.
-So a run in real time has exactly the numbers of the simulation. A late tick is then a figure in the report, and does
-not disturb the experiment.
+A :class:`HeldDeviceDriver` lives in wall time, as a real device does. An :class:`OwnTimeDriver` lives in its own time:
+one call of its ``sample`` is one period, however long the tick took by the clock. So a run of it in real time has
+exactly the numbers of the simulation (docs/decisions/0005).
 
-The hand of a :class:`SimulatedDriver` has an intention that is a function of time.
+A :class:`Hand` holds the device. That of an :class:`IntentHand` has an intention that is a function of time.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from operator import mul
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from manyhands.design.models.device import HeldDevice, held_device
-from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats, dot, linear_map
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.nodes.arithmetic import NARROW, Floats, dot, linear_map
 from manyhands.nodes.bundle import SimulatedHand
 from manyhands.nodes.device.intent import Intent, intent_from
-from manyhands.protocol.clock import Instant
+from manyhands.nodes.device.wall_time import WallTimeDriver
+from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
 
 
 class Intention(NamedTuple):
@@ -30,55 +33,174 @@ class Intention(NamedTuple):
     velocity: Floats
 
 
-class Plant:
-    """A sampled :class:`HeldDevice`: the step of its state over one period. It keeps no state of its own."""
+class Transitions:
+    """The step of z' = A z + B u, u constant, over any whole number of nanoseconds, without an exponential.
 
-    def __init__(self, device: HeldDevice, T: float) -> None:
-        """Sample ``device`` with the period ``T``, s."""
-        sampled = device.sampled(T)
+    With M = [A B; 0 0] the step over t is a product of tabulated exp(M d b^j ns), d the digits of t to the base b. Each
+    of them is computed as Q(t) = exp(M t) - I, by
+
+        Q(s + t) = Q(s) + Q(t) + Q(s) Q(t),
+
+    from a series at the start: exp(M t) itself differs too little from I at one nanosecond to hold M in its digits.
+    """
+
+    def __init__(self, system: StateSpace, longest: Duration) -> None:
+        """Tabulate the steps of ``system`` up to ``longest``, ns."""
+        n = system.order
+        M = np.vstack([np.hstack([system.A, system.B]), np.zeros((system.inputs, n + system.inputs))])
+        self._narrow = n * len(M) <= NARROW
+        bits = _BITS if n * len(M) <= _MOST_ENTRIES else _FEW_BITS
+        self._mask = 2**bits - 1
+        self._tables: list[tuple[int, Any]] = []  # the last digit first; n x len(M), as lists where these beat numpy
+        unit = _series(M * seconds(Duration(1)))  # exp(M t) - I, for the nanoseconds of the present digit
+        for shift in range(0, longest.bit_length(), bits):
+            most = min(longest >> shift, self._mask)
+            table = np.zeros((1, *M.shape))
+            while len(table) <= most:
+                table = np.concatenate([table, unit + table + unit @ table])
+                unit = 2.0 * unit + unit @ unit
+            steps = table[: most + 1, :n] + np.eye(n, len(M))
+            self._tables.insert(0, (shift, steps.tolist() if self._narrow else steps))
+
+    def step(self, state: Floats, inputs: Floats, duration: int, rows: int | None = None) -> Floats:
+        """The state after ``duration``, ns, at most the longest, under constant inputs.
+
+        ``rows`` is the number of its first entries that are wanted; None for all.
+        """
+        for shift, table in self._tables:
+            if digit := duration >> shift & self._mask:
+                z, step = state + inputs, table[digit]
+                if shift == 0:
+                    step = step[:rows]
+                state = [sum(map(mul, row, z)) for row in step] if self._narrow else (step @ z).tolist()
+        return state[:rows]
+
+
+_BITS: Final = 10
+"""Bits of a digit: a period of 1 ms has two digits, and 2,000 matrices."""
+
+_MOST_ENTRIES: Final = 512
+"""Entries of a matrix up to which there are so many of them; at 8 bytes an entry they take 8 MB."""
+
+_FEW_BITS: Final = 5
+"""Bits of a digit for greater matrices: a period of 1 ms has four digits, and 123 matrices."""
+
+
+def _series(X: Matrix) -> Matrix:
+    """exp(X) - I, with an error that is small against X: Taylor's series of X 2^-s, and s doublings."""
+    norm = float(np.abs(X).sum(axis=0).max())
+    halvings = max(0, math.frexp(norm)[1] + 6)  # to a norm below 2^-6, where nine terms suffice
+    X = X * 0.5**halvings
+    Q = X
+    for k in range(9, 1, -1):
+        Q = X + X @ Q / k
+    for _ in range(halvings):
+        Q = 2.0 * Q + Q @ Q
+    return Q
+
+
+class Plant:
+    """A :class:`HeldDevice` and the steps of its state under constant inputs. It keeps no state of its own."""
+
+    def __init__(self, device: HeldDevice, T: float, parts: bool = False) -> None:
+        """Sample ``device`` with the period ``T``, s.
+
+        Args:
+            device: the device with its hand.
+            T: period, s.
+            parts: whether it also steps over parts of a period; its period then is a whole number of nanoseconds.
+        """
+        self._period = from_seconds(T)
+        self._T = seconds(self._period) if parts else T
+        sampled = device.sampled(self._T)
         self.axes, self.order = device.axes, sampled.order
         self._step = linear_map(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
+        self._parts = Transitions(device.continuous(), self._period) if parts else None
         self._damping: Floats = device.damping.tolist()
         self._mass: Floats = device.mass.tolist()
-        self._T = T
 
     def holding(self, x: Floats, v: Floats) -> Floats:
         """The state of a device at x (m) with the velocity v (m/s), whose hand is at rest on it, its spring slack."""
         return [*x, *v, *[0.0] * (self.order - 2 * self.axes)]
 
-    def after(self, before: Floats, f: Floats, intention: Intention) -> tuple[Floats, float]:
-        """Step over one period.
+    def after(self, before: Floats, f: Floats, intention: Intention, part: int | None = None) -> Floats:
+        """The state after one period, or a part of it.
 
         Args:
             before: the state at its beginning.
             f: the coupling's force over it, N.
             intention: the hand's intention over it.
-
-        Returns:
-            The state at its end, and the intention's work over it, J.
+            part: the length of the step, ns, at most a period; None for a period. Only a plant with parts has parts.
         """
-        m, T = self.axes, self._T
-        total = [held + own for held, own in zip(f, intention.force, strict=True)]
-        goal = intention.velocity
-        after = self._step(before + total + goal)
+        inputs = [held + own for held, own in zip(f, intention.force, strict=True)] + intention.velocity
+        if part is None or self._parts is None or part == self._period:
+            return self._step(before + inputs)
+        return self._parts.step(before, inputs, part)
+
+    def seen(self, before: Floats, f: Floats, intention: Intention, part: int) -> Floats:
+        """Displacement (m) and velocity (m/s) as :meth:`after` has them, in less time."""
+        if self._parts is None or part == self._period:
+            return self.after(before, f, intention, part)[: 2 * self.axes]
+        inputs = [held + own for held, own in zip(f, intention.force, strict=True)] + intention.velocity
+        return self._parts.step(before, inputs, part, 2 * self.axes)
+
+    def work(self, before: Floats, after: Floats, f: Floats, intention: Intention, part: int | None = None) -> float:
+        """The intention's work over a step of :meth:`after`, J; of both states the first 2m entries are used."""
+        m, T = self.axes, self._T if part is None or part == self._period else seconds(Duration(part))
         moved = [x - last for x, last in zip(after[:m], before[:m], strict=True)]
         work = dot(intention.force, moved)
+        goal = intention.velocity
         if any(goal):
+            total = [held + own for held, own in zip(f, intention.force, strict=True)]
             faster = [v - last for v, last in zip(after[m : 2 * m], before[m : 2 * m], strict=True)]
             lost = zip(total, self._damping, moved, self._mass, faster, strict=True)
             work -= dot(goal, [force * T - b * dx - mass * dv for force, b, dx, mass, dv in lost])
-        return after, work
+        return work
 
 
-class PlantDriver(ABC):
-    """A :class:`manyhands.nodes.device.drivers.Driver` of a plant; subclasses give the hand's intention."""
+class Hand(ABC):
+    """The hand of a simulated device: what it intends, period by period, and what it makes of the device.
 
-    def __init__(self, plant: Plant) -> None:
+    Attributes:
+        plant: the device with the hand as it holds it in the present period.
+    """
+
+    plant: Plant
+
+    @abstractmethod
+    def prepare(self, tick: int) -> None:
+        """Do what :meth:`intend` can do for ``tick`` before its period begins; a second call does nothing."""
+
+    @abstractmethod
+    def intend(self, tick: int, state: Floats) -> tuple[Floats, Intention]:
+        """Begin the period of ``tick``; called once a period.
+
+        Args:
+            tick: the period's number.
+            state: the state of device and hand at its beginning.
+
+        Returns:
+            The state with which the period begins, and the hand's intention over it.
+        """
+
+    @abstractmethod
+    def figures(self) -> Mapping[str, float]:
+        """The hand's own figures for the telemetry."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the hand's files and sockets. A second call does nothing."""
+
+
+class OwnTimeDriver:
+    """A :class:`manyhands.nodes.device.drivers.Driver` in its own time: one period from sample to sample."""
+
+    def __init__(self, hand: Hand) -> None:
         """Start at rest in x = 0."""
-        m = self._m = plant.axes
-        self._plant = plant
+        self._hand = hand
+        m = self._m = hand.plant.axes
         self._zero: Floats = [0.0] * m
-        self._state: Floats = plant.holding(self._zero, self._zero)
+        self._state: Floats = hand.plant.holding(self._zero, self._zero)
         self._tick = 0
         self._work = 0.0
         self._f = self._zero
@@ -114,22 +236,64 @@ class PlantDriver(ABC):
         return self._work
 
     def figures(self) -> Mapping[str, float]:
-        """No figures."""
-        return {}
+        """The hand's figures."""
+        return self._hand.figures()
 
     def close(self) -> None:
-        """Hold zero force; there are no files or sockets to close."""
+        """Hold zero force, and close the hand's files and sockets. A second call does nothing."""
         self._f, self._next = self._zero, None
+        self._hand.close()
 
     def _advanced(self) -> tuple[Floats, float]:
         """The state at the end of the period under the present force, and the work of the intention."""
         if self._intention is None:
-            self._intention = self._intend(self._tick)
-        return self._plant.after(self._state, self._f, self._intention)
+            self._state, self._intention = self._hand.intend(self._tick, self._state)
+        plant = self._hand.plant
+        after = plant.after(self._state, self._f, self._intention)
+        return after, plant.work(self._state, after, self._f, self._intention)
 
-    @abstractmethod
-    def _intend(self, tick: int) -> Intention:
-        """The hand's intention over the period from ``tick`` on; called once a period."""
+
+class HeldDeviceDriver(WallTimeDriver):
+    """A :class:`manyhands.nodes.device.drivers.Driver` of a simulated device in wall time."""
+
+    def __init__(self, hand: Hand, T: float) -> None:
+        """Begin at rest in x = 0, at the instant of the first call.
+
+        Args:
+            hand: the hand; its plants step over parts of a period.
+            T: period, s.
+        """
+        super().__init__(hand.plant.axes, T)
+        self._hand = hand
+        self._intention = Intention(self._zero, self._zero)  # over the period that was entered last
+
+    def figures(self) -> Mapping[str, float]:
+        """The hand's figures."""
+        return self._hand.figures()
+
+    def close(self) -> None:
+        """Exert no force, and close the hand's files and sockets. A second call does nothing."""
+        super().close()
+        self._hand.close()
+
+    def _begin(self, at: int) -> tuple[Floats, float]:
+        return self._hand.plant.holding(self._zero, self._zero), 0.0
+
+    def _prepare(self, tick: int) -> None:
+        self._hand.prepare(tick)
+
+    def _enter(self, tick: int, state: Floats) -> Floats:
+        state, self._intention = self._hand.intend(tick, state)
+        return state
+
+    def _advance(self, state: Floats, f: Floats, begin: int, end: int) -> Floats:
+        return self._hand.plant.after(state, f, self._intention, end - begin)
+
+    def _seen(self, state: Floats, f: Floats, begin: int, end: int) -> Floats:
+        return self._hand.plant.seen(state, f, self._intention, end - begin)
+
+    def _work_over(self, before: Floats, after: Floats, f: Floats, begin: int, end: int) -> float:
+        return self._hand.plant.work(before, after, f, self._intention, end - begin)
 
 
 def device_of(hand: SimulatedHand) -> HeldDevice:
@@ -153,33 +317,57 @@ def bare_device_of(hand: SimulatedHand) -> HeldDevice:
     return held_device(list(hand.mass), list(hand.damping), StateSpace.static(np.zeros((m, m))), [0.0] * m, [0.0] * m)
 
 
-class SimulatedDriver(PlantDriver):
-    """A :class:`manyhands.nodes.device.drivers.Driver` whose hand has an intention that is a function of time."""
+class IntentHand(Hand):
+    """A hand whose intention is a function of time."""
 
-    def __init__(self, device: HeldDevice, force: Sequence[Intent], motion: Sequence[Intent], T: float) -> None:
-        """Start at rest in x = 0.
+    def __init__(self, plant: Plant, force: Sequence[Intent], motion: Sequence[Intent], T: float) -> None:
+        """Hold ``plant`` all the time.
 
         Args:
-            device: the device with its hand, m axes.
+            plant: the device with the hand, m axes.
             force: the intended force (N) of each axis as a function of time (s).
             motion: the intended motion (m) of each axis as a function of time (s).
             T: period, s.
         """
-        super().__init__(Plant(device, T))
+        self.plant = plant
         self._force, self._motion, self._T = tuple(force), tuple(motion), T
+        self._prepared: tuple[int, Intention] | None = None
 
-    def _intend(self, tick: int) -> Intention:
+    def prepare(self, tick: int) -> None:
+        """Evaluate the functions."""
+        if self._prepared is None or self._prepared[0] != tick:
+            self._prepared = tick, self._at(tick)
+
+    def intend(self, tick: int, state: Floats) -> tuple[Floats, Intention]:
+        """The force at the period's beginning, and the motion's mean velocity over it; ``state`` stays."""
+        if self._prepared is not None and self._prepared[0] == tick:
+            return state, self._prepared[1]
+        return state, self._at(tick)
+
+    def figures(self) -> Mapping[str, float]:
+        """No figures."""
+        return {}
+
+    def close(self) -> None:
+        """Do nothing: there are no files or sockets."""
+
+    def _at(self, tick: int) -> Intention:
         T = self._T
         t = tick * T
         goal = [(motion(t + T) - motion(t)) / T for motion in self._motion]
         return Intention([force(t) for force in self._force], goal)
 
 
-def simulated_driver(hand: SimulatedHand, T: float) -> SimulatedDriver:
-    """The driver of the simulated device and hand that a bundle describes; ``T``: period, s.
+def intent_hand(hand: SimulatedHand, T: float, parts: bool = False) -> IntentHand:
+    """The simulated hand that a bundle describes.
+
+    Args:
+        hand: the physics of device and hand, and the hand's intention.
+        T: period, s.
+        parts: whether the plant steps over parts of a period, for a driver in wall time.
 
     Raises:
         ValueError: a mass is not positive, or an intention is not usable.
     """
     forces, motions = ([intent_from(data) for data in every] for every in (hand.force, hand.motion))
-    return SimulatedDriver(device_of(hand), forces, motions, T)
+    return IntentHand(Plant(device_of(hand), T, parts), forces, motions, T)

@@ -39,6 +39,7 @@ from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
+from tests.support.own_time import in_own_time
 
 from .guests import Guest
 from .process import SimulatedProcess, Witness
@@ -94,7 +95,8 @@ class SimulatedSession:
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
-        self._bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
+        bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
+        self._bundles = {name: in_own_time(bundle) for name, bundle in bundles.items()}
         budget = RestartBudget(10**9)
         self._guest, self._witness = guest, witness
         self._energy = EnergyIncidents(self.graph, prepared.session.period)

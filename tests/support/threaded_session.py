@@ -33,6 +33,7 @@ from manyhands.protocol.clock import Duration, Instant, RealtimeClock, seconds
 from manyhands.protocol.messages import Absent, Report, Return, Start, Telemetry
 from manyhands.protocol.transport import Link
 from tests.support.memory_transport import MemoryTransport
+from tests.support.own_time import in_own_time
 
 PATIENCE = 30.0  # s, of a test for what must come
 
@@ -119,7 +120,8 @@ class ThreadedSession:
         """``ticks``: how many to run; 0 until the stage is left. ``tick``: the one that the session is at already."""
         self.graph = topology(prepared.session)
         self._new_life, self._ticks, self._tick = new_life, ticks, tick
-        self._bundles = {name: _in_step(bundle) for name, bundle in cut(prepared, RunPlan(clock, None, "")).items()}
+        bundles = cut(prepared, RunPlan(clock, None, ""))
+        self._bundles = {name: _in_step(in_own_time(bundle)) for name, bundle in bundles.items()}
         self.transport = MemoryTransport()
         self._pool = ThreadPoolExecutor(3 * len(self.graph.nodes))
         self.lines: dict[str, ThreadLine] = {}

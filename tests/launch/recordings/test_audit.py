@@ -285,7 +285,7 @@ def test_a_device_that_a_person_moved_is_believed(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)
     x = np.zeros((9, 1))
-    again = recompute_device(bundle, lambda: None, x, x, course(bundle, [], x))
+    again = recompute_device(bundle, lambda: "a person moved it", x, x, course(bundle, [], x))
     assert np.isnan(again.ledger).all()
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(0, 9)]
 

@@ -2,75 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import cycle
-from typing import Any
-
 import numpy as np
 import pytest
 
 from manyhands.design.models.device import held_device, zero_order_hold
 from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.bundle import Limits, RecordedMotion, SimulatedHand
-from manyhands.nodes.device.drivers import Driver, TraceDriver
+from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.intent import intent_from
-from manyhands.nodes.device.pointer import BrowserDriver
-from manyhands.nodes.device.simulated import SimulatedDriver
-from manyhands.protocol.messages import Grasp, Release
 from tests.support.instants import instant
+from tests.support.small_drivers import Make, T, both, browser, carried, dragged, simulated, trace, waving
 
-T = 1e-3
-
-
-def simulated(force: str = "0", motion: str = "0", axes: int = 2, stiffness: float = 0.0) -> SimulatedDriver:
-    entry = ((0.02, 1.2, 20.0), (1.0, 10.3, 100.0))
-    none = ((0.0,), (1.0,))
-    operator = RationalMatrix(tuple(tuple(entry if i == j else none for j in range(axes)) for i in range(axes)))
-    plant = held_device([0.2] * axes, [1.37] * axes, operator.realisation(), [0.5] * axes, [stiffness] * axes)
-    return SimulatedDriver(plant, [intent_from(force)] * axes, [intent_from(motion)] * axes, T)
-
-
-def trace() -> TraceDriver:
-    times = tuple(0.004 * k for k in range(30))
-    return TraceDriver(
-        RecordedMotion(1.37 * np.eye(2), times, tuple(tuple(0.01 * t * a for t in times) for a in (1, -3))), T
-    )
-
-
-class Said:
-    """An inlet that repeats one message."""
-
-    malformed = 0
-
-    def __init__(self, *said: Grasp | Release | None) -> None:
-        self._said = cycle(said)
-        self.closed = 0
-
-    def latest(self) -> Grasp | Release | None:
-        return next(self._said)
-
-    def close(self) -> None:
-        self.closed += 1
-
-
-def browser(*said: Grasp | Release | None, axes: int = 2) -> BrowserDriver:
-    hand = SimulatedHand(
-        (0.2,) * axes, (1.37,) * axes, StateSpace.static(np.zeros((axes, axes))), (5.0,) * axes, (200.0,) * axes,
-        (0.0,) * axes, (0.0,) * axes,
-    )  # fmt: skip
-    inlet: Any = Said(*said) if said else None
-    return BrowserDriver(hand, Limits((30.0,) * axes, (0.1,) * axes, (3.0,) * axes), T, inlet)
-
-
-def dragged() -> BrowserDriver:
-    """Held, let go and held elsewhere, all the time."""
-    return browser(Grasp(np.array([0.05, -0.02])), None, None, Release(), None, Grasp(np.array([0.3, 0.0])))
-
-
-Make = Callable[[], Driver]
-BARE: list[Make] = [simulated, browser]  # without a hand
-DRIVERS: list[Make] = [*BARE, trace, dragged]
+BARE = both(simulated, browser)  # without a hand
+DRIVERS = [*BARE, *both(trace, dragged, carried)]
 
 
 @pytest.fixture(params=DRIVERS, ids=lambda make: make.__name__)
@@ -140,11 +84,7 @@ def test_released_it_is_driven_no_more(make: Make) -> None:
         other.idle(instant(tick + 1))
 
 
-def waving() -> SimulatedDriver:
-    return simulated("sin(9*t)")
-
-
-@pytest.mark.parametrize("make", [waving, trace, dragged], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", both(waving, carried, trace, dragged), ids=lambda make: make.__name__)
 def test_idle_is_a_favour_not_a_duty(make: Make) -> None:
     lazy, eager = make(), make()
     for tick in range(50):

@@ -19,7 +19,8 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, BrowserDriver, Pointer
+from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, Pointer, PointerHand, pointer_hand
+from manyhands.nodes.device.simulated import OwnTimeDriver
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
 from tests.support.instants import instant
@@ -61,7 +62,8 @@ class HeldDevice:
 
     def __init__(self) -> None:
         self.inlet = FedInlet()
-        self.driver = BrowserDriver(HAND, LIMITS, T, self.inlet)  # type: ignore[arg-type]
+        self.hand = pointer_hand(HAND, LIMITS, T, self.inlet)  # type: ignore[arg-type]
+        self.driver = OwnTimeDriver(self.hand)
         self.core = DeviceCore(np.array([[1.37]]), np.array([[T / 2.0 / 1.37]]), T)
         self.ticks = 0
         self.x: list[float] = []
@@ -167,7 +169,7 @@ def test_the_promise_is_kept_whoever_holds_it_when(acts: list[tuple[Grasp | Rele
 def test_keeping_the_tension_at_closing_would_break_the_level() -> None:
     """What the check above is able to see: a spring that is tense from the beginning is energy from nowhere."""
     device = HeldDevice()
-    device.driver._held.holding = lambda x, v: [*x, *v, 0.0, 0.05]  # type: ignore[method-assign]
+    device.hand._held.holding = lambda x, v: [*x, *v, 0.0, 0.05]  # type: ignore[method-assign]
     device.go(300, at(0.0), force=0.2)
     assert device.core.ledger.minimum < -1e-4
 
@@ -228,8 +230,9 @@ def test_a_drag_moves_the_other_user_and_every_promise_is_kept(prepared: Prepare
     simulation = Simulation(prepared)
     inlet = FedInlet()
     left = simulation._drivers[0]
-    assert isinstance(left, BrowserDriver)
-    left._inlet = inlet  # type: ignore[assignment]
+    assert isinstance(left, OwnTimeDriver)
+    assert isinstance(left._hand, PointerHand)
+    left._hand._inlet = inlet  # type: ignore[assignment]
     inlet.said = at(0.11)
     dragged = simulation.run(1500)
     inlet.said = Release()
