@@ -6,6 +6,7 @@ coupling, and with a centralised one.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from rich.console import Console
 
 from manyhands.design.certificate import save as save_certificate
 from manyhands.launch.design_report import print_certificate, print_report
+from manyhands.launch.doctor.profile import Profile
+from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
@@ -25,6 +28,7 @@ from manyhands.launch.run.display import say, status
 from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
+from manyhands.nodes.bundle import REALTIME
 
 _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.4  # inches
 
@@ -53,7 +57,15 @@ def _figure(runs: Sequence[tuple[str, Recording]], height: float) -> Figure:
 SETTLED = 1e-3  # a device is at rest when its speed is below this part of its peak speed
 
 
-def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder: Path, ticks: int, clock: str) -> int:
+def run_demo(
+    sessions: Mapping[str, Session],
+    out: Console,
+    err: Console,
+    folder: Path,
+    ticks: int,
+    clock: str,
+    profile: Profile | None = None,
+) -> int:
     """Run the demonstration.
 
     Args:
@@ -63,6 +75,7 @@ def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder
         folder: the folder for certificate, plots and report; made if absent.
         ticks: number of ticks to run.
         clock: "realtime" or "simulated".
+        profile: this machine's for ``example1``, in real time.
 
     Returns:
         The exit code: 0 when every device came to rest.
@@ -73,6 +86,9 @@ def run_demo(sessions: Mapping[str, Session], out: Console, err: Console, folder
     if decentralised.certificate is not None:
         print_certificate(out, decentralised.certificate)
         save_certificate(decentralised.certificate, folder / "certificate.json")
+        if clock == REALTIME:
+            for line in certified_lines(decentralised.certificate, decentralised.session, profile, time.time()):
+                say(err, line)
     outcome = run_session(
         decentralised,
         err,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +26,7 @@ from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
-from manyhands.launch.plan.prepare import certify, coupling_request, haptic_loop
+from manyhands.launch.plan.prepare import certify, coupling_request, haptic_loop, with_delay_of
 from manyhands.launch.run.display import energy_line, printable, say, status
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
@@ -319,6 +320,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     except ProofInputError as error:
         raise CertificateError(f"{file}: {error}") from error
     if session is not None:
+        session = with_delay_of(certificate, session)
         found = differences(certificate, haptic_loop(session), coupling_request(session))
         findings += tuple(Finding(f"it is the session's: {text}", False, 1.0, 0.0) for text in found)
     failing = [finding for finding in findings if not finding.holds]
@@ -358,12 +360,17 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         The exit code.
     """
     from manyhands.launch.budget import budget, budget_object, plot_budget, print_budget
+    from manyhands.launch.doctor.advice import Worth
+    from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
 
-    found = budget(haptic_loop(session))
+    loop = haptic_loop(session)
+    found = budget(loop)
+    rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
     if as_json:
-        print_json(budget_object(found))
+        print_json(budget_object(found) | {"rates": rates_object(rates)})
     else:
         print_budget(out, found)
+        print_rates(out, session.name, rates)
     if picture is not None:
         plot_budget(found, picture)
         say(err, f"picture: {picture}")

@@ -85,6 +85,7 @@ def leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pyt
     folder = Path(tempfile.mkdtemp(prefix="mh"))
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # no profile of the user's
     threads = set(threading.enumerate())
     descriptors = _descriptors()
     children = _children()

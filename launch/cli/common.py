@@ -7,11 +7,12 @@ files, and no session is contacted. Where a file cannot be read, there is no com
 from __future__ import annotations
 
 import importlib.resources
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -28,17 +29,22 @@ from manyhands.launch.files import (
 )
 from manyhands.launch.observe.sessions import NoSession, find_session, running_sessions
 from manyhands.launch.observe.topics import NoTopic, named_topics, session_of
-from manyhands.launch.plan.prepare import NotCertified, Prepared, prepare
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import NotCertified, Prepared, must_measure, prepare
 from manyhands.launch.plan.reach import ReachError
-from manyhands.launch.plan.topology import LinkTooWide
+from manyhands.launch.plan.topology import LinkTooWide, require_runnable
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.run.display import say
 from manyhands.launch.session import PythonEnvironment, Session, SessionError
+from manyhands.launch.session.design import AUTO
 from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.environment.model import ModelError, ModelFailure
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
+
+if TYPE_CHECKING:
+    from manyhands.launch.doctor.profile import Profile
 
 _MOST = 500  # completions
 
@@ -171,6 +177,52 @@ def prepare_session(session: Session, certificate: Path | None, uncertified: boo
     if prepared.certificate is not None and (lack := unrecorded(prepared.certificate)):
         say(err, f"{certificate}: {lack}")
     return prepared
+
+
+def settle_delay(
+    session: Session, *, realtime: bool, designed: bool = True, transport: str = "ipc", encrypted: bool = True
+) -> tuple[Session, Profile | None]:
+    """The session with the delay that it is to be designed for, measured on this machine where it has to be.
+
+    Args:
+        session: the session.
+        realtime: as for :func:`must_measure`.
+        designed: whether a coupling is to be designed; otherwise the session stays as it is.
+        transport: "ipc" or "tcp".
+        encrypted: whether links over "tcp" are encrypted.
+
+    Returns:
+        The session, and this machine's profile for it, kept or new; None where there is none, or none is of use.
+    """
+    wanted = designed and must_measure(session, realtime=realtime)
+    if designed and not wanted and session.design.tau == AUTO:
+        session = session.with_delay(0.0)  # it has no coupling
+    if not (realtime or wanted):
+        return session, None
+    from manyhands.launch.doctor.probe import PROFILE_TIME, ProbeFailed, ProbeInterrupted, Way, measure_profile
+    from manyhands.launch.doctor.profile import allowance, keep_profile, kept_profile
+
+    plan = Plan(session)
+    way = Way.of_run(plan, transport, encrypted)
+    profile = kept_profile(way.profile_key(plan), time.time())
+    if not wanted:
+        return session, profile
+    if profile is None:
+        require_runnable(plan.graph)
+        say(err, f"{session.name}: measuring the delay of a tick on this machine for {PROFILE_TIME:g} s")
+        try:
+            profile = measure_profile(plan, way)
+        except ProbeInterrupted as error:
+            raise typer.Exit(128 + error.signal) from error
+        except ProbeFailed as error:
+            say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
+            raise typer.Exit(EXIT_FAILED) from error
+        try:
+            keep_profile(profile)
+        except OSError as error:
+            say(err, f"warning: the measurement is not kept: {error.filename}: {error.strerror}")
+    chosen = allowance(profile, session.period)
+    return session.with_delay(chosen.tau, chosen.period_tolerance), profile
 
 
 def ticks_of(session: Session, duration: float) -> int:

@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, Overrides, SessionPath, end, err, errors, out, require_folder
+from manyhands.launch.cli.common import (
+    Json,
+    Overrides,
+    SessionPath,
+    end,
+    err,
+    errors,
+    out,
+    require_folder,
+    settle_delay,
+)
 from manyhands.launch.files import load_named, require_target
 
 commands = typer.Typer()
@@ -34,6 +44,7 @@ def design(
         if output is not None:
             require_target(output)
         require_folder(pictures)
+        loaded, _ = settle_delay(loaded, realtime=False)
         end(run_design(loaded, out, err, output, pictures, as_json))
 
 
@@ -69,4 +80,5 @@ def budget(
         loaded = load_named(session, overrides)
         if picture is not None:
             require_picture(picture)
+        loaded, _ = settle_delay(loaded, realtime=False)
         end(run_budget(loaded, out, err, picture, as_json))

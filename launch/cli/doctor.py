@@ -18,7 +18,7 @@ def doctor(
     session: Annotated[
         Path, typer.Argument(metavar="[SESSION]", help="A session file, or the name of a shipped one.")
     ] = Path("example1.yaml"),
-    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="How long to measure, in s.")] = 5.0,
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="How long to measure, in s.")] = 12.0,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:

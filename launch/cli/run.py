@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -23,8 +24,10 @@ from manyhands.launch.cli.common import (
     kept_ticks,
     out,
     prepare_session,
+    refuse,
     require_folder,
     require_one_of,
+    settle_delay,
     ticks_of,
     warn_insecure,
     warn_of_model,
@@ -33,11 +36,13 @@ from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import NotCertified, must_measure
 from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
 from manyhands.launch.run.directory import SessionDirectory, is_bare, require_new
 from manyhands.launch.run.display import say
+from manyhands.launch.session.design import AUTO
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
 
@@ -71,6 +76,8 @@ def simulate(
         if output is not None:
             require_suffix(output)
             claims.enter_context(claimed(output))
+        if certificate is None:
+            loaded, _ = settle_delay(loaded, realtime=False)
         prepared = prepare_session(loaded, certificate, uncertified=True)
         if prepared.certificate is None and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
@@ -142,6 +149,8 @@ def launch(
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
     with errors(), ExitStack() as claims:
+        from manyhands.launch.doctor.profile import drop_profile, outlived
+        from manyhands.launch.doctor.rates import certified_lines
         from manyhands.launch.run.session_run import run_session
 
         require_one_of("--clock", clock, CLOCKS)
@@ -171,7 +180,27 @@ def launch(
         )
         if insecure:
             warn_insecure(err)
-        prepared = prepare_session(loaded, certificate, uncertified)
+        local = clock == REALTIME and not remote
+        if remote and loaded.design.tau == AUTO and certificate is None:
+            refuse(
+                "--remote: found design.tau: auto, which measures this machine alone, and no --certificate; expected "
+                "the file that the invitation was made with"
+            )
+        designed = certificate is None and not (uncertified and loaded.design.tau is None)
+        settled, profile = settle_delay(
+            loaded, realtime=local, designed=designed, transport=transport, encrypted=not insecure
+        )
+        try:
+            prepared = prepare_session(settled, certificate, uncertified)
+        except NotCertified as error:
+            if designed and must_measure(loaded, realtime=local):
+                tau = f"{1e3 * (settled.design.stated_tau or 0.0):.3g} ms"
+                text = f"{error}; the delay of {tau} was measured here: design.tau=0 asks for a certificate without any"
+                raise NotCertified(text) from error
+            raise
+        if clock == REALTIME and prepared.certificate is not None:
+            for line in certified_lines(prepared.certificate, settled, profile, time.time()):
+                say(err, line)
         warn_of_model(err, loaded)
         kept = None if directory is None else SessionDirectory(directory)
         outcome = run_session(
@@ -185,6 +214,8 @@ def launch(
             directory=kept,
             together=together,
         )
+        if profile is not None and outlived(profile, loaded.period, outcome.report):
+            drop_profile(profile)  # the next launch measures anew
         print_report(out, outcome.report)
         end(outcome.code)
 
@@ -205,8 +236,9 @@ def demo(
         require_folder(output)
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
         require_runnable(Plan(shipped["example1"]).graph)
-        code = run_demo(shipped, out, err, output, kept_ticks(shipped["example1"], duration), clock)
-        end(code)
+        ticks = kept_ticks(shipped["example1"], duration)
+        shipped["example1"], profile = settle_delay(shipped["example1"], realtime=clock == REALTIME)
+        end(run_demo(shipped, out, err, output, ticks, clock, profile))
 
 
 DEMO_SESSIONS = ("example1", "example1-centralised", "example1-uncoupled")

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from manyhands.design.budget import environment_share, stiffest
+from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
@@ -48,9 +49,24 @@ class Worth:
         """
         return cls(loop, environment_share(loop.environment, loop.Delta_D, loop.period))
 
-    def stiffness(self, tau: float) -> dict[str, float]:
-        """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) permits none."""
+    def at(self, period: float) -> Worth | None:
+        """The same at another period, s; None for an environment that is given in discrete time, at its own alone."""
+        environment = self.loop.environment
+        if period == self.loop.period:
+            return self
+        if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
+            return None
+        return Worth.of(replace(self.loop, period=period, tau=0.0))
+
+    def stiffness(self, tau: float, period_tolerance: float | None = None) -> dict[str, float]:
+        """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) permits none.
+
+        Args:
+            tau: the longest delay, s.
+            period_tolerance: rho; by default the loop's.
+        """
         loop = self.loop
+        tolerance = loop.period_tolerance if period_tolerance is None else period_tolerance
         if tau > loop.period:
             return {device.name: 0.0 for device in loop.devices}
         return {
@@ -59,14 +75,14 @@ class Worth:
                 loop.period,
                 tau,
                 min(self.share, 1.0),
-                loop.period_tolerance,
+                tolerance,
             ).certified
             for device in loop.devices
         }
 
-    def weakest(self, tau: float) -> float:
+    def weakest(self, tau: float, period_tolerance: float | None = None) -> float:
         """The smallest value of :meth:`stiffness`, N/m."""
-        return min(self.stiffness(tau).values())
+        return min(self.stiffness(tau, period_tolerance).values())
 
 
 @dataclass(frozen=True)
@@ -135,7 +151,7 @@ def _period(tau: Spread, worth: Worth) -> list[Advice]:
     """Advice on the period: lengthen it where a tick does not fit, halve it where a tick fits in half."""
     T, delay = worth.loop.period, tau.p999 * 1e-6
     if delay > T:
-        longer = _round_up(delay)
+        longer = longer_period(delay)
         return [
             Advice(
                 f"lengthen the period: p99.9 of a tick is {tau.p999:.0f} us, T is {T * 1e6:g} us",
@@ -164,8 +180,8 @@ def _at(worth: Worth, T: float, tau: float) -> str:
     return f"{min(stiffest(level, T, tau, 0.0, loop.period_tolerance).certified for level in levels):.0f} N/m"
 
 
-def _round_up(seconds: float) -> float:
-    """Round up to a tenth of a millisecond, and add another as a reserve."""
+def longer_period(seconds: float) -> float:
+    """A period in which a tick of ``seconds`` fits: rounded up to a tenth of a millisecond, and a tenth in reserve."""
     return (math.ceil(seconds * 1e4 - 1e-6) + 1) / 1e4
 
 

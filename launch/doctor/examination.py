@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,6 +18,8 @@ from manyhands.launch.design_report import print_json
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
 from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, ProbeFailed, ProbeInterrupted, measure
+from manyhands.launch.doctor.profile import LEAST_KEPT, Profile, cache_folder, keep_profile
+from manyhands.launch.doctor.rates import form_figures, print_rates, rates_object
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.plan import Plan
@@ -160,7 +163,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         say(err, f"error: {session.name}: {found}; give a smaller session of the same kind")
         return EXIT_BAD_INPUT
     require_runnable(graph)
-    machine, worth = examine(), Worth.of(haptic_loop(session))
+    machine, worth = examine(), Worth.of(haptic_loop(session.with_delay(0.0)))
     try:
         with measuring(err) as show:
             measured = measure(plan, seconds, machine.usable, machine.curve, show)
@@ -171,13 +174,36 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         say(err, f"error: the probe failed: {error}")
         return EXIT_FAILED
     advised = advice(machine, measured, worth, len(chains_of(graph)))
+    now = time.time()
+    profiles = {
+        form: found if isinstance(found, str) else found.profile(form.plan(session), measured.each, now)
+        for form, found in measured.forms.items()
+    }
+    rates = list(form_figures(worth, profiles))
+    kept = _keep(profiles.values(), err)
     if as_json:
-        print_json(doctor_object(machine, measured, worth, advised))
+        print_json(doctor_object(machine, measured, worth, advised) | {"rates": rates_object(rates)})
         return EXIT_OK
     print_machine(out, machine, measured.waking.granted)
     print_measured(out, measured, session.period)
+    print_rates(out, session.name, rates)
     print_worth(out, measured, worth, advised)
+    say(out, kept)
     return EXIT_OK
+
+
+def _keep(profiles: Iterable[Profile | str], err: Console) -> str:
+    """Keep the profiles for `manyhands launch` and `manyhands budget`; returns a line about it."""
+    kept = 0
+    try:
+        for profile in profiles:
+            if isinstance(profile, Profile):
+                kept += keep_profile(profile)
+    except OSError as error:
+        say(err, f"warning: the profile of this machine is not kept: {error.filename}: {error.strerror}")
+    if kept:
+        return f"kept for a day in {cache_folder()}; manyhands launch and budget use it"
+    return f"no profile is kept: each was measured for less than {LEAST_KEPT:g} s; give more --seconds"
 
 
 def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tuple[Advice, ...]) -> dict[str, Any]:

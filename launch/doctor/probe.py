@@ -10,15 +10,18 @@ from __future__ import annotations
 import os
 import select
 import signal
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final, Self
 
+from manyhands.launch.doctor.profile import Lateness, Profile, profile_key
 from manyhands.launch.doctor.wakeup import Spread, Waking
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, unproved
 from manyhands.launch.plan.reach import reach
-from manyhands.launch.plan.topology import Topology, placement
+from manyhands.launch.plan.topology import Topology, placement, usual_placement
 from manyhands.launch.run.directory import run_directory
 from manyhands.launch.run.processes import Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
@@ -37,7 +40,8 @@ LEAST_TICKS = 50
 ANSWER_TIME = from_seconds(60.0)  # for a process to start on a busy machine
 SLOWEST = 20  # periods that a wake-up may take on average; beyond, the probe fails
 
-WAKING_PART = 0.3  # of the measuring time; the ways of carrying a tick share the rest
+WAKING_PART = 0.15  # of the measuring time; the ways of carrying a tick, and the rates, share the rest
+PROFILE_TIME = 2.0  # s, for a launch that measures for itself
 
 _WAKING = "waking"  # name of the process that measures wake-ups
 _MOST_OUTPUT = 2**16  # bytes, the capacity of a pipe; the answer takes about two thousand
@@ -66,15 +70,26 @@ class Way:
     Attributes:
         key: its name in the JSON object.
         text: its name in tables.
-        transport: "ipc", or "tcp" with CURVE.
+        transport: "ipc" or "tcp".
         places: the processor of each process that is pinned; pinned processes over ipc run under SCHED_FIFO where
             that is permitted.
+        encrypted: whether links over "tcp" are encrypted with CURVE.
     """
 
     key: str
     text: str
     transport: str
     places: Mapping[str, int] = field(default_factory=dict)
+    encrypted: bool = True
+
+    @classmethod
+    def of_run(cls, plan: Plan, transport: str = "ipc", encrypted: bool = True) -> Self:
+        """The way in which `manyhands launch` runs a session on this machine."""
+        return cls("run", transport, transport, usual_placement(plan.graph, transport), encrypted)
+
+    def profile_key(self, plan: Plan) -> dict[str, Any]:
+        """The key under which the delays of ``plan`` in this way are kept."""
+        return profile_key(plan, self.transport, self.encrypted and self.transport == "tcp", self.places)
 
 
 @dataclass(frozen=True)
@@ -86,37 +101,95 @@ class Ticking:
         tau: the delay from sample to force, over all devices, us.
         ticks: number of ticks of all devices together.
         late: number of ticks that ended after the next tick was due.
+        slowest: the delay of the device with the longest p99.5, us.
+        period: the p99 of the time between two samples, of the device where it is longest, us.
     """
 
     way: Way
     tau: Spread
     ticks: int
     late: int
+    slowest: Lateness
+    period: float
+
+    def profile(self, plan: Plan, seconds: float, now: float) -> Profile:
+        """What to keep of ``plan``, whose ticks these are; ``seconds`` were measured until ``now``, in s since the
+        epoch.
+        """
+        late = self.late / self.ticks
+        return Profile(self.way.profile_key(plan), self.slowest, self.period, late, seconds, now)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A rate of a session, and whether its couplings run in their devices' processes.
+
+    Attributes:
+        period: T, s.
+        colocated: whether they do.
+    """
+
+    period: float
+    colocated: bool
+
+    def plan(self, session: Session) -> Plan:
+        """The session at rest in this form."""
+        return Plan(at_rest(session, self))
+
+
+RATES: Final = (1e-3, 0.5e-3, 0.25e-3)
+"""The periods at which a session is measured besides its own, s: 1, 2 and 4 kHz."""
+
+
+def forms_of(session: Session) -> tuple[Form, ...]:
+    """The forms in which a session is measured: each rate, co-located too where every coupling is of one device."""
+    together = (False, True) if all(len(session.devices_of(name)) == 1 for name in session.couplings) else (False,)
+    periods = sorted({session.period, *RATES}, reverse=True)
+    return tuple(Form(period, colocated) for period in periods for colocated in together)
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All measurements of the probe."""
+    """All measurements of the probe.
+
+    Attributes:
+        waking: how late a process wakes.
+        ticking: the session's own ticks, by way.
+        forms: its ticks as `manyhands launch` would run it in each form; where a form gave none, the reason.
+        each: how long each was measured, s.
+    """
 
     waking: Waking
     ticking: tuple[Ticking, ...]
+    forms: Mapping[Form, Ticking | str] = field(default_factory=dict)
+    each: float = 0.0
 
 
 class DelayRecorder(Recorder):
     """A recorder that keeps the delay tau of every tick of every device.
 
     Attributes:
-        tau: the delays, ns, in the order in which they were reported.
+        by_device: the delays of each device, ns, in the order in which they were reported.
     """
 
     def __init__(self) -> None:
-        self.tau: list[int] = []
+        self.by_device: dict[str, list[int]] = {}
+
+    @property
+    def tau(self) -> list[int]:
+        """The delays of all devices, ns."""
+        return [tau for delays in self.by_device.values() for tau in delays]
+
+    @property
+    def slowest(self) -> Lateness:
+        """The delay of the device with the longest p99.5; of at least one device."""
+        return max((Lateness.of(delays) for delays in self.by_device.values()), key=lambda found: found.p995)
 
     def take(self, frame: bytes | None) -> None:
         """Keep the delays of a device's telemetry; see :class:`Recorder`."""
         message = None if frame is None else decode(frame, MAX_CONTROL_BYTES)
         if isinstance(message, Observation) and (trace := message.traces.get(names.TAU)) is not None:
-            self.tau += [round(tau * 1e3) for (tau,) in trace.tolist()]
+            self.by_device.setdefault(message.node, []).extend(round(tau * 1e3) for (tau,) in trace.tolist())
 
 
 def measure(
@@ -139,13 +212,14 @@ def measure(
         ProbeInterrupted: on Ctrl-C.
         ProbeFailed: a process did not start, did not answer, or ended early.
     """
-    session = plan.session
+    session, forms = plan.session, forms_of(plan.session)
+    own = Form(session.period, session.colocate)
     with Interrupt() as interrupt:
         show("how late a process wakes")
         with run_directory() as directory:
             waking = measure_waking(session.period, seconds * WAKING_PART, processors[0], directory, interrupt)
         ways = _ways(plan.graph, processors, waking.granted["fifo"].granted, curve)
-        each = seconds * (1.0 - WAKING_PART) / len(ways)
+        each = seconds * (1.0 - WAKING_PART) / (len(ways) + len(forms) - 1)
         rested = unproved(at_rest(session))
         ticking = []
         for way in ways:
@@ -153,7 +227,23 @@ def measure(
                 raise ProbeInterrupted(interrupt.signal)
             show(f"a tick over {way.text}")
             ticking.append(measure_ticks(rested, way, _ticks(each, session.period)))
-        return Measured(waking, tuple(ticking))
+        usual = usual_placement(plan.graph, "ipc")  # one of the ways, unless the kernel refuses a right that we hold
+        found: dict[Form, Ticking | str] = {}
+        for one in ticking:
+            if one.way.transport == "ipc" and one.way.places == usual:
+                found[own] = one
+        left = [form for form in forms if form not in found]
+        for number, form in enumerate(left):
+            if interrupt.signal is not None:
+                raise ProbeInterrupted(interrupt.signal)
+            where = "co-located" if form.colocated else "separate processes"
+            show(f"a tick at {1e-3 / form.period:g} kHz, {where} ({number + 1} of {len(left)})")
+            try:
+                other = unproved(at_rest(session, form))
+                found[form] = measure_ticks(other, Way.of_run(other), _ticks(each, form.period))
+            except ProbeFailed as error:  # a rate beyond this machine says nothing against the others
+                found[form] = str(error)
+        return Measured(waking, tuple(ticking), {form: found[form] for form in forms}, each)
 
 
 def _ways(graph: Topology, processors: Sequence[int], fifo: bool, curve: bool) -> list[Way]:
@@ -176,8 +266,15 @@ def _ticks(seconds: float, period: float) -> int:
     return max(LEAST_TICKS, int(seconds / period))
 
 
-def at_rest(session: Session) -> Session:
-    """A session of the same processes, ports and links in which nothing moves; it needs no design and no model."""
+def at_rest(session: Session, form: Form | None = None) -> Session:
+    """A session of the same processes, ports and links in which nothing moves; it needs no design and no model.
+
+    Args:
+        session: the session.
+        form: its rate, and whether its couplings are co-located; by default its own.
+    """
+    if form is None:
+        form = Form(session.period, session.colocate)
     devices = {
         name: {"dof": device.dof, "axes": device.axes, "osp": 1.0, "driver": "simulated", "mass": 1.0,
                "hand": {"force": 0.0}}
@@ -187,12 +284,12 @@ def at_rest(session: Session) -> Session:
     return Session.model_validate(
         {
             "session": "doctor",
-            "period": session.period,
+            "period": form.period,
             "devices": devices,
             "couplings": {name: {"ports": list(ports)} for name, ports in session.blocks_by_name.items()},
             "environment": {"type": "network", "links": links},
             "design": {"coupling": "none", "objective": "feasible"},
-            "colocate": session.colocate,
+            "colocate": form.colocated,
         }
     )
 
@@ -258,6 +355,17 @@ def _end_of(processes: Processes, within: Duration, interrupt: Interrupt, clock:
             raise ProbeFailed(f"{_WAKING}: no answer within {within / 1e9:g} s; check what else runs on this machine")
 
 
+def measure_profile(plan: Plan, way: Way, seconds: float = PROFILE_TIME) -> Profile:
+    """The profile of a session on this machine: the delays of the session at rest.
+
+    Raises:
+        ProbeInterrupted: on Ctrl-C.
+        ProbeFailed: the session failed, or none of its devices ever got a force.
+    """
+    ticking = measure_ticks(unproved(at_rest(plan.session)), way, _ticks(seconds, plan.session.period))
+    return ticking.profile(plan, seconds, time.time())
+
+
 def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     """Run ``ticks`` ticks of a session at rest in one way, and collect their delays.
 
@@ -269,7 +377,7 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     outcome = Supervisor(
         rested,
         clock=REALTIME,
-        reach=reach(rested, way.transport),
+        reach=reach(rested, way.transport, insecure=way.transport == "tcp" and not way.encrypted),
         ticks=ticks,
         record=False,
         recorder=delays,
@@ -284,4 +392,6 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     nodes = outcome.report["nodes"]  # a node that sent no last report is absent
     devices = [name for name, role in rested.graph.nodes.items() if role is Role.DEVICE]
     late = sum(nodes[name][names.LATE] for name in devices if name in nodes)
-    return Ticking(way, Spread.of(delays.tau), len(delays.tau), late)
+    periods = [nodes[name][names.PERIOD]["p99"] for name in devices if names.PERIOD in nodes.get(name, {})]
+    own = rested.session.period * 1e6
+    return Ticking(way, Spread.of(delays.tau), len(delays.tau), late, delays.slowest, max(periods, default=own))

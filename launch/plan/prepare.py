@@ -46,6 +46,7 @@ from manyhands.design.problem import (
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
+from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
 from manyhands.launch.session.fields import Interval
@@ -56,7 +57,19 @@ if TYPE_CHECKING:
 
 
 def haptic_loop(session: Session) -> HapticLoop:
-    """The loop: ports, levels, block structure and environment, all in the session's order."""
+    """The loop: ports, levels, block structure and environment, all in the session's order.
+
+    A session that states no delay is designed for none, as in [Bianchini2010]_. One that asks for a measured delay gets
+    it by :meth:`Session.with_delay` before it comes here.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    if session.design.tau == AUTO:
+        raise NotCertified(
+            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
+            "measures it (launch, design)"
+        )
     index = {port: i for i, port in enumerate(session.ports)}
     return HapticLoop(
         session=session.name,
@@ -70,7 +83,7 @@ def haptic_loop(session: Session) -> HapticLoop:
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
         ),
         environment=_environment(session),
-        tau=session.design.tau,
+        tau=session.design.stated_tau or 0.0,
         period_tolerance=session.design.period_tolerance,
     )
 
@@ -197,6 +210,8 @@ def certify(session: Session, progress: Progress | None = None) -> Designed:
 def read_certificate(path: Path, session: Session | None = None) -> Certificate:
     """Read a certificate and prove it again, for ``session`` where one is given.
 
+    A session that leaves its delay open runs with the certificate's (:func:`with_delay_of`).
+
     Raises:
         CertificateError: the file is not a certificate.
         NotCertified: it does not hold, is another session's, or would have another id if it were written again.
@@ -229,6 +244,7 @@ def _foreign(certificate: Certificate, session: Session) -> str:
 
     A block that needs ports outside its process is reported first, as that: it could not run there, proved or not.
     """
+    session = with_delay_of(certificate, session)
     found = differences(certificate, haptic_loop(session), coupling_request(session))
     loop = certificate.loop
     if loop.session == session.name and loop.ports == session.ports:
@@ -236,6 +252,29 @@ def _foreign(certificate: Certificate, session: Session) -> str:
         structure = {name: [loop.ports[p] for p in block] for name, block in blocks}
         found = capability_violations(session, Plan(session).access, structure) + found
     return found[0] if found else ""
+
+
+def must_measure(session: Session, *, realtime: bool) -> bool:
+    """Whether a session that is about to be designed needs the delay of this machine.
+
+    The session asks for it by ``tau: auto``, or leaves its delay open and is to run in real time. A session without a
+    coupling has nothing to design.
+
+    Args:
+        session: the session.
+        realtime: whether it is to run in real time, with all its processes on this machine.
+    """
+    tau = session.design.tau
+    return session.design.coupling != "none" and (tau == AUTO or (tau is None and realtime))
+
+
+def with_delay_of(certificate: Certificate, session: Session) -> Session:
+    """The session with the certificate's delay, where the session leaves its delay open."""
+    if session.design.stated_tau is not None:
+        return session
+    if certificate.tau > session.period:  # then the periods differ
+        return session.with_delay(0.0)
+    return session.with_delay(certificate.tau, certificate.period_tolerance)
 
 
 def prepare(
@@ -259,19 +298,24 @@ def prepare(
         CertificateError: the certificate cannot be read.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
     """
-    loop = haptic_loop(session)
-    try:
-        proof = (
-            certify(session, progress).certificate if certificate is None else read_certificate(certificate, session)
-        )
-    except DesignError as error:
-        if certificate is not None:
-            raise
-        if not uncertified:
-            raise NotCertified(f"{session.name} is not certified: {error}") from error
-        return unproved(session, error)
+    if certificate is not None:
+        proof = read_certificate(certificate, session)
+        session = with_delay_of(proof, session)
+    else:
+        session = _settled(session)
+        try:
+            proof = certify(session, progress).certificate
+        except DesignError as error:
+            if not uncertified:
+                raise NotCertified(f"{session.name} is not certified: {error}") from error
+            return unproved(session, error)
     ladder, notes = _ladder(session, proof, progress)
-    return Prepared(session, loop, proof.blocks, proof, proof.id, ladder, notes)
+    return Prepared(session, haptic_loop(session), proof.blocks, proof, proof.id, ladder, notes)
+
+
+def _settled(session: Session) -> Session:
+    """The session with the delay written out that it runs with, for its records: 0 where it states none."""
+    return session.with_delay(0.0) if session.design.tau is None else session
 
 
 def _ladder(session: Session, first: Certificate, progress: Progress | None) -> tuple[Ladder | None, tuple[str, ...]]:
@@ -295,6 +339,7 @@ def unproved(session: Session, why: DesignError | None = None) -> Prepared:
     Raises:
         NotCertified: the session states no coupling, or one that cannot be realised.
     """
+    session = _settled(session)
     loop = haptic_loop(session)
     return Prepared(session, loop, _unproved_blocks(session, loop, why), None, _uncertified_id(session))
 

@@ -16,11 +16,13 @@ processes (docs/decisions/0017-timing.md).
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session
+from manyhands.nodes.realtime import may_raise
 from manyhands.protocol.limits import MAX_PORTS
 from manyhands.protocol.messages import Role
 from manyhands.protocol.transport.descriptors import node_needs, require_descriptors
@@ -131,6 +133,11 @@ def placement(graph: Topology, processors: Sequence[int], raised: bool = False) 
         held = Counter(places.values())
         places[ENVIRONMENT] = min(reversed(processors), key=lambda processor: held[processor])
     return places
+
+
+def usual_placement(graph: Topology, transport: str) -> Mapping[str, int]:
+    """The :func:`placement` of a run in real time on this machine's processors, over "ipc" or "tcp"."""
+    return placement(graph, sorted(os.sched_getaffinity(0)), raised=transport == "ipc" and may_raise())
 
 
 def chains_of(graph: Topology) -> list[list[str]]:

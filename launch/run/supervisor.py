@@ -21,7 +21,7 @@ from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import HUB_NAME, Reach
-from manyhands.launch.plan.topology import placement
+from manyhands.launch.plan.topology import usual_placement
 from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.run.breaches import Assumptions, EndSession, EnergyIncidents, ShiftCoupling
 from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
@@ -47,7 +47,6 @@ from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.nodes.log import Log, LogEvent, log_path
-from manyhands.nodes.realtime import may_raise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
@@ -161,7 +160,7 @@ class Supervisor:
             logs: the folder for the processes' logs; by default they are removed with the run's directory.
             together: whether a guest that leaves ends the session.
             show: called with the progress a few times a second; returns an incident of the display, if there is one.
-            places: the processor of each node that is pinned to one; by default :func:`placement` chooses them.
+            places: the processor of each node that is pinned to one; by default :func:`usual_placement` chooses them.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
@@ -192,10 +191,7 @@ class Supervisor:
         self._collector = Collector(devices)
 
     def _choose_places(self) -> Mapping[str, int]:
-        if self._clock_name != REALTIME:
-            return {}
-        raised = self._reach.transport == "ipc" and may_raise()
-        return placement(self._graph, sorted(os.sched_getaffinity(0)), raised)
+        return usual_placement(self._graph, self._reach.transport) if self._clock_name == REALTIME else {}
 
     def run(self) -> Outcome:
         """Run the session to its end; processes, sockets and the run's directory are gone afterwards."""

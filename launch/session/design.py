@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
@@ -30,6 +31,7 @@ from manyhands.launch.session.fields import (
     each_named,
     optional,
     part_name,
+    problems_of,
     refusal,
     refuse,
     unsymmetric,
@@ -227,11 +229,24 @@ _RATIO: Final = Quantity("a damping ratio", above=0.0, most=1.0, smallest=MIN_PO
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
 _TOLERANCE: Final = Quantity("a part of the period", least=0.0, most=1.0)
 _DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
+AUTO: Final = "auto"
+"""The word in place of a delay that is to be measured."""
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
 _COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
 _OBJECTIVES: Final = ("feasible", "stiffest", "loop-shaping", "closed-loop")
 _TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
+
+
+def _delay(value: object) -> object:
+    """A delay in s, or the word for one that is to be measured."""
+    if value == AUTO:
+        return value
+    try:
+        return _DELAY(value)
+    except PydanticCustomError as error:
+        either = [problem._replace(expected=f"{problem.expected}, or {AUTO}") for problem in problems_of(error)]
+        raise refusal(*either) from None
 
 
 def _order(value: object) -> object:
@@ -272,8 +287,8 @@ class Design(SessionModel):
         default="feasible", description="what the design aims at: feasible, stiffest, loop-shaping or closed-loop"
     )
     weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
-    tau: Annotated[float, BeforeValidator(_DELAY)] = Field(
-        default=0.0, description="the delay inside the tick that the certificate is to allow, in s"
+    tau: Annotated[float | Literal["auto"] | None, BeforeValidator(optional(_delay))] = Field(
+        default=None, description="the delay inside the tick that the certificate is to allow, in s; auto to measure it"
     )
     period_tolerance: Annotated[float, BeforeValidator(_TOLERANCE)] = Field(
         default=0.0,
@@ -306,6 +321,11 @@ class Design(SessionModel):
     def W2(self) -> Rational:
         """The weight W2 as a function of s; 1 where none is written."""
         return (self.weights or Weights()).W2.rational
+
+    @property
+    def stated_tau(self) -> float | None:
+        """The delay that the session states, s; ``None`` where it states none, or one to be measured."""
+        return None if self.tau is None or isinstance(self.tau, str) else self.tau
 
     @property
     def wanted(self) -> bool:
@@ -365,7 +385,7 @@ class Design(SessionModel):
         """Delays that do not grow, or that belong to no coupling."""
         if self.ladder and self.coupling == "none":
             yield Problem(("ladder",), "a ladder with 'coupling: none'", "a coupling, or no ladder")
-        before, name = self.tau, "tau"
+        before, name = self.stated_tau or 0.0, "tau"
         for index, delay in enumerate(self.ladder or ()):
             if not delay > before:
                 yield Problem(("ladder", index), f"{show(delay)} after {name} {show(before)}", "delays that grow, in s")
@@ -388,8 +408,8 @@ class Design(SessionModel):
 
     def problems(self, ports: tuple[str, ...], blocks: Blocks, period: float) -> Iterator[Problem]:
         """The problems in a session with these ports, these blocks (ports of each coupling) and this period (s)."""
-        if self.tau > period:
-            yield Problem(("tau",), f"{show(self.tau)} with a period of {period:g} s", "at most the period")
+        if (tau := self.stated_tau) is not None and tau > period:
+            yield Problem(("tau",), f"{show(tau)} with a period of {period:g} s", "at most the period")
         if self.ladder and self.ladder[-1] > period:
             found = f"{show(self.ladder[-1])} with a period of {period:g} s"
             yield Problem(("ladder", len(self.ladder) - 1), found, "at most the period")

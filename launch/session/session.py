@@ -376,6 +376,18 @@ class Session(SessionModel):
             return None
         return full_matrix(self.design.damping or 0.0, len(self.ports))
 
+    def with_delay(self, tau: float, period_tolerance: float = 0.0) -> Self:
+        """This session with ``tau`` (s, at most the period) in place of a delay that it leaves open.
+
+        It gets the period tolerance as well, where it does not state a greater one. Delays of its ladder that are not
+        above ``tau`` have no use any more, and are left out.
+        """
+        ladder = self.design.ladder
+        longer = None if ladder is None else tuple(delay for delay in ladder if delay > tau)
+        tolerance = max(period_tolerance, self.design.period_tolerance)
+        settled = {"tau": tau, "period_tolerance": tolerance, "ladder": longer}
+        return self.model_copy(update={"design": self.design.model_copy(update=settled)})
+
     def as_plain(self) -> dict[str, Any]:
         """The session as plain data in the form of a session file; reading the data gives an equal session."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)

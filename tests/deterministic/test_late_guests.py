@@ -14,6 +14,7 @@ from chaos_kinds import FOLDER, RESTLESS
 
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run import breaches
+from manyhands.launch.run.breaches import Cause
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
@@ -38,8 +39,10 @@ def uncovered(session: LateSession, device: str, begin: int) -> float:
 
 
 def named(session: LateSession) -> set[str]:
-    """The couplings that an incident names for the waits of others."""
-    return {key.removesuffix(" late") for key in session.assumptions.notices if key.endswith(" late")}
+    """The couplings that the notice names for the waits of others."""
+    text = session.assumptions.notices.get(Cause.WAITS, "")
+    assert all(coupling in text for coupling in session.assumptions.waited_for)
+    return set(session.assumptions.waited_for)
 
 
 def softened(session: LateSession) -> set[str]:

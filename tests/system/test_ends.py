@@ -163,7 +163,7 @@ def supervisor_nodes(prepared: Prepared) -> list[str]:
 
 def launched(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [*MANYHANDS, "launch", str(SESSIONS / "example1.yaml"), *arguments],
+        [*MANYHANDS, "launch", str(SESSIONS / "example1.yaml"), "--set", "design.tau=0", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

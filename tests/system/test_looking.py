@@ -28,7 +28,15 @@ pytestmark = pytest.mark.usefixtures("own_interrupt")
 def session() -> Iterator[subprocess.Popen[str]]:
     """One session for all tests, in a temporary directory of its own; observers have to look there."""
     folder = tempfile.mkdtemp(prefix="mh", dir="/tmp")
-    command = [*MANYHANDS, "launch", "example1-operator.yaml", "--set", "observers={scope: {reads: [cx/tool]}}"]
+    command = [
+        *MANYHANDS,
+        "launch",
+        "example1-operator.yaml",
+        "--set",
+        "design.tau=0",
+        "--set",
+        "observers={scope: {reads: [cx/tool]}}",
+    ]
     with subprocess.Popen(
         command, env={**os.environ, "TMPDIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as process:

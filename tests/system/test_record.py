@@ -17,7 +17,7 @@ from ..support.commands import read_until, started
 
 def test_a_running_session_is_recorded_from_another_terminal(tmp_path: Path) -> None:
     kept, part, rest = tmp_path / "run", tmp_path / "part.mcap", tmp_path / "rest.mcap"
-    with started("launch", "example1.yaml", "--directory", kept) as session:
+    with started("launch", "example1.yaml", "--set", "design.tau=0", "--directory", kept) as session:
         read_until(session, "running")
         with (
             started("record", kept, "-o", part) as first,

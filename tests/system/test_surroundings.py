@@ -78,7 +78,16 @@ def test_real_time_works_without_rights_display_or_unicode(tmp_path: Path) -> No
     locale = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "NO_COLOR": "1"}
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
-            [*LAUNCH[:-1], folder / "s.yaml", "--duration", "0.3", "--report", folder / "run.json"],
+            [
+                *LAUNCH[:-1],
+                folder / "s.yaml",
+                "--set",
+                "design.tau=0",
+                "--duration",
+                "0.3",
+                "--report",
+                folder / "run.json",
+            ],
             preexec_fn=drop_rights,
             env={**os.environ, **locale},
             stdin=subprocess.DEVNULL,

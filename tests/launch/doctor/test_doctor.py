@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import select
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +19,44 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
+from manyhands.design.models.environment import StateSpaceEnvironment
+from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.examination import machine_rows
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
+    RATES,
     DelayRecorder,
+    Form,
     Measured,
     ProbeFailed,
     ProbeInterrupted,
     Ticking,
     Way,
     at_rest,
+    forms_of,
     measure_ticks,
     measure_waking,
 )
+from manyhands.launch.doctor.profile import Lateness, Profile
+from manyhands.launch.doctor.rates import (
+    NOT_MEASURED,
+    FormFigures,
+    certified_lines,
+    form_figures,
+    print_rates,
+    rates_object,
+    stiffness_range,
+)
 from manyhands.launch.doctor.wakeup import Spread, Waking
 from manyhands.launch.files import load_named
-from manyhands.launch.plan.prepare import haptic_loop, unproved
-from manyhands.launch.plan.topology import topology
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared, haptic_loop, prepare, unproved
+from manyhands.launch.plan.topology import placement, topology
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
@@ -65,7 +86,12 @@ def measurement(p50: float, p999: float, **refused: Grant) -> Measured:
     grants = {"fifo": YES, "memory_locked": YES, "timer_slack": YES, "pinned": YES} | refused
     late = dict.fromkeys(("default_slack", "least_slack"), Spread(60.0, 70.0, 80.0, 90.0))
     tau = Spread(p50, (p50 + p999) / 2, p999, p999)
-    return Measured(Waking(late, grants), (Ticking(IPC, tau, 1000, 3),))
+    return Measured(Waking(late, grants), (ticking(IPC, tau, 3),))
+
+
+def ticking(way: Way, tau: Spread, late: int) -> Ticking:
+    """A thousand ticks, with these percentiles for the slowest device as well."""
+    return Ticking(way, tau, 1000, late, Lateness(tau.p50, tau.p99, tau.p999, tau.max), 1050.0)
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +280,7 @@ def test_a_tick_that_fits_in_half_a_period_may_have_one(worth: Worth, loop: Hapt
 
 def test_the_best_way_is_the_one_that_is_judged(worth: Worth) -> None:
     good = measurement(510.0, 600.0)
-    bad = Ticking(TCP, Spread(900.0, 2000.0, 9000.0, 9000.0), 1000, 500)
+    bad = ticking(TCP, Spread(900.0, 2000.0, 9000.0, 9000.0), 500)
     assert advice(a_machine(), Measured(good.waking, (bad, *good.ticking)), worth, chains=3) == ()
 
 
@@ -339,3 +365,121 @@ input()
         assert select.select([part], [], [], 60.0)[0], "it outlived its parent"
     finally:
         os.close(part)
+
+
+# --- the rates
+
+
+def test_a_session_is_measured_at_its_own_rate_and_three_others() -> None:
+    forms = forms_of(load_named("example1", ["period=0.002"]))
+    assert [(form.period, form.colocated) for form in forms] == [
+        (period, colocated) for period in (2e-3, 1e-3, 0.5e-3, 0.25e-3) for colocated in (False, True)
+    ]
+    assert forms_of(load_named("example1-centralised")) == tuple(Form(period, False) for period in RATES)
+
+
+def test_a_form_has_the_graph_that_the_session_would_have() -> None:
+    session = load_named("example1")
+    for form in forms_of(session):
+        other = load_named("example1", [f"period={form.period}", f"colocate={str(form.colocated).lower()}"])
+        assert Way.of_run(form.plan(session)).profile_key(form.plan(session)) == Way.of_run(Plan(other)).profile_key(
+            Plan(other)
+        )
+
+
+@pytest.mark.parametrize("refused", [False, True], ids=["as launched", "a right that the kernel refuses"])
+def test_each_form_is_measured_once(refused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The session's own is one of the ways, unless none of them is placed as a run would be."""
+    asked: list[tuple[Form, str]] = []
+
+    def measured(rested: Prepared, way: Way, _: int) -> Ticking:
+        form = Form(rested.session.period, rested.session.colocate)
+        asked.append((form, way.transport))
+        if form.period < 5e-4:
+            raise ProbeFailed("no tick")
+        return ticking(way, Spread(1.0, 2.0, 3.0, 4.0), 0)
+
+    monkeypatch.setattr(probe, "measure_waking", lambda *_: measurement(1.0, 2.0).waking)
+    monkeypatch.setattr(probe, "measure_ticks", measured)
+    if refused:
+        monkeypatch.setattr(probe, "usual_placement", lambda *_: {"environment": 77})
+    else:
+        monkeypatch.setattr(probe, "usual_placement", lambda graph, _: placement(graph, (0, 1, 2, 3), raised=True))
+    session = load_named("example1")
+    shown: list[str] = []
+    found = probe.measure(Plan(session), 10.0, (0, 1, 2, 3), False, shown.append)
+    assert tuple(found.forms) == forms_of(session)
+    assert len(asked) == 2 + len(forms_of(session)) - (not refused)
+    assert [text for text in found.forms.values() if isinstance(text, str)] == ["no tick", "no tick"]
+    assert "a tick at 2 kHz, separate processes" in " ".join(shown)
+    assert found.each == pytest.approx(10.0 * 0.85 / 7)
+
+
+def figures(worth: Worth, p995: float, period: float) -> FormFigures:
+    profile = Profile({}, Lateness(p995 / 2, p995, p995, p995), period * 1.05e6, 0.0, 2.0, 0.0)
+    (found,) = form_figures(worth, {Form(period, False): profile})
+    return found
+
+
+def test_each_form_has_the_stiffness_of_its_own_period(worth: Worth) -> None:
+    found = figures(worth, 280.0, 0.5e-3)
+    tau, longest = 0.325e-3, 1.1 * 0.5e-3  # 12 steps of 25 us and one; 1 step and one
+    assert found.certified == pytest.approx(1.37 / (longest / 2 + 1.5 * tau))
+    assert found.no_delay == pytest.approx(5480.0)
+
+
+def test_a_form_whose_ticks_are_longer_than_a_tick_has_none(worth: Worth) -> None:
+    assert figures(worth, 501.0, 0.5e-3).certified == 0.0
+    assert figures(worth, 501.0, 1e-3).certified != 0.0
+
+
+def test_an_environment_in_discrete_time_has_its_own_period_alone() -> None:
+    ports = ("dx", "dy", "dz")
+    wall = StateSpace.static(np.diag([500.0] * 3))
+    loop = replace(haptic_loop(load_named("example1")), environment=StateSpaceEnvironment(ports, wall, None))
+    assert figures(Worth(loop, 0.0), 280.0, 0.5e-3).no_delay is None
+    assert figures(Worth(loop, 0.0), 280.0, 1e-3).no_delay == pytest.approx(2740.0)
+
+
+def test_the_table_names_what_is_missing_and_what_is_too_slow(worth: Worth) -> None:
+    slow = Profile({}, Lateness(400.0, 900.0, 1000.0, 1100.0), 520.0, 0.281, 2.0, 0.0)
+    found = list(
+        form_figures(worth, {Form(1e-3, False): NOT_MEASURED, Form(5e-4, True): slow, Form(2.5e-4, True): NOT_MEASURED})
+    )
+    out = Console(file=StringIO(), width=140)
+    print_rates(out, "example-1", found)
+    text = out.file.getvalue()  # type: ignore[attr-defined]
+    assert re.search(r"2 kHz │ co-located │ +400 │ +900 │ 28.1% │ longer than a tick │ +0.55 │ +none │ +5480", text)
+    assert text.splitlines()[-1] == "1 kHz, 4 kHz co-located: not measured: manyhands doctor"
+    first, second, _ = rates_object(found)
+    assert first == {"period": 1e-3, "colocate": False, "no_delay": pytest.approx(2740.0), "certified": None}
+    assert (second["tau"], second["covered"], second["tau_us"]["p995"], second["late"]) == (5e-4, False, 900.0, 0.281)
+    assert json.loads(json.dumps([first | {"no_delay": 0.0}, second])) == [first | {"no_delay": 0.0}, second]
+
+
+# --- what a run is certified for
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "text"),
+    [
+        ("example1", ["design.tau=0"], "stiffness 1110 N/m; the limit is 2740 N/m without delay"),
+        ("example1", ["design.tau=0", "design.coupling=given", "design.stiffness=[300, 400, 500]"], "300 to 500 N/m"),
+    ],
+)
+def test_the_stiffness_of_a_run_is_that_of_its_couplings(name: str, overrides: list[str], text: str) -> None:
+    prepared = prepare(load_named(name, overrides))
+    assert prepared.certificate is not None
+    (line,) = certified_lines(prepared.certificate, prepared.session, None, 0.0)
+    assert line.startswith("example-1: certified for delays up to 0 ms (not measured here); stiffness ")
+    assert text in line
+
+
+def test_linear_couplings_have_a_static_stiffness() -> None:
+    matrices = "{c: {A: [[0.5]], B: [[0.0005]], C: [[1.0]], D: [[0.001]]}}"
+    alone = ["devices={d: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2}}", "couplings={c: {devices: [d]}}",
+             "environment={type: network, links: [{between: [d, ground], stiffness: 100}]}",
+             f"design={{coupling: given, matrices: {matrices}}}"]  # fmt: skip
+    certificate = prepare(load_named("example1", alone)).certificate
+    assert certificate is not None
+    assert stiffness_range(certificate) == (pytest.approx(500.0), pytest.approx(500.0))

@@ -94,7 +94,7 @@ def test_the_session_as_it_is_run_the_certificate_and_the_report(tmp_path: Path)
         "report.json",
         "session.yaml",
     ]
-    assert load_session(kept.path / "session.yaml") == session
+    assert load_session(kept.path / "session.yaml") == prepared.session == session.with_delay(0.0)
     certificate, _ = load(kept.path / "certificate.json")
     assert certificate.id == prepared.id
     assert json.loads((kept.path / "report.json").read_text()) == {"session": "example-1"}

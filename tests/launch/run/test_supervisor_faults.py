@@ -179,7 +179,8 @@ class Test_a_slow_device:
         faulty.breaches("dx")
         expected = ["cx"] if ladder.independent else ["cx", "cy", "cz"]
         assert faulty.told() == [Shift(coupling, rung) for coupling in expected]
-        assert any(f"softened to rung {rung}" in notice for notice in faulty.progress().notices)
+        (notice,) = faulty.progress().notices
+        assert f"softened to what is certified for {1e3 * ladder.taus[rung]:.3g} ms: {', '.join(expected)};" in notice
         faulty.breaches("dx")
         assert faulty.told() == []  # once
 

@@ -28,7 +28,7 @@ def gain(weight: Rational, frequency: float) -> float:
 
 def test_what_is_left_out() -> None:
     design = example("example1").design
-    assert (design.algorithm, design.objective, design.tau) == ("convex", "feasible", 0.0)
+    assert (design.algorithm, design.objective, design.tau) == ("convex", "feasible", None)
     assert (design.order, design.poles, design.weights, design.iterations) == (None,) * 4
     assert design.W1 == design.W2 == Rational(num=(1.0,), den=(1.0,))
     assert example("example1").orders == (0, 0, 0)
@@ -37,14 +37,14 @@ def test_what_is_left_out() -> None:
 @pytest.mark.parametrize(
     ("name", "coupling", "objective", "orders", "tau"),
     [
-        ("example2", "spring-damper", "loop-shaping", (0, 0, 0), 0.0),
-        ("example2-linear", "linear", "loop-shaping", (4, 4, 4), 0.0),
-        ("example2-closed-loop", "spring-damper", "closed-loop", (0, 0, 0), 0.0),
+        ("example2", "spring-damper", "loop-shaping", (0, 0, 0), None),
+        ("example2-linear", "linear", "loop-shaping", (4, 4, 4), None),
+        ("example2-closed-loop", "spring-damper", "closed-loop", (0, 0, 0), None),
         ("example1-delayed", "spring-damper", "feasible", (0, 0, 0), 0.0003),
     ],
 )
 def test_the_further_examples_change_the_design_alone(
-    name: str, coupling: str, objective: str, orders: tuple[int, ...], tau: float
+    name: str, coupling: str, objective: str, orders: tuple[int, ...], tau: float | None
 ) -> None:
     session, base = example(name), example("example1")
     assert (session.devices, session.couplings, session.environment, session.period) == (
@@ -141,6 +141,34 @@ def test_a_bands_edge_may_be_half_the_tick_rate() -> None:
     example("example2", "design.weights.W1={emphasise: [0, 500]}")
     with pytest.raises(SessionError, match="at most 250 Hz"):
         example("example2", "design.weights.W1={emphasise: [0, 500]}", "period=0.002")
+
+
+def test_a_delay_to_be_measured_is_no_stated_one() -> None:
+    asked = example("example1", "design.tau=auto", "design.ladder=[0.0002, 0.0006]")
+    assert (asked.design.tau, asked.design.stated_tau) == ("auto", None)
+    assert example("example1").design.stated_tau is None
+    assert example("example1", "design.tau=0").design.stated_tau == 0.0
+    assert Session.model_validate(asked.as_plain()) == asked
+    with pytest.raises(SessionError, match=r"design.tau: found 'Auto'; expected .* or auto$"):
+        example("example1", "design.tau=Auto")
+
+
+@pytest.mark.parametrize(
+    ("stated", "tau", "left"),
+    [
+        ("[0.0002, 0.0006]", 0.0002, (0.0006,)),
+        ("[0.0002, 0.0006]", 0.0, (0.0002, 0.0006)),
+        ("[0.0002, 0.0006]", 0.001, ()),
+        ("[]", 0.0002, ()),
+    ],
+)
+def test_a_measured_delay_leaves_the_longer_ones_of_the_ladder(stated: str, tau: float, left: tuple[float]) -> None:
+    asked = example("example1", f"design.ladder={stated}")
+    settled = asked.with_delay(tau)
+    assert (settled.design.tau, settled.design.ladder) == (tau, left)
+    assert Session.model_validate(settled.as_plain()) == settled
+    assert asked.with_delay(tau).ports == asked.ports
+    assert example("example1").with_delay(tau).design.ladder is None
 
 
 def test_tau_may_be_a_whole_period() -> None:

@@ -1,0 +1,284 @@
+"""A machine's profile for one kind of session: its measured delays, the tau that they ask for, and the file kept of it.
+
+A certificate covers delays from sample to force up to tau, and tau costs stiffness. No tau covers every tick of a
+machine with other work. So a design takes a quantile of the delays that were measured, and a little more:
+
+    tau = T/20 min(20, ceil(q / (T/20)) + 1),    q = the p99.5 of the slowest device's delays,
+
+and for the period tolerance rho, up to which a period may be too long, likewise
+
+    rho = 1/20 min(20, ceil(20 (p/T - 1)) + 1),    p = the p99 of the slowest device's periods.
+
+The quantile, the grid and the reserve are choices; docs/decisions/0031-designed-for-the-machine.md has the figures.
+
+A profile is kept in the user's cache for a day, so that not every launch has to measure. Its key holds what a delay
+depends on: the machine and its rights, the versions, the transport, the period, and the session's processes, links and
+processors. Names are left out, so sessions of the same form share a profile. Other programs that run on the machine
+are no part of a key, and this is why a profile ages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import platform
+import stat
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import zmq
+
+from manyhands import __version__
+from manyhands.design.files import open_regular, replacing
+from manyhands.launch.plan.plan import Plan
+from manyhands.nodes.realtime import may_raise
+
+QUANTILE: Final = 0.995
+"""The part of a device's ticks whose delay a design covers."""
+
+STEPS: Final = 20
+"""Steps of the grid of tau in one period."""
+
+RESERVE: Final = 1
+"""Steps that are added to a measured quantile: the next seconds are not those that were measured. So tau is T/10 at
+least, and a period may be T/20 too long at least."""
+
+MOST_AGE: Final = 86_400.0
+"""Seconds for which a profile is used."""
+
+LEAST_KEPT: Final = 1.0
+"""Seconds of measuring without which a profile is not kept: the p99.5 of less is one burst more or less."""
+
+LEAST_TICKS: Final = 1000
+"""Ticks without which a run says nothing of a profile that was too careful."""
+
+_FORMAT: Final = 1
+_MOST_BYTES: Final = 2**20  # a session of a thousand nodes has a key of some 100 kB
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Percentiles of a duration of the slowest device, us; each a measured value.
+
+    Attributes:
+        p50: the median.
+        p995: the quantile that a design covers, :data:`QUANTILE`.
+        p999: the 99.9th percentile.
+        max: the longest.
+    """
+
+    p50: float
+    p995: float
+    p999: float
+    max: float
+
+    @classmethod
+    def of(cls, nanoseconds: Sequence[int]) -> Self:
+        """The percentiles of at least one duration, given in ns."""
+        durations = np.array(nanoseconds, dtype=np.float64) / 1e3
+        return cls(*map(float, np.quantile(durations, (0.5, QUANTILE, 0.999, 1.0), method="higher")))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The measured delays of one kind of session on this machine.
+
+    Attributes:
+        key: what it was measured for, :func:`profile_key`.
+        tau: from sample to force, of the slowest device.
+        period: the p99 of the time between two samples of a device, us, of the device where it is longest.
+        late: the part of all ticks that ended after the next one was due.
+        seconds: how long was measured, s.
+        measured: when, in s since the epoch.
+    """
+
+    key: Mapping[str, Any]
+    tau: Lateness
+    period: float
+    late: float
+    seconds: float
+    measured: float
+
+    def age(self, now: float) -> float:
+        """Seconds since the measurement at ``now``, in s since the epoch."""
+        return now - self.measured
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What a design has to cover on a machine.
+
+    Attributes:
+        tau: the delay inside the tick, s; at most the period.
+        period_tolerance: rho; periods of up to (1 + rho) T are covered.
+        found: the measured quantile of the delay, s; it may be longer than the period.
+        period: T, s.
+    """
+
+    tau: float
+    period_tolerance: float
+    found: float
+    period: float
+
+    @property
+    def covered(self) -> bool:
+        """Whether tau covers the quantile that was measured: no certificate covers more than a whole period."""
+        return self.found <= self.period
+
+
+def allowance(profile: Profile, period: float) -> Allowance:
+    """The delay and the period tolerance to design for, by the formulas of this module.
+
+    Args:
+        profile: what was measured.
+        period: T, s.
+    """
+    found = profile.tau.p995 * 1e-6
+    tau, longer = _part(found / period), _part(max(profile.period * 1e-6 / period - 1.0, 0.0))
+    return Allowance(round(period * tau, 12), longer, found, period)
+
+
+def _part(measured: float) -> float:
+    """A measured part of a period, rounded up to the grid, with the reserve; at most 1."""
+    return min(math.ceil(measured * STEPS - 1e-9) + RESERVE, STEPS) / STEPS
+
+
+def outlived(profile: Profile, period: float, report: Mapping[str, Any]) -> bool:
+    """Whether a run contradicts the profile, so that the next launch should measure anew.
+
+    It does where the p99 of a device's delays is longer than what was designed for, or where all of them were much
+    quicker: p99.9 of at least :data:`LEAST_TICKS` ticks is below the profile's p99.5.
+
+    Args:
+        profile: what was measured before the run.
+        period: T, s.
+        report: the report of the run (docs/files.md).
+    """
+    nodes = [node for node in report["nodes"].values() if "tau_us" in node]
+    covered = max(allowance(profile, period).tau * 1e6, profile.tau.p995)
+    slower = any(node["tau_us"]["p99"] > covered for node in nodes)
+    quicker = all(node["ticks"] >= LEAST_TICKS and node["tau_us"]["p999"] < profile.tau.p995 for node in nodes)
+    return slower or (quicker and bool(nodes))
+
+
+def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str, int]) -> dict[str, Any]:
+    """What the delays of a session depend on, as plain data.
+
+    Args:
+        plan: the session, of which the period and the graph are used.
+        transport: "ipc" or "tcp".
+        encrypted: whether the links are encrypted.
+        places: the processor of each node that is pinned to one.
+    """
+    graph, system = plan.graph, platform.uname()
+    number = {name: index for index, name in enumerate(graph.nodes)}
+    return {
+        "version": __version__,
+        "host": system.node,
+        "kernel": f"{system.system} {system.release} {system.version}",
+        "processors": sorted(os.sched_getaffinity(0)),
+        "fifo": may_raise(),
+        "python": platform.python_version(),
+        "zeromq": zmq.zmq_version(),
+        "transport": transport,
+        "encrypted": encrypted,
+        "period": plan.session.period,
+        "nodes": [[role.value, len(graph.ports[name])] for name, role in graph.nodes.items()],
+        "links": [[number[link.binder], number[link.connector], len(link.ports)] for link in graph.links],
+        "places": [[number[name], processor] for name, processor in places.items()],
+    }
+
+
+def cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder of kept profiles: below XDG_CACHE_HOME, or ~/.cache where that is not an absolute path."""
+    base = Path(environ.get("XDG_CACHE_HOME", ""))
+    if not base.is_absolute():
+        base = Path(environ.get("HOME") or Path.home()) / ".cache"
+    return base / "manyhands" / "profiles"
+
+
+def kept_profile(key: Mapping[str, Any], now: float, folder: Path | None = None) -> Profile | None:
+    """The profile that is kept under a key.
+
+    Args:
+        key: what it must have been measured for.
+        now: s since the epoch.
+        folder: where profiles are kept; by default :func:`cache_folder`.
+
+    Returns:
+        None where there is none: no file, one that is too old or of the future, one that others may write to, or one
+        that does not hold what a profile holds. A new measurement replaces it.
+    """
+    path = _path(key, folder)
+    try:
+        with open_regular(path, _MOST_BYTES) as file:
+            status = os.fstat(file.fileno())
+            if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                return None
+            plain = json.loads(file.read(_MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
+    profile = _from_plain(plain, key)
+    return profile if profile is not None and 0.0 <= profile.age(now) <= MOST_AGE else None
+
+
+def keep_profile(profile: Profile, folder: Path | None = None) -> bool:
+    """Keep a profile under its key, for this user alone; an older one is replaced.
+
+    Returns:
+        Whether it was kept: less than :data:`LEAST_KEPT` of measuring is not.
+
+    Raises:
+        OSError: the folder or the file cannot be made.
+    """
+    if profile.seconds < LEAST_KEPT:
+        return False
+    path = _path(profile.key, folder)
+    path.parent.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path.parent.mkdir(mode=0o700, exist_ok=True)
+    content = {"format": _FORMAT, **asdict(profile)}
+    with replacing(path, mode=0o600) as file:
+        file.write(json.dumps(content, indent=1, allow_nan=False).encode() + b"\n")
+    return True
+
+
+def drop_profile(profile: Profile, folder: Path | None = None) -> None:
+    """Keep this profile no longer: a run has shown that it does not hold.
+
+    Raises:
+        OSError: the file is there and cannot be removed.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _path(profile.key, folder).unlink()
+
+
+def _path(key: Mapping[str, Any], folder: Path | None) -> Path:
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return (cache_folder() if folder is None else folder) / f"{digest[:32]}.json"
+
+
+def _from_plain(plain: object, key: Mapping[str, Any]) -> Profile | None:
+    """The profile in the content of a file, or None: a file may be damaged, or of a different version."""
+    if not isinstance(plain, dict) or plain.get("format") != _FORMAT or plain.get("key") != dict(key):
+        return None
+    tau = plain.get("tau")
+    if not isinstance(tau, dict):
+        return None
+    values = (*(tau.get(name) for name in _PERCENTILES), *(plain.get(name) for name in _NUMBERS))
+    numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    if len(numbers) != len(values) or not all(0.0 <= number < math.inf for number in numbers):
+        return None
+    lateness = Lateness(*numbers[: len(_PERCENTILES)])
+    if not 0.0 < lateness.p50 <= lateness.p995 <= lateness.p999 <= lateness.max:
+        return None
+    return Profile(key, lateness, *numbers[len(_PERCENTILES) :])
+
+
+_PERCENTILES: Final = ("p50", "p995", "p999", "max")
+_NUMBERS: Final = ("period", "late", "seconds", "measured")

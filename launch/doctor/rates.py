@@ -1,0 +1,199 @@
+"""What a machine gives a session: the measured delay, the tau that is designed for, and the stiffness that remains.
+
+`manyhands doctor` measures a session at 1, 2 and 4 kHz, separate and co-located, and keeps the profiles. `manyhands
+budget` shows the profiles that are kept. `manyhands launch` prints one line about the certificate of its run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.design.budget import needed_share
+from manyhands.design.certificate import Certificate
+from manyhands.design.models.statespace import symmetric_part
+from manyhands.launch.doctor.advice import Worth, longer_period
+from manyhands.launch.doctor.probe import Form, Way, forms_of
+from manyhands.launch.doctor.profile import QUANTILE, Profile, allowance, kept_profile
+from manyhands.launch.session import Session
+
+
+@dataclass(frozen=True)
+class FormFigures:
+    """One form of a session on this machine.
+
+    Attributes:
+        form: the rate, and whether couplings are co-located.
+        profile: what was measured; None where nothing was.
+        missing: why nothing was measured; empty where something was.
+        certified: supremum of the certified stiffness of the weakest device at the tau to design for, N/m; 0 where
+            no coupling covers the measured delay, None where the environment has no such period, or nothing was
+            measured.
+        no_delay: the same without any delay, N/m; None where the environment has no such period.
+    """
+
+    form: Form
+    profile: Profile | None
+    missing: str
+    certified: float | None
+    no_delay: float | None
+
+
+NOT_MEASURED = "not measured: manyhands doctor"
+
+
+def kept_forms(session: Session, now: float) -> dict[Form, Profile | str]:
+    """The profiles of each form that are kept on this machine, at ``now`` in s since the epoch."""
+    plans = {form: form.plan(session) for form in forms_of(session)}
+    return {form: kept_profile(Way.of_run(plan).profile_key(plan), now) or NOT_MEASURED for form, plan in plans.items()}
+
+
+def form_figures(worth: Worth, found: Mapping[Form, Profile | str]) -> Iterator[FormFigures]:
+    """The figures of each form.
+
+    Args:
+        worth: the session's loop.
+        found: the profile of each form, or why there is none.
+    """
+    for form, profile in found.items():
+        at = worth.at(form.period)
+        no_delay = None if at is None else at.weakest(0.0, 0.0)
+        if isinstance(profile, str):
+            yield FormFigures(form, None, profile, None, no_delay)
+            continue
+        chosen = allowance(profile, form.period)
+        certified = None if at is None else 0.0
+        if at is not None and chosen.covered:
+            certified = at.weakest(chosen.tau, chosen.period_tolerance)
+        yield FormFigures(form, profile, "", certified, no_delay)
+
+
+def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
+    """The list that ``--json`` prints; periods and tau in s, measured delays in us, stiffness in N/m."""
+    out = []
+    for one in figures:
+        entry: dict[str, Any] = {
+            "period": one.form.period,
+            "colocate": one.form.colocated,
+            "no_delay": one.no_delay,
+            "certified": one.certified,
+        }
+        if one.profile is not None:
+            chosen, tau = allowance(one.profile, one.form.period), one.profile.tau
+            entry |= {
+                "tau": chosen.tau,
+                "period_tolerance": chosen.period_tolerance,
+                "covered": chosen.covered,
+                "tau_us": {"p50": tau.p50, "p995": tau.p995, "p999": tau.p999, "max": tau.max},
+                "period_us": one.profile.period,
+                "late": one.profile.late,
+                "seconds": one.profile.seconds,
+                "measured": one.profile.measured,
+            }
+        out.append(entry)
+    return out
+
+
+def print_rates(console: Console, session: str, figures: list[FormFigures]) -> None:
+    """Print a table of the forms, and a line about what its columns are."""
+    table = Table(title=f"{session} on this machine", title_justify="left")
+    table.add_column("rate")
+    table.add_column("processes")
+    columns = ("τ p50 [µs]", "p99.5", "late", "designed for τ [ms]", "period [ms]", "certified below [N/m]", "no delay")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for one in figures:
+        form, profile = one.form, one.profile
+        name = f"{1e-3 / form.period:g} kHz", "co-located" if form.colocated else "separate"
+        no_delay = _newtons(one.no_delay)
+        if profile is None:
+            table.add_row(*name, "", "", "", "", "", "", no_delay)
+            continue
+        chosen = allowance(profile, form.period)
+        table.add_row(
+            *name, f"{profile.tau.p50:.0f}", f"{profile.tau.p995:.0f}", f"{profile.late:.1%}",
+            f"{chosen.tau * 1e3:.4g}" if chosen.covered else "longer than a tick",
+            f"{(1.0 + chosen.period_tolerance) * form.period * 1e3:.4g}", _newtons(one.certified), no_delay,
+        )  # fmt: skip
+    console.print(table)
+    for text in dict.fromkeys(one.missing for one in figures if one.missing):
+        rows = [one.form for one in figures if one.missing == text]
+        where = ", ".join(f"{1e-3 / form.period:g} kHz{' co-located' if form.colocated else ''}" for form in rows)
+        console.print(f"{where}: {text}", markup=False, soft_wrap=True)
+
+
+def _newtons(stiffness: float | None) -> str:
+    return "" if stiffness is None else f"{stiffness:.0f}" if stiffness > 0.0 else "none"
+
+
+def certified_lines(certificate: Certificate, session: Session, profile: Profile | None, now: float) -> Iterator[str]:
+    """What a run is certified for, in one line; and a second where the machine is too slow for the period.
+
+    Args:
+        certificate: the certificate of the run.
+        session: the session with its delay.
+        profile: this machine's for the session; None where there is none.
+        now: s since the epoch.
+    """
+    loop, T = certificate.loop, session.period
+    name, tau = session.name, certificate.tau
+    if profile is None:
+        measured = "not measured here"
+    else:
+        found = profile.tau.p995 * 1e-6
+        longer = ", which is longer" if found > tau else ""
+        measured = f"measured here, {_ago(profile.age(now))}: p99.5 is {_ms(found)}{longer}"
+    share = needed_share(loop.Delta_D, certificate.levels.Phi_E)
+    worth = Worth(loop, share)
+    given = stiffness_range(certificate)
+    text = "" if given is None else f"; stiffness {_between(*given)}"
+    periods = f" and periods up to {_ms((1.0 + loop.period_tolerance) * T)}" if loop.period_tolerance else ""
+    here = "" if loop.punctual else f"{worth.weakest(tau):.4g} N/m for these and "
+    yield (
+        f"{name}: certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
+        f"{worth.weakest(0.0, 0.0):.4g} N/m without delay"
+    )
+    if profile is not None and not allowance(profile, T).covered and tau >= T:
+        may_be_together = not session.colocate and any(form.colocated for form in forms_of(session))
+        together = " or colocate=true" if may_be_together else ""
+        found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
+        yield (
+            f"{name}: one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "
+            f"period of {_ms(T)}; use a longer period (period={longer_period(found):g}){together}: manyhands doctor "
+            "compares them"
+        )
+
+
+def stiffness_range(certificate: Certificate) -> tuple[float, float] | None:
+    """The least and the greatest static stiffness of the blocks of V over all directions, N/m; None without any."""
+    if certificate.spring_damper is not None:
+        found = np.linalg.eigvalsh(certificate.spring_damper.stiffness)
+    else:
+        try:
+            static = [block.response(1.0).real for block in certificate.blocks]
+        except np.linalg.LinAlgError:  # a pole at z = 1: no static stiffness
+            return None
+        compliance = np.concatenate([np.linalg.eigvalsh(symmetric_part(V)) for V in static])
+        found = 1.0 / compliance[compliance > 0.0]
+    return (float(found.min()), float(found.max())) if found.size else None
+
+
+def _between(least: float, greatest: float) -> str:
+    low, high = f"{least:.4g}", f"{greatest:.4g}"
+    return f"{low} N/m" if low == high else f"{low} to {high} N/m"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms"
+
+
+def _ago(seconds: float) -> str:
+    """How long ago, in words; the age of a kept profile is at most a day."""
+    if seconds < 60.0:
+        return "just now"
+    return f"{seconds / 60.0:.0f} min ago" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h ago"

@@ -1,0 +1,291 @@
+"""Which delay a command designs for: stated, measured, kept, of a certificate's file, or none."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from manyhands.launch.cli import app
+from manyhands.launch.doctor import probe
+from manyhands.launch.doctor.probe import ProbeFailed, ProbeInterrupted, Way
+from manyhands.launch.doctor.profile import Lateness, Profile, keep_profile, kept_profile
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.run import session_run
+from manyhands.launch.run.outcome import Outcome
+
+MEASURING = "example-1: measuring the delay of a tick on this machine for 2 s"
+LAUNCH = ("launch", "example1", "--duration", "1")
+
+
+@dataclass
+class Machine:
+    """A machine with these delays, which runs nothing.
+
+    Attributes:
+        p995: of the slowest device, us.
+        p99: of each device in a run, us.
+        measured: the ways that were measured.
+        ran: the sessions that were run.
+        fails: what the probe raises.
+    """
+
+    p995: float = 680.0
+    p99: float = 500.0
+    measured: list[Way] = field(default_factory=list)
+    ran: list[Prepared] = field(default_factory=list)
+    fails: Exception | None = None
+
+    def profile(self, plan: Plan, way: Way, measured: float) -> Profile:
+        tau = Lateness(self.p995 / 2, self.p995, self.p995 * 2, self.p995 * 3)
+        return Profile(way.profile_key(plan), tau, 1050.0, 0.0, 2.0, measured)
+
+    def measure(self, plan: Plan, way: Way) -> Profile:
+        self.measured.append(way)
+        if self.fails is not None:
+            raise self.fails
+        return self.profile(plan, way, time.time())
+
+    def run(self, prepared: Prepared, *_: object, **__: object) -> Outcome:
+        self.ran.append(prepared)
+        tau = {"p50": 300.0, "p99": self.p99, "p999": 2000.0, "max": 3000.0}
+        nodes: dict[str, Any] = {"dx": {"role": "device", "ticks": 1000, "tau_us": tau}}
+        report = {"session": prepared.session.name, "duration": 1.0, "clock": "realtime", "nodes": nodes}
+        return Outcome(0, (), (), report, None, {}, {})
+
+    @property
+    def tau(self) -> float:
+        """The delay that the only run was certified for, s."""
+        (prepared,) = self.ran
+        assert prepared.certificate is not None
+        assert prepared.session.design.tau == prepared.certificate.tau == prepared.loop.tau
+        assert prepared.session.design.period_tolerance == prepared.certificate.period_tolerance
+        return prepared.certificate.tau
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Machine:
+    one = Machine()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(probe, "measure_profile", one.measure)
+    monkeypatch.setattr(session_run, "run_session", one.run)
+    return one
+
+
+@pytest.fixture(autouse=True)
+def own_interrupt() -> Iterator[None]:
+    """The command line sets a handler for Ctrl-C, as befits a process of its own."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def command(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def lines(result: Result) -> list[str]:
+    assert result.exit_code == 0, result.output
+    return result.stderr.splitlines()
+
+
+def test_a_launch_in_real_time_is_designed_for_what_was_measured(machine: Machine) -> None:
+    assert lines(command(*LAUNCH)) == [
+        MEASURING,
+        "example-1: certified for delays up to 0.75 ms and periods up to 1.1 ms (measured here, just now: p99.5 is "
+        "0.68 ms); stiffness 289.7 N/m; the limit is 817.9 N/m for these and 2740 N/m without delay",
+    ]
+    assert machine.tau == 0.75e-3
+    assert machine.ran[0].session.design.period_tolerance == 0.1
+    assert [way.transport for way in machine.measured] == ["ipc"]
+
+
+def test_the_next_launch_uses_the_profile_that_is_kept(machine: Machine) -> None:
+    command(*LAUNCH)
+    machine.ran.clear()
+    (line,) = lines(command(*LAUNCH))
+    assert "measured here, just now" in line
+    assert (machine.tau, len(machine.measured)) == (0.75e-3, 1)
+
+
+def test_an_old_profile_says_how_old_it_is(machine: Machine) -> None:
+    plan = Plan(load_named("example1"))
+    way = Way.of_run(plan)
+    keep_profile(
+        machine.profile(plan, way, time.time() - 3 * 3600.0),
+    )
+    (line,) = lines(command(*LAUNCH))
+    assert "(measured here, 3 h ago: p99.5 is 0.68 ms)" in line
+    keep_profile(machine.profile(plan, way, time.time() - 25 * 3600.0))
+    assert lines(command(*LAUNCH))[0] == MEASURING
+
+
+@pytest.mark.parametrize(
+    ("arguments", "tau", "says"),
+    [
+        (("--set", "design.tau=0"), 0.0, "certified for delays up to 0 ms (not measured here)"),
+        (("--set", "design.tau=0.0003"), 0.3e-3, "certified for delays up to 0.3 ms (not measured here)"),
+        (("--clock", "simulated"), 0.0, ""),
+    ],
+)
+def test_nothing_is_measured_for_a_stated_delay_or_a_simulated_clock(
+    arguments: tuple[str, ...], tau: float, says: str, machine: Machine
+) -> None:
+    assert says in "".join(lines(command(*LAUNCH, *arguments)))
+    assert machine.tau == tau
+    assert machine.measured == []
+
+
+def test_a_kept_profile_is_shown_beside_a_stated_delay(machine: Machine) -> None:
+    command(*LAUNCH)
+    (line,) = lines(command(*LAUNCH, "--set", "design.tau=0"))
+    assert (
+        "up to 0 ms (measured here, just now: p99.5 is 0.68 ms, which is longer); stiffness 1110 N/m; the limit" in line
+    )
+
+
+@pytest.mark.parametrize("asked", [("--clock", "simulated"), ()])
+def test_a_session_may_ask_for_the_measurement(asked: tuple[str, ...], machine: Machine) -> None:
+    command(*LAUNCH, *asked, "--set", "design.tau=auto")
+    assert machine.tau == 0.75e-3
+    assert len(machine.measured) == 1
+
+
+def test_delays_of_the_ladder_that_are_covered_anyway_are_left_out(machine: Machine) -> None:
+    command(*LAUNCH, "--set", "design.ladder=[0.0005, 0.00075, 0.001]")
+    (prepared,) = machine.ran
+    assert prepared.ladder is not None
+    assert prepared.ladder.taus == (0.75e-3, 1e-3)
+
+
+@pytest.mark.parametrize("asked", ["design.tau=auto", "design.coupling=spring-damper"])
+def test_a_certificate_runs_as_what_it_is(asked: str, machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    assert command("design", "example1", "--set", "design.tau=0.0004", "-o", path).exit_code == 0
+    (line,) = lines(command(*LAUNCH, "--set", asked, "--certificate", path))
+    assert "certified for delays up to 0.4 ms (not measured here)" in line
+    assert machine.tau == 0.4e-3
+    assert machine.measured == []
+    assert command("verify", path, "--session", "example1.yaml").exit_code == 0
+
+
+def test_a_stated_delay_is_still_compared_with_the_certificates(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    command("design", "example1", "--set", "design.tau=0.0004", "-o", path)
+    result = command(*LAUNCH, "--set", "design.tau=0", "--certificate", path)
+    assert (result.exit_code, machine.ran) == (3, [])
+    assert "the delay inside the tick differs" in result.stderr
+
+
+def test_an_uncertified_run_is_not_measured(machine: Machine) -> None:
+    assert lines(command("launch", "example1-uncoupled", "--duration", "1", "--uncertified")) == []
+    assert machine.measured == []
+    assert command("launch", "example1-uncoupled", "--duration", "1").exit_code == 3
+    assert command("launch", "example1-uncoupled", "--duration", "1", "--set", "design.tau=auto").exit_code == 3
+    assert machine.measured == []
+
+
+def test_a_machine_that_is_too_slow_is_designed_for_a_whole_period_and_says_so(machine: Machine) -> None:
+    machine.p995 = 1800.0
+    last = lines(command(*LAUNCH))[-1]
+    assert machine.tau == 1e-3
+    assert last == (
+        "example-1: one tick in 200 takes longer than 1.8 ms here, and no certificate covers more than the period of "
+        "1 ms; use a longer period (period=0.0019) or colocate=true: manyhands doctor compares them"
+    )
+    machine.ran.clear()
+    assert "colocate" not in lines(command(*LAUNCH, "--set", "colocate=true"))[-1]
+    assert "colocate" not in lines(command("launch", "example1-centralised", "--duration", "1"))[-1]
+
+
+def test_a_coupling_that_is_too_stiff_for_the_machine_is_refused(machine: Machine) -> None:
+    given = ("--set", "design.coupling=given", "--set", "design.stiffness=1200")
+    assert command(*LAUNCH, *given, "--set", "design.tau=0").exit_code == 0
+    result = command(*LAUNCH, *given)
+    assert result.exit_code == 3
+    hint = "; the delay of 0.75 ms was measured here: design.tau=0 asks for a certificate without any"
+    assert result.stderr.splitlines()[-1].endswith(hint)
+
+
+@pytest.mark.parametrize(
+    ("fails", "code", "says"),
+    [
+        (
+            ProbeFailed("dx: ended with 1"),
+            1,
+            "error: the delay of a tick could not be measured: dx: ended with 1; state",
+        ),
+        (ProbeInterrupted(signal.SIGTERM), 143, MEASURING),
+    ],
+)
+def test_a_measurement_that_fails_ends_the_launch(fails: Exception, code: int, says: str, machine: Machine) -> None:
+    machine.fails = fails
+    result = command(*LAUNCH)
+    assert (result.exit_code, machine.ran) == (code, [])
+    assert says in result.stderr
+
+
+def test_a_cache_that_cannot_be_written_is_a_warning(machine: Machine, tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("in the way")
+    assert re.match(r"warning: the measurement is not kept: .*/cache/manyhands", lines(command(*LAUNCH))[1])
+    assert machine.tau == 0.75e-3
+
+
+def test_a_run_that_was_slower_lets_the_next_one_measure(machine: Machine) -> None:
+    machine.p99 = 900.0
+    command(*LAUNCH)
+    plan = Plan(load_named("example1"))
+    assert kept_profile(Way.of_run(plan).profile_key(plan), time.time()) is None
+
+
+def test_other_machines_are_not_measured(machine: Machine, tmp_path: Path) -> None:
+    assert command("keys", "example1.yaml", "-o", tmp_path / "keys").exit_code == 0
+    far = ("--transport", "tcp", "--listen", "127.0.0.1:7400", "--keys", tmp_path / "keys", "--remote", "dx")
+    lines(command(*LAUNCH, *far))
+    assert machine.tau == 0.0
+    result = command(*LAUNCH, *far, "--set", "design.tau=auto")
+    assert result.exit_code == 2
+    assert "--remote: found design.tau: auto, which measures this machine alone, and no --certificate" in result.stderr
+    assert machine.measured == []
+
+
+def test_the_links_of_the_run_are_measured(machine: Machine) -> None:
+    command(*LAUNCH, "--transport", "tcp")
+    command(*LAUNCH, "--transport", "tcp", "--insecure")
+    assert [(way.transport, way.encrypted) for way in machine.measured] == [("tcp", True), ("tcp", False)]
+
+
+def test_design_simulate_and_budget_measure_where_they_are_asked_to(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    for arguments in (
+        ("design", "example1", "-o", path),
+        ("simulate", "example1", "--duration", "0.1"),
+        ("budget", "example1"),
+    ):
+        assert command(*arguments).exit_code == 0
+        assert machine.measured == []
+        assert command(*arguments, "--set", "design.tau=auto").exit_code == 0
+        assert len(machine.measured) == 1
+        machine.measured.clear()
+        for file in (tmp_path / "cache").rglob("*.json"):
+            file.unlink()
+    assert "0.00075 s" in command("design", "example1", "--set", "design.tau=auto").stdout
+
+
+def test_budget_shows_what_is_kept(machine: Machine) -> None:
+    before = command("budget", "example1").stdout
+    assert "1 kHz, 1 kHz co-located, 2 kHz, 2 kHz co-located, 4 kHz, 4 kHz co-located: not measured" in before
+    command(*LAUNCH)
+    after = command("budget", "example1").stdout
+    assert re.search(r"1 kHz │ separate +│ +340 │ +680 │ +0.0% │ +0.75 │ +1.1 │ +818 │ +2740", after)
+    assert "1 kHz co-located, 2 kHz" in after
