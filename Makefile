@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz flood loop watched soak users chaos faults hostile pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz flood loop watched soak users chaos faults lateness hostile pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -78,6 +78,11 @@ FAULTS ?= 4000
 SEED   ?= 1
 faults: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.campaign --faults $(FAULTS) --a-run 20 --seed $(SEED)
+
+# a thousand random sessions whose devices live in wall time, within the certified delay and far beyond: half an hour
+SESSIONS ?= 1000
+lateness: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.lateness --sessions $(SESSIONS) --ticks 2000 --seed $(SEED)
 
 # hostile guests within their bounds in simulated sessions, and honest ones that may not notice; a failing seed runs again
 RUNS ?= 1000

@@ -1,0 +1,371 @@
+"""Random sessions whose devices live in wall time, at delays that no certificate covers: ``make lateness``.
+
+Each session is designed, certified and cut into bundles as a launch does it. Its devices, couplings and environment are
+the product's own cores, and the instants of every sample and every force are drawn: there are no processes, and nothing
+here takes time. Each session runs three times:
+
+- *covered*: every delay is within the certificate's tau. No account may fall below 0, and nothing may be changed;
+- *enforced*: delays of up to 20 tau, bursts, processes that stop for 50 ms, missed and early ticks, with the tank. No
+  account may fall below -E_0, and no device may diverge;
+- *counted*: the same instants without the tank. It is counted how many diverge or break their account: a campaign in
+  which none does shows nothing.
+
+Hands push for a while, and are passive afterwards.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from manyhands.design.errors import DesignError
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.device.core import Guard
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.timeouts import STALE_TICKS
+from manyhands.protocol.clock import Duration, Instant, from_seconds
+
+Tree = dict[str, Any]
+Generator = np.random.Generator
+
+E_0: Final = 5e-3
+SPEED: Final = 10.0
+"""m/s; the hands push so that a device alone stays below 0.3 m/s, so one that is faster has diverged."""
+
+STOPPED: Final = from_seconds(0.05)
+ROUNDING: Final = 1e-9
+"""J; sums of some 1e4 terms, each of at most some joules, in doubles."""
+
+
+def session_tree(rng: Generator) -> Tree:
+    """A session file as plain data: 1 to 6 ports, blocks that split and join devices, hands that push, then yield."""
+    T = float(rng.choice([1e-3, 1e-3, 5e-4, 2e-3]))
+    devices: Tree = {}
+    ports: list[str] = []
+    while len(ports) == 0 or (len(ports) < 6 and rng.random() < 0.6):
+        dof = int(min(rng.choice([1, 1, 2, 3]), 6 - len(ports)))
+        name = f"d{len(devices)}"
+        osp = [round(float(10.0 ** rng.uniform(-0.5, 0.8)), 3) for _ in range(dof)]
+        push = [f"{round(float(rng.uniform(-0.3, 0.3)) * b, 4)}*pulse(t, 0.02, 0.3)" for b in osp]
+        spring = [0.0 if rng.random() < 0.5 else round(float(10.0 ** rng.uniform(0.5, 3.0)), 2) for _ in osp]
+        devices[name] = {
+            "dof": dof,
+            "osp": osp,
+            "driver": "simulated",
+            "mass": [round(float(10.0 ** rng.uniform(math.log10(0.02), math.log10(5.0))), 4) for _ in osp],
+            "hand": {
+                "force": push,
+                "stiffness": spring,
+                "damping": [0.0 if rng.random() < 0.5 else round(float(rng.uniform(0.0, 3.0)), 3) for _ in osp],
+            },
+        }
+        ports += [name] if dof == 1 else [f"{name}.{axis}" for axis in range(dof)]
+    order, couplings = [str(port) for port in rng.permutation(ports)], {}
+    while order:
+        size = int(rng.integers(1, min(3, len(order)) + 1)) if rng.random() < 0.5 else 1
+        couplings[f"c{len(couplings)}"] = {"ports": order[:size]}
+        order = order[size:]
+    hub = float(rng.uniform(0.2, 5.0))
+    stiff = [round(float(10.0 ** rng.uniform(2.3, 4.0)), 1) for _ in range(len(ports) + 1)]
+    links: list[Tree] = [
+        {"between": [port, "hub"], "stiffness": k, "damping": round(k * 1e-4, 4)}
+        for port, k in zip(ports, stiff, strict=False)
+    ]
+    links.append({"between": ["hub", "ground"], "stiffness": stiff[-1], "damping": 0.5})
+    return {
+        "session": "late",
+        "period": T,
+        "devices": devices,
+        "couplings": couplings,
+        "environment": {"type": "network", "masses": {"hub": round(hub, 3)}, "links": links},
+        "design": {
+            "coupling": "spring-damper",
+            "objective": str(rng.choice(["feasible", "stiffest"])),
+            "tau": float(rng.choice([0.0, 0.2 * T, 0.5 * T, T])),
+            "ladder": [],
+        },
+        "faults": {"tank": E_0},
+    }
+
+
+@dataclass
+class Plan:
+    """The instants of one run, as a device's process would meet them.
+
+    Attributes:
+        tau: the certificate's delay, ns.
+        period: T, ns.
+        kind: "covered" or "beyond".
+        seed: of the instants.
+    """
+
+    tau: int
+    period: int
+    kind: str
+    seed: int
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+        longest = 20 * max(self.tau, self.period // 20)
+        self._base = int(self._rng.choice([0.3, 0.6, 1.0, 2.0]) * self.period)
+        self._base = min(self._base, longest)
+        self._longest, self._burst = longest, 0
+
+    def delay(self) -> int:
+        """From the last sample of a tick to one device's force."""
+        rng = self._rng
+        if self.kind == "covered":
+            return int(rng.integers(0, self.tau + 1))
+        if self._burst == 0 and rng.random() < 0.01:
+            self._burst = int(rng.integers(1, 20))
+        if self._burst > 0:
+            self._burst -= 1
+            return int(rng.integers(0, self._longest + 1))
+        return int(rng.integers(0, 2 * self._base + 1))
+
+    def wake(self, due: int) -> int:
+        """When a sample is taken that is due at ``due``."""
+        rng = self._rng
+        if self.kind == "covered":
+            return due
+        chance = rng.random()
+        if chance < 0.002:
+            return due + STOPPED
+        if chance < 0.03:
+            return due - int(rng.integers(0, self.period // 2))  # early
+        return due + int(rng.exponential(0.03 * self.period))
+
+    def following(self, slot: int, applied: int) -> int:
+        """The next multiple of T at which a tick is due."""
+        slot = max(slot + 1, -(-applied // self.period))
+        return slot + 1 if self.kind == "beyond" and self._rng.random() < 0.01 else slot  # missed
+
+
+@dataclass(frozen=True)
+class Course:
+    """What became of one run.
+
+    Attributes:
+        least: the least account of any device, J.
+        fastest: the greatest speed of any device, m/s.
+        changed: the ticks in which any interface changed a motion or a force.
+        offset: the greatest offset of any device at the end, m.
+    """
+
+    least: float
+    fastest: float
+    changed: int
+    offset: float
+
+    @property
+    def diverged(self) -> bool:
+        """Whether a device was faster than any of these hands can make it."""
+        return not self.fastest < SPEED
+
+
+class Late:
+    """One device in wall time, with the instants of its loop."""
+
+    def __init__(self, bundle: DeviceBundle, tank: float | None) -> None:
+        rung, T = bundle.rungs[0], bundle.common.period
+        self.driver, self.period = driver_of(bundle), from_seconds(T)
+        self.guard = Guard(bundle.limits, T, bundle.common.ports)
+        self.stale = Duration(STALE_TICKS * self.period)
+        self.interface = DeviceInterface(
+            bundle.osp, rung.share, rung.tau, rung.period_tolerance, T, bundle.limits.speed,
+            Duration(self.stale + self.period), tank,
+        )  # fmt: skip
+        self.slot, self.turn, self.now, self.fastest = 0, 0, 0, 0.0
+        self.x: list[float] = []
+        self.sent: list[float] = []
+
+    def sample(self, at: int) -> list[float]:
+        before, self.now = self.now, max(self.now, at)
+        self.sampled = Instant(self.now)
+        self.x = list(map(float, self.driver.sample(self.turn, self.sampled)))
+        self.turn += 1
+        goal = self.guard.report(self.x, max(1, round((self.now - before) / self.period)))
+        until = self.interface.until
+        self.sent = self.interface.send(self.x, goal, self.sampled)
+        if self.interface.until is not until:
+            self.driver.apply(self.interface.exerted, self.sampled, self.interface.until)
+        self.fastest = max(self.fastest, self.interface.speed)
+        return self.sent
+
+    def answer(self, f: list[float], at: int) -> None:
+        if at - self.sampled > self.stale:
+            released = Instant(self.sampled + self.stale)
+            self.driver.release(released)
+            self.interface.released(released)
+        self.now = at
+        held, until = self.interface.force(f, self.guard.clip(f.copy()), Instant(at))
+        x = list(map(float, self.driver.apply(held, Instant(at), until)))
+        self.interface.applied(x, Instant(at), held, until)
+        self.driver.idle(Instant((at // self.period + 1) * self.period))
+
+
+def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Course:
+    """Run a session at drawn instants; it ends early once a device has diverged."""
+    session = prepared.session
+    bundles = cut(prepared, RunPlan(REALTIME, None, ""))
+    index = {port: i for i, port in enumerate(session.ports)}
+    m = len(index)
+    devices: list[tuple[Late, list[int]]] = []
+    couplings: list[tuple[CouplingCore, list[int]]] = []
+    D_V = np.zeros((m, m))
+    world: EnvironmentBundle | None = None
+    for bundle in bundles.values():
+        ports = [index[port] for port in bundle.common.ports]
+        match bundle:
+            case DeviceBundle():
+                devices.append((Late(bundle, tank), ports))
+            case CouplingBundle():
+                core = CouplingCore(bundle.block, bundle.K, bundle.level, session.period, bundle.limits.force)
+                couplings.append((core, ports))
+                D_V[np.ix_(ports, ports)] = bundle.block.D
+            case EnvironmentBundle():
+                world = bundle
+    assert world is not None
+    environment = environment_core(world, D_V, tuple(np.array(ports) for _, ports in couplings))
+    x, p, f = [0.0] * m, [0.0] * m, [0.0] * m
+    for _ in range(ticks):
+        for device, ports in devices:
+            for port, at in zip(ports, device.sample(plan.wake(device.slot * plan.period)), strict=True):
+                x[port] = at
+        closed = max(device.now for device, _ in devices)
+        for coupling, ports in couplings:
+            for port, at in zip(ports, coupling.free_position([x[port] for port in ports]), strict=True):
+                p[port] = at
+        forces = list(environment.react(p))
+        environment.settle()
+        for coupling, ports in couplings:
+            applied = coupling.limited([float(forces[port]) for port in ports])
+            coupling.absorb(applied)
+            for port, force in zip(ports, applied, strict=True):
+                f[port] = force
+        for device, ports in devices:
+            at = closed + plan.delay()
+            device.answer([f[port] for port in ports], at)
+            device.slot = plan.following(device.slot, at)
+        if any(device.fastest > SPEED for device, _ in devices):
+            break
+    return Course(
+        min(device.interface.account.least for device, _ in devices),
+        max(device.fastest for device, _ in devices),
+        sum(device.interface.ticks for device, _ in devices),
+        max(abs(to - at) for device, _ in devices for to, at in zip(device.x, device.sent, strict=True)),
+    )
+
+
+def prepared_session(seed: int) -> Prepared | None:
+    """The random session of this seed with its certificate; None where nothing can be certified."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "late.yaml"
+        path.write_text(json.dumps(session_tree(np.random.default_rng(seed))))
+        try:
+            return prepare(load_session(path))
+        except DesignError:
+            return None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The three courses of one session."""
+
+    seed: int
+    covered: Course
+    enforced: Course
+    counted: Course
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """A sentence for each promise that was not kept."""
+        found = []
+        if self.covered.least < -ROUNDING or self.covered.changed:
+            found.append(
+                f"found an account of {self.covered.least:g} J and {self.covered.changed} changed ticks within tau; "
+                "expected 0 J and none"
+            )
+        if self.enforced.least < -E_0 - ROUNDING:
+            found.append(f"found an account of {self.enforced.least:g} J beyond tau; expected at least {-E_0:g} J")
+        if self.enforced.diverged:
+            found.append(f"found a device at {self.enforced.fastest:g} m/s beyond tau; expected less than {SPEED:g}")
+        return tuple(found)
+
+
+def outcome_of(seed: int, ticks: int) -> Outcome | None:
+    """Design and run the session of this seed; None where nothing can be certified."""
+    prepared = prepared_session(seed)
+    if prepared is None or prepared.certificate is None:
+        return None
+    period, tau = from_seconds(prepared.session.period), from_seconds(prepared.certificate.tau)
+
+    def course(kind: str, tank: float | None) -> Course:
+        return run(prepared, Plan(tau, period, kind, seed), ticks, tank)
+
+    return Outcome(seed, course("covered", E_0), course("beyond", E_0), course("beyond", None))
+
+
+def _outcome(job: tuple[int, int]) -> tuple[int, Outcome | None]:
+    return job[0], outcome_of(*job)
+
+
+def campaign(sessions: int, ticks: int, seed: int, processes: int) -> Iterator[Outcome]:
+    """The outcomes of this many certified sessions, in the order in which they end."""
+    done = 0
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for _, outcome in pool.imap_unordered(_outcome, ((seed + i, ticks) for i in range(100 * sessions))):
+            if outcome is None:
+                continue
+            yield outcome
+            done += 1
+            if done == sessions:
+                return
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign; returns 1 if a promise was not kept, or if nothing would have happened without the tank."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sessions", type=int, default=1000, help="certified sessions to run (1000)")
+    parser.add_argument("--ticks", type=int, default=3000, help="ticks of each run (3000)")
+    parser.add_argument("--seed", type=int, default=1, help="of the first session (1)")
+    parser.add_argument("--processes", type=int, default=2, help="processes to share the work (2)")
+    asked = parser.parse_args(arguments)
+    outcomes: list[Outcome] = []
+    for outcome in campaign(asked.sessions, asked.ticks, asked.seed, asked.processes):
+        outcomes.append(outcome)
+        for text in outcome.violations:
+            print(f"seed {outcome.seed}: {text}", flush=True)  # noqa: T201 -- what a campaign is for
+        if len(outcomes) % 50 == 0:
+            print(f"{len(outcomes)} of {asked.sessions}", file=sys.stderr, flush=True)  # noqa: T201
+    diverged = sum(outcome.counted.diverged for outcome in outcomes)
+    broken = sum(outcome.counted.least < -E_0 for outcome in outcomes)
+    bad = sum(bool(outcome.violations) for outcome in outcomes)
+    print(  # noqa: T201
+        f"{len(outcomes)} sessions. Within tau: least account {min(o.covered.least for o in outcomes):.3g} J. "
+        f"Beyond, enforced: least account {min(o.enforced.least for o in outcomes):.6g} J of {-E_0:g}, greatest speed "
+        f"{max(o.enforced.fastest for o in outcomes):.3g} m/s, median offset at the end "
+        f"{np.median([o.enforced.offset for o in outcomes]) * 1e3:.3g} mm. Not enforced: {diverged} diverged, {broken} "
+        f"were below {-E_0:g} J. Promises not kept: {bad}."
+    )
+    return 1 if bad or not diverged else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
