@@ -70,7 +70,8 @@ def test_every_shipped_session_runs(file: str) -> None:
 def test_in_real_time_the_report_has_lateness_tau_and_period() -> None:
     """Slowly enough that even on a busy machine no wait lasts three periods, which would freeze a user."""
     slowly = ["period=0.05", "design.ladder=[]", "faults.breach=warn"]
-    prepared = prepare(load_session(SESSIONS / "example1.yaml", slowly))
+    own = [f"devices.{name}.time=own" for name in ("dx", "dy", "dz")]  # so that x is that of the simulation
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", [*slowly, *own]))
     outcome = run(prepared, "ipc", clock="realtime", ticks=60)
     recording = recording_of(outcome)
     np.testing.assert_array_equal(recording.x, Simulation(prepared).run(60).x)
