@@ -2,7 +2,8 @@
 
     python -m faults.logged_device BUNDLE SUPERVISOR_PID LOG
 
-One letter a call: ``s`` for a sample, ``a`` for a force, ``z`` for a force of zero, ``r`` for letting go.
+One letter a call: ``s`` for a sample, ``a`` for a force, ``z`` for a force of zero, ``r`` for letting go, and ``e`` for
+an earlier end of the force that is exerted, which the interface sets at the sample.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ class Logged:
 
     def __init__(self, driver: Driver, log: BinaryIO) -> None:
         self._driver, self._log = driver, log
+        self._sampled = Instant(-1)
 
     @property
     def axes(self) -> int:
@@ -30,10 +32,11 @@ class Logged:
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
         self._log.write(b"s")
+        self._sampled = at
         return self._driver.sample(tick, at)
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
-        self._log.write(b"a" if any(f) else b"z")
+        self._log.write(b"e" if at == self._sampled else b"a" if any(f) else b"z")
         return self._driver.apply(f, at, until)
 
     def release(self, at: Instant) -> Sequence[float]:

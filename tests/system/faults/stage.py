@@ -38,7 +38,7 @@ NODES: Final = frozenset({"dx", "dy", "cx", "cy", "environment"})
 PORTS: Final = ("dx", "dy")
 DEADLINE: Final = 45.0  # s, for a whole run
 LOOK: Final = from_seconds(0.05)  # between two looks at the progress
-PROMISE: Final = -1e-12  # J: no ledger of an honest party falls further
+PROMISE: Final = -1e-12  # J: no ledger of an honest party falls further below its bound
 STEP: Final = 2.0
 """Of the largest step that the simulation of such faults finds at a user: so large may a step of the force be.
 
@@ -251,7 +251,7 @@ def require_sound(outcome: Outcome, code: int = 130) -> None:
     nodes = nodes_of(outcome)
     assert nodes.keys() == NODES
     for name, node in nodes.items():
-        assert node["ledger"]["min"] >= PROMISE, f"{name}: {node}"
+        assert node["ledger"]["margin"] >= PROMISE, f"{name}: {node}"
 
 
 def require_calm(outcome: Outcome, other: str) -> None:
