@@ -46,7 +46,7 @@ class Driver(Protocol):
         """The displacement at the instant ``at``, m, one entry for each axis; ``tick`` counts the calls from 0."""
         ...
 
-    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
         """Exert the force f (N) from the instant ``at`` on, and hold it until the next call.
 
         Args:
@@ -55,11 +55,11 @@ class Driver(Protocol):
             until: from this instant on the device by itself exerts no force, even if no call follows; None to hold f.
 
         Returns:
-            The displacement at ``at``, m; where the driver cannot measure it, that of the last sample.
+            The displacement at ``at``, m; None where the device cannot measure it then.
         """
         ...
 
-    def release(self, at: Instant) -> Sequence[float]:
+    def release(self, at: Instant) -> Sequence[float] | None:
         """Exert no force from ``at`` on, as :meth:`apply`; the loop calls this when it has no force in time."""
         ...
 

@@ -82,6 +82,8 @@ class InterfaceAccount:
         self.balance = self.least = 0.0
         self._x = zero
         self._at: Instant | None = None  # of the last call of sampled
+        self._since = Instant(0)  # from which on the present force is exerted and not yet among the parts
+        self._parts: list[tuple[Floats, float]] = []  # forces since the last sample, and for how long, s
         self._moved: Floats | None = None  # w(k), until its answer
         self.change(promise)
 
@@ -99,29 +101,46 @@ class InterfaceAccount:
         return self.balance + 0.5 * self._kappa * self._T * dot(self.f, self.compliance(self.f))
 
     def sampled(self, x: Floats, at: Instant) -> None:
-        """The device was at x (m) at the instant ``at``: book what the exerted force has done since the last call.
+        """The device was at x (m) at the instant ``at``: book what the forces have done since the last call.
 
-        Where the force ended by itself in between, its part of the motion is unknown. Then the part counts that costs
-        most: d_1 of d in h_1 of h, whose cost r^T d_1 - d_1^T Delta_D d_1/h_1 - d_2^T Delta_D d_2/h_2 is at most
+        Where more than one force acted since then, each one's part d_j of the motion d is unknown. Then the parts count
+        that cost most. With r the mean force over the time h,
 
-            (h_1/h) r^T d - d^T Delta_D d/h + h_1 h_2/(4 h) r^T Delta_D^-1 r,
+            max of sum r_j^T d_j - d_j^T Delta_D d_j / h_j  =  r^T d - d^T Delta_D d / h
+                                                            + sum h_j (r_j - r)^T Delta_D^-1 (r_j - r) / 4,
 
-        and at most h_1 times :meth:`cost`.
+        and it is at most the sum of h_j times :meth:`cost`.
         """
-        began = self._at
-        h = 0.0 if began is None else (at - began) * _NS
-        if began is not None and h > 0.0:
-            d = [now - last for now, last in zip(x, self._x, strict=True)]
-            r, until = self.exerted, self.until
-            cost = -dot(d, self.burn(d)) / h
-            if until is None or until >= at:
-                cost += dot(r, d)
-            elif until > began:
-                h_1 = (until - began) * _NS
-                cost += h_1 / h * dot(r, d) + 0.25 * h_1 * (h - h_1) / h * dot(r, self.compliance(r))
-                cost = min(cost, h_1 * self.cost(r))
-            self.balance -= cost
-        self._x, self._at = x, at
+        known, self._at = self._at, at
+        last, self._x = self._x, x
+        if known is None or at <= known:
+            self._since = at
+            return
+        self._close(at)
+        parts, self._parts = self._parts, []
+        h = (at - known) * _NS
+        d = [now - before for now, before in zip(x, last, strict=True)]
+        mean = parts[0][0]
+        spread = 0.0
+        if len(parts) > 1:
+            mean = [sum(r[axis] * time for r, time in parts) / h for axis in range(len(d))]
+            for r, time in parts:
+                beside = [force - middle for force, middle in zip(r, mean, strict=True)]
+                spread += 0.25 * time * dot(beside, self.compliance(beside))
+        cost = dot(mean, d) - dot(d, self.burn(d)) / h + spread
+        if len(parts) > 1:
+            cost = min(cost, sum(time * self.cost(r) for r, time in parts))
+        self.balance -= cost
+
+    def _close(self, at: Instant) -> None:
+        """Keep how long the present force was exerted until ``at``, and how long none was after its end."""
+        since, until = self._since, self.until
+        ended = at if until is None or until >= at else max(until, since)
+        if ended > since:
+            self._parts.append((self.exerted, (ended - since) * _NS))
+        if at > ended:
+            self._parts.append(([0.0] * len(self._x), (at - ended) * _NS))
+        self._since = at
 
     def cost(self, r: Floats) -> float:
         """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
@@ -168,8 +187,9 @@ class InterfaceAccount:
         """The session has gone on to a later tick: the answer to the last motion, if any, will not be known."""
         self._moved = None
 
-    def exert(self, r: Floats, until: Instant | None) -> None:
-        """The device exerts r (N) from the last instant on, until the next call and no longer than ``until``."""
+    def exert(self, r: Floats, at: Instant, until: Instant | None) -> None:
+        """The device exerts r (N) from ``at`` on, until the next call and no longer than ``until``."""
+        self._close(at)
         self.exerted, self.until = r, until
 
 
@@ -325,15 +345,22 @@ class DeviceInterface:
         self.ticks += self._changed
         return held, until
 
-    def applied(self, x: Floats, at: Instant, exerted: Floats, until: Instant | None) -> Instant:
-        """The device was at x (m) at the instant ``at``, from which on it exerts ``exerted`` (N), as :meth:`force`.
+    def applied(self, x: Floats | None, at: Instant, exerted: Floats, until: Instant | None) -> Instant:
+        """The device exerts ``exerted`` (N) from the instant ``at`` on, as :meth:`force` has decided.
+
+        Args:
+            x: where it was at that instant, m; None where it cannot tell. Then the account counts the worst case.
+            at: the instant.
+            exerted: N.
+            until: the end of the force.
 
         Returns:
             The instant at which the force before had ended.
         """
         before = self.account.until
-        self.account.sampled(x, at)
-        self.account.exert(exerted, until)
+        if x is not None:
+            self.account.sampled(x, at)
+        self.account.exert(exerted, at, until)
         return at if before is None else min(before, at)
 
     def released(self, at: Instant) -> None:

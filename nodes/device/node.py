@@ -183,7 +183,8 @@ class DeviceNode:
                 moved = driver.apply(held, at, until)
                 applied = clock.now()
                 give_way()
-                ended = interface.applied(list(map(float, moved)), at, held, until)
+                known = None if moved is None else list(map(float, moved))
+                ended = interface.applied(known, at, held, until)
                 instants = (row_at, at, ended)
             # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
             if interface is None:
