@@ -148,6 +148,15 @@ class Test_a_notice_of_late_ticks:
         m.tell("dx", 90)
         assert "soft" not in m.notices[Cause.DELAY]
 
+    def test_at_a_whole_period_advises_no_longer_delay(self) -> None:
+        m = Measured(Policy.SOFTEN)
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, 1e-3, 1e-3, None, m.rungs)
+        m.tell("dx", 50, 1500.0)
+        assert m.notices[Cause.DELAY] == (
+            "forces came later than the certificate covers (1 ms): dx in 50.0% of its ticks, up to 1.5 ms so far; "
+            "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
+        )
+
     def test_has_late_periods_apart(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.tell("dx", 0, late_periods=20)
