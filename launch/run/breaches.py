@@ -423,17 +423,22 @@ class BreachPolicy:
         if breach is Breach.PERIOD:
             who = ", ".join(f"{name} in {_part(late[name])} of its ticks" for name in named)
             text = f"samples came more than {_ms(self._longest_period)} after the one before: {who} so far; the "
-            return [Notice(Cause.PERIOD, f"{text}certificate is about shorter periods; {_NEXT}")]
+            return [Notice(Cause.PERIOD, f"{text}certificate is about shorter periods; {self._next}")]
         delays = (f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named)
         text = f"forces came later than the certificate covers ({_ms(self._tau)}): {', '.join(delays)} so far"
-        return [Notice(Cause.DELAY, f"{text}{self._reaction()}; {_NEXT}")]
+        return [Notice(Cause.DELAY, f"{text}{self._reaction()}; {self._next}")]
+
+    @property
+    def _next(self) -> str:
+        """What people can do, as the end of a notice."""
+        return _AT_MOST if self._tau >= self._period else _NEXT
 
     def _reaction(self) -> str:
         """What was done about the delays so far, as a part of the notice."""
         if self._policy is not Policy.SOFTEN:
             return ""
-        if self._ladder is None:
-            return "; no softer coupling was designed beforehand (design.ladder)"
+        if self._ladder is None:  # above a whole period there is nothing to design
+            return "" if self._tau >= self._period else "; no softer coupling was designed beforehand (design.ladder)"
         if not self._softened:
             return ""
         most = self._ladder.taus[-1]
@@ -446,6 +451,7 @@ class BreachPolicy:
 _NEXT: Final = (
     "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
 )
+_AT_MOST: Final = "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
 
 
 def _ms(seconds: float) -> str:

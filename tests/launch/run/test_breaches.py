@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run.breaches import (
     CALM,
     IN_A_ROW,
@@ -16,6 +18,7 @@ from manyhands.launch.run.breaches import (
     MOST_DOUBLINGS,
     MOST_HELD,
     REMEDIES,
+    Assumptions,
     Breach,
     BreachPolicy,
     Cause,
@@ -26,6 +29,8 @@ from manyhands.launch.run.breaches import (
     ShiftCoupling,
 )
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME
+from manyhands.protocol.messages import Telemetry
 
 TICKS = 100  # between two telemetry messages
 CHAINS = {"dx": ("cx",), "dy": ("cx", "cy"), "dz": ("cz",)}
@@ -142,6 +147,15 @@ class Test_a_notice_of_late_ticks:
         m = Measured(policy, Rungs())
         m.tell("dx", 90)
         assert "soft" not in m.notices[Cause.DELAY]
+
+    def test_at_a_whole_period_advises_no_longer_delay(self) -> None:
+        m = Measured(Policy.SOFTEN)
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, 1e-3, 1e-3, None, m.rungs)
+        m.tell("dx", 50, 1500.0)
+        assert m.notices[Cause.DELAY] == (
+            "forces came later than the certificate covers (1 ms): dx in 50.0% of its ticks, up to 1.5 ms so far; "
+            "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
+        )
 
     def test_has_late_periods_apart(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
@@ -493,3 +507,41 @@ def test_without_tick_delays_couplings_only_soften_and_notices_are_few(
                     texts.append(text)
     assert len(texts) <= len(CHAINS) * (len(Breach) + len(Rungs.taus))
     assert IN_A_ROW > 1 or not messages
+
+
+# --- what a run reports
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(load_named("example1"))
+
+
+def the_environment(tick: int, **late: int) -> Telemetry:
+    """Telemetry of an environment in which each of these couplings was late in so many ticks, and frozen for it."""
+    figures = {f"{names.WAITED_TICKS}{name}": float(ticks) for name, ticks in late.items()}
+    figures |= {f"{names.WAITED_TIME}{name}": 900.0 * ticks for name, ticks in late.items()}
+    return Telemetry(tick, figures | {f"{names.FROZEN_LATE}{name}": 1.0 for name in late}, {})
+
+
+class Test_notices_of_a_run:
+    def test_name_all_couplings_that_were_waited_for_often(self, prepared: Prepared) -> None:
+        assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
+        assumptions.check("environment", the_environment(600, cx=10))
+        assumptions.check("environment", the_environment(5000, cx=50))
+        assert assumptions.notices == {}
+        assumptions.check("environment", the_environment(5100, cx=52))
+        assumptions.check("environment", the_environment(5200, cx=52, cz=60))
+        assert assumptions.waited_for == ["cx", "cz"]
+        (text,) = assumptions.notices.values()
+        assert text.startswith("made the others wait, and were frozen for it: cx, cz; ")
+
+    def test_name_all_nodes_whose_forces_were_clipped_and_who_moved_them(self, prepared: Prepared) -> None:
+        assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
+        assumptions.check("environment", Telemetry(100, {f"{names.MOVED}cy/cx": 0.25}, {}))
+        for node in ("dx", "cz", "dx"):
+            assumptions.check(node, Telemetry(100, {names.CLIPPED: 3.0}, {}))
+        assert assumptions.notices == {
+            Cause.LIMITS: "forces clipped to the limits: dx, cz; the certificate is about forces within them; of all "
+            "others cy has put the most energy into dx, 0.25 J"
+        }
