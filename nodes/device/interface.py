@@ -80,6 +80,7 @@ class InterfaceAccount:
         self.f, self.exerted = zero, zero
         self.until: Instant | None = None
         self.balance = self.least = 0.0
+        self._soft, self._stored = zero, 0.0  # Delta_D^-1 f, and f^T K f / 2
         self._x = zero
         self._at: Instant | None = None  # of the last call of sampled
         self._since = Instant(0)  # from which on the present force is exerted and not yet among the parts
@@ -98,7 +99,7 @@ class InterfaceAccount:
     @property
     def energy(self) -> float:
         """e(k), J."""
-        return self.balance + 0.5 * self._kappa * self._T * dot(self.f, self.compliance(self.f))
+        return self.balance + self._stored
 
     def sampled(self, x: Floats, at: Instant) -> None:
         """The device was at x (m) at the instant ``at``: book what the forces have done since the last call.
@@ -155,14 +156,14 @@ class InterfaceAccount:
             most_power += v * (size - d * v)
         return most_power
 
-    def received(self, w: Floats) -> None:
-        """The couplings received the motion w(k), m: book the least that their answer can add."""
-        self.balance += self.least_gain(w)
-        self._moved = w
-
     def least_gain(self, w: Floats) -> float:
         """The least that the answer to the motion w can add, f^T w - m w^T Delta_D w / T, J, f the last force."""
         return dot(self.f, w) - self.weight * dot(w, self.burn(w)) / self._T
+
+    def received(self, w: Floats, gain: float) -> None:
+        """The couplings received the motion w(k), m: book ``gain``, the least that their answer can add, J."""
+        self.balance += gain
+        self._moved = w
 
     def answered(self, f: Floats) -> None:
         """The couplings answered the motion with f(k), N: book what it adds above the least.
@@ -171,17 +172,16 @@ class InterfaceAccount:
         """
         w, self._moved = self._moved, None
         before, self.f = self.f, f
+        soft, self._soft = self._soft, self.compliance(f)
+        half = 0.5 * self._kappa * self._T
         if w is not None:
-            T, kappa, share = self._T, self._kappa, self._share
             g = [now - last for now, last in zip(f, before, strict=True)]
-            a = 0.5 - share * kappa
-            soft = self.compliance(g)
-            self.balance += (
-                2.0 * a * dot(g, w) + kappa * a * T * dot(g, soft) + (self.weight - share) * dot(w, self.burn(w)) / T
-            )
-        energy = self.energy
-        if energy < self.least:
-            self.least = energy
+            step = [now - last for now, last in zip(self._soft, soft, strict=True)]
+            a = 0.5 - self._share * self._kappa
+            self.balance += 2.0 * a * (dot(g, w) + half * dot(g, step))
+            if self.weight > self._share:
+                self.balance += (self.weight - self._share) * dot(w, self.burn(w)) / self._T
+        self._stored = half * dot(f, self._soft)
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the last motion, if any, will not be known."""
@@ -191,6 +191,7 @@ class InterfaceAccount:
         """The device exerts r (N) from ``at`` on, until the next call and no longer than ``until``."""
         self._close(at)
         self.exerted, self.until = r, until
+        self.least = min(self.least, self.energy)
 
 
 CALM: Final = 0.02
@@ -252,6 +253,11 @@ class DeviceInterface:
         self._x: Floats = self._sent  # of the sample
         self._at: Instant | None = None  # likewise
         self.speed = 0.0
+        self._since = Instant(0)  # since when the present force is exerted
+        self._exact = True  # whether the device knew where it was then
+        self._sample: tuple[Floats, Instant, Floats, float] | None = None  # sent, and not booked yet
+        self._answer: Floats | None = None  # likewise
+        self._power = 0.0  # of the exerted force, W
         self._booked, self._changed = 0.0, False
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
 
@@ -280,35 +286,42 @@ class DeviceInterface:
             goal: what it would send without a bound, m.
             at: the instant of the sample.
         """
-        account, before = self.account, self._sent
-        account.sampled(x, at)
-        if self._at is not None and at > self._at:
-            self.speed = math.dist(x, self._x) / ((at - self._at) * _NS)
+        self._settle()
+        account, before, last = self.account, self._sent, self._at
+        if last is not None and at > last:
+            self.speed = math.dist(x, self._x) / ((at - last) * _NS)
         self._x, self._at = x, at
-        w = [to - last for to, last in zip(goal, before, strict=True)]
-        if not self._bounded:
-            self._sent = goal
-            account.received(w)
+        w = [to - at for to, at in zip(goal, before, strict=True)]
+        gain = account.least_gain(w)
+        left = self._left(at)
+        # a lower bound of the tank, whatever the motion since the last force has cost; most ticks need no more
+        paid = self.tank + gain - (at - self._since) * _NS * self._power
+        enough = paid >= (left * self._power if self._power > 0.0 else 0.0)
+        if not self._bounded or (enough and self._exact and self._sent is self._goal):
+            self._goal = self._sent = goal
+            self._changed = False
+            self._sample = x, at, w, gain
             return goal
+        account.sampled(x, at)
         self._book()
-        h, power = self._left(at), account.cost(account.exerted)
-        reserve = min(h, max(self._tau, self._expected)) * power if power > 0.0 else 0.0
+        reserve = min(left, max(self._tau, self._expected)) * self._power if self._power > 0.0 else 0.0
         # an offset is made up within the limit of speed; the device's own step is the guard's to judge
-        most = [max(abs(to - last), v * self._T) for to, last, v in zip(goal, self._goal, self._speed, strict=True)]
+        most = [max(abs(to - was), v * self._T) for to, was, v in zip(goal, self._goal, self._speed, strict=True)]
         bounded = [max(-way, min(way, to)) for to, way in zip(w, most, strict=True)]
         kept = self._nearest(bounded, reserve - self.tank)
         self._goal = goal
         self._changed = kept != w
         if self._changed:
-            self._sent = [last + way for last, way in zip(before, kept, strict=True)]
+            self._sent = [at + way for at, way in zip(before, kept, strict=True)]
             self.offset = max(self.offset, *(abs(to - at) for to, at in zip(goal, self._sent, strict=True)))
-            self.kept_back += max(0.0, account.least_gain(kept) - account.least_gain(bounded))
+            gain = account.least_gain(kept)
+            self.kept_back += max(0.0, gain - account.least_gain(bounded))
         else:
             self._sent = goal
-        account.received(kept)
+        account.received(kept, gain)
         self._book()
-        if power > 0.0 and self.tank < h * power:
-            account.until = Instant(at + int(max(0.0, 1e9 * self.tank / power)))
+        if self._power > 0.0 and self.tank < left * self._power:
+            account.until = Instant(at + int(max(0.0, 1e9 * self.tank / self._power)))
         return self._sent
 
     def force(self, f: Floats, held: Floats, at: Instant) -> tuple[Floats, Instant | None]:
@@ -322,26 +335,34 @@ class DeviceInterface:
             held: the part of it within the device's limits, N.
             at: the present instant.
         """
-        account, T, sampled = self.account, self._T, at if self._at is None else self._at
-        account.answered(f)
+        self._answer = f
         if not self._bounded:
             return held, None
-        self._book()
+        account, T, sampled = self.account, self._T, at if self._at is None else self._at
         late = max(0.0, (at - sampled) * _NS)
         self._expected += CALM * (min(late, LONGEST * T) - self._expected)
-        power, expected = account.cost(held), max(self._tau, self._expected)
-        self.tank = min(self.tank, self._E_0 + ROOM * (T + expected) * power)
+        expected = max(self._tau, self._expected)
         until = Instant(sampled + self._longest)
+        before, power = self._power, account.cost(held)
+        self._power = power
+        longest = (until - at) * _NS
+        if self._sample is not None:  # nothing is booked yet: the least that the tank can hold
+            paid = self.tank + self._sample[3] - (at - self._since) * _NS * before
+            least = min(paid, self._most(power))
+            if least >= power * longest:
+                return held, until
+        self._settle()
+        self.tank = min(self.tank, self._most(power))
         if power > 0.0:
-            spent = min(late, self._left(sampled)) * account.cost(account.exerted)
+            spent = min(late, self._left(sampled)) * before if before > 0.0 else 0.0
             paid = max(0.0, self.tank - spent + account.least_gain(self._best(f)))
             needed = (1.0 + self._tolerance) * T + expected - late
             if needed * power > paid:
                 ratio = self._part(held, paid / needed)
-                held, power = [ratio * force for force in held], paid / needed
+                held, self._power = [ratio * force for force in held], paid / needed
                 self._changed = True
-            if paid < (until - at) * _NS * power:
-                until = Instant(at + int(1e9 * paid / power))
+            if paid < longest * self._power:
+                until = Instant(at + int(1e9 * paid / self._power))
         self.ticks += self._changed
         return held, until
 
@@ -357,9 +378,15 @@ class DeviceInterface:
         Returns:
             The instant at which the force before had ended.
         """
+        self._settle()
         before = self.account.until
+        self._exact = x is not None
         if x is not None:
             self.account.sampled(x, at)
+            self._book()
+        self._since = at
+        if self._bounded:
+            self.tank = min(self.tank, self._most(self._power))
         self.account.exert(exerted, at, until)
         return at if before is None else min(before, at)
 
@@ -370,7 +397,24 @@ class DeviceInterface:
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
+        self._settle()
         self.account.skipped()
+
+    def _settle(self) -> None:
+        """Book what :meth:`send` and :meth:`force` have put off until nobody waits."""
+        if self._sample is not None:
+            x, at, w, gain = self._sample
+            self._sample = None
+            self.account.sampled(x, at)
+            self.account.received(w, gain)
+        if self._answer is not None:
+            self.account.answered(self._answer)
+            self._answer = None
+        self._book()
+
+    def _most(self, power: float) -> float:
+        """The most that the tank may hold, J, so that an hour's motion does not pay for a minute's lateness."""
+        return self._E_0 + ROOM * (self._T + max(self._tau, self._expected)) * power
 
     def _book(self) -> None:
         """Take over what the account has booked since the last call."""

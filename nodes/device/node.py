@@ -181,7 +181,7 @@ class DeviceNode:
             else:
                 held, until = interface.force(wanted, held, at)
                 moved = driver.apply(held, at, until)
-                applied = clock.now()
+                applied = received  # the instant that the driver was given
                 give_way()
                 known = None if moved is None else list(map(float, moved))
                 ended = interface.applied(known, at, held, until)
