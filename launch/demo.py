@@ -1,57 +1,102 @@
 """`manyhands demo`: Example 1 of the paper, from the design through a run of seven processes to plots.
 
 The plots follow the paper's Figs. 5-7: velocities of the devices over time, without coupling, with the decentralised
-coupling, and with a centralised one.
+coupling, and with a centralised one. In real time there are two more: the same session without coupling as seven
+processes, until the limits of its devices end it, and the interface accounts of the certified run.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
 from manyhands.design.certificate import save as save_certificate
 from manyhands.launch.design_report import print_certificate, print_report
-from manyhands.launch.doctor.profile import Profile
+from manyhands.launch.doctor.profile import Profile, drop_profile, outlived
 from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
-from manyhands.launch.recordings.curves import Curve, Panel
-from manyhands.launch.recordings.plots import draw_panel
+from manyhands.launch.recordings.curves import Array, Curve, Panel
+from manyhands.launch.recordings.plots import draw_panel, picture_of_run
 from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.run.display import say, status
+from manyhands.launch.run.outcome import Outcome, joules
 from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.observer.alarms import LEDGER_ROUNDING
+from manyhands.protocol.channels import INTERFACE
 
-_WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.4  # inches
+_WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.2  # inches
+
+DISPLACEMENT_LIMIT, SPEED_LIMIT = 0.2, 3.0
+"""m and m/s: limits of the devices that run in real time without coupling. A hand that shakes exceeds them soon."""
+
+LIMITED: Final = tuple(
+    f"devices.{name}.limits={{displacement: {DISPLACEMENT_LIMIT}, speed: {SPEED_LIMIT}}}" for name in ("dx", "dy", "dz")
+)
+"""What ``example1-uncoupled`` is changed to for that run, as overrides of its file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One row of a figure.
+
+    Attributes:
+        time: the instants of the ticks, s.
+        panel: the curves.
+        bound: where a line is drawn that the curves keep above; None for no line.
+    """
+
+    time: Array
+    panel: Panel
+    bound: float | None = None
+
+
+def velocities(recording: Recording, title: str) -> Row:
+    """The velocity of every port."""
+    columns = zip(recording.ports, recording.velocity.T, strict=True)
+    curves = tuple(Curve(port, column) for port, column in columns)
+    return Row(recording.time, Panel("velocity", title, "velocity [m/s]", curves))
+
+
+def accounts(path: Path, tank: float) -> Row:
+    """The interface account of every device of a recorded run, beside its bound; ``tank`` is E_0, J."""
+    run = read_run(path)
+    [found] = picture_of_run(run, [INTERFACE]).panels
+    curves = tuple(Curve(curve.label, 1e3 * curve.values) for curve in found.curves)
+    title = f"the same run: each device's energy account, kept above {joules(0.0 - tank)} whatever is late"
+    return Row(run.time, Panel(found.name, title, "e [mJ]", curves), 0.0 - 1e3 * tank)
 
 
 def plot_velocities(recording: Recording, title: str, path: Path) -> None:
     """Plot the velocity of every port into one file."""
-    save_picture(_figure([(title, recording)], _ONE), path)
+    plot([velocities(recording, title)], path)
 
 
-def plot_comparison(runs: Sequence[tuple[str, Recording]], path: Path) -> None:
-    """Plot the velocities of several runs, one above the other, over the same time axis."""
-    save_picture(_figure(runs, _OF_SEVERAL), path)
-
-
-def _figure(runs: Sequence[tuple[str, Recording]], height: float) -> Figure:
-    figure = Figure(figsize=(_WIDTH, height * len(runs)), layout="constrained", facecolor="white")
-    rows = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (title, recording) in zip(rows, runs, strict=True):
-        columns = zip(recording.ports, recording.velocity.T, strict=True)
-        curves = tuple(Curve(port, column) for port, column in columns)
-        draw_panel(axes, recording.time, Panel("velocity", title, "velocity [m/s]", curves))
-        axes.set_xlabel("time [s]" if axes is rows[-1] else "")
-    return figure
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Plot rows into one file, one above the other, over the same time axis."""
+    height = (_ONE if len(rows) == 1 else _OF_SEVERAL) * len(rows)
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained", facecolor="white")
+    all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, row in zip(all_axes, rows, strict=True):
+        if row.bound is not None:
+            axes.axhline(row.bound, color="0.35", linewidth=0.9, linestyle="--", label="bound")
+        draw_panel(axes, row.time, row.panel)
+        axes.set_xlabel("time [s]" if axes is all_axes[-1] else "")
+    save_picture(figure, path)
 
 
 SETTLED = 1e-3  # a device is at rest when its speed is below this part of its peak speed
@@ -69,16 +114,17 @@ def run_demo(
     """Run the demonstration.
 
     Args:
-        sessions: ``example1``, ``example1-centralised`` and ``example1-uncoupled``.
+        sessions: ``example1``, ``example1-centralised``, ``example1-uncoupled``, and the last with :data:`LIMITED` as
+            ``example1-limited``.
         out: for results.
         err: for progress.
-        folder: the folder for certificate, plots and report; made if absent.
+        folder: the folder for certificate, recording, plots and report; made if absent.
         ticks: number of ticks to run.
         clock: "realtime" or "simulated".
         profile: this machine's for ``example1``, in real time.
 
     Returns:
-        The exit code: 0 when every device came to rest.
+        The exit code: 0 when every promise was kept, and every device came to rest.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with status(err, "designing the decentralised coupling"):
@@ -89,43 +135,112 @@ def run_demo(
         if clock == REALTIME:
             for line in certified_lines(decentralised.certificate, decentralised.session, profile, time.time()):
                 say(err, line)
+    recorded = folder / "run.mcap"
     outcome = run_session(
         decentralised,
         err,
         clock=clock,
         reach=IPC,
         ticks=ticks,
+        record=recorded,
         report=folder / "report.json",
-        keep=True,
     )
+    if profile is not None and outlived(profile, decentralised.session.period, outcome.report):
+        drop_profile(profile)  # the next run measures anew
     print_report(out, outcome.report)
-    if outcome.code or outcome.recording is None:
+    if outcome.code:
         return outcome.code
+    rows = {}
+    if clock == REALTIME:
+        with status(err, "running the same session without coupling, in real time"):
+            shaken = _uncoupled(sessions["example1-limited"], ticks)
+        for fault in shaken.faults:
+            say(err, f"error: {fault}")
+        if shaken.code or shaken.recording is None:
+            return shaken.code
+        what = how_it_ended(shaken.recording, shaken.report["nodes"])
+        say(out, f"without coupling, as seven processes in real time: {what}")
+        rows["uncoupled-in-real-time"] = velocities(shaken.recording, f"without coupling, in real time: {what}")
     with status(err, "simulating without coupling and with a centralised one"):
         uncoupled = _simulated(sessions["example1-uncoupled"], ticks)
         centralised = _simulated(sessions["example1-centralised"], ticks)
-        runs = {
-            "fig5-without-coupling": ("without virtual coupling (Fig. 5)", uncoupled),
-            "fig6-decentralised": ("decentralised coupling, seven processes (Fig. 6)", outcome.recording),
-            "fig7-centralised": ("centralised coupling (Fig. 7)", centralised),
+        certified = "decentralised coupling, seven processes (Fig. 6)"
+        rows = {
+            "fig5-without-coupling": velocities(uncoupled, "without virtual coupling (Fig. 5)"),
+            **rows,
+            "fig6-decentralised": velocities(read_recording(recorded), certified),
         }
+        if "lateness" in outcome.report:
+            rows["accounts"] = accounts(recorded, outcome.report["lateness"]["tank"])
+        rows["fig7-centralised"] = velocities(centralised, "centralised coupling (Fig. 7)")
     with status(err, "drawing"):
-        for name, (title, recording) in runs.items():
-            plot_velocities(recording, title, folder / f"{name}.png")
-        plot_comparison(list(runs.values()), folder / "velocities.png")
-    return _judge(outcome.report["nodes"], out, folder)
+        for name, row in rows.items():
+            plot([row], folder / f"{name}.png")
+        plot([*rows.values()], folder / "velocities.png")
+    say(out, f"plots, certificate, recording and report: {folder}")
+    sentence, kept = verdict(outcome.report)
+    say(out, sentence)
+    return EXIT_OK if kept else EXIT_FAILED
 
 
 def _simulated(session: Session, ticks: int) -> Recording:
     return Simulation(prepare(session, uncertified=True)).run(ticks)
 
 
-def _judge(nodes: Mapping[str, Mapping[str, float]], out: Console, folder: Path) -> int:
-    """Print whether every device came to rest, and where the plots are; returns the exit code."""
-    ratios = {name: node["final_speed"] / node["peak_speed"] for name, node in nodes.items() if "peak_speed" in node}
-    text = ", ".join(f"{name} {ratio:.1e}" for name, ratio in ratios.items())
-    settled = all(ratio < SETTLED for ratio in ratios.values())
-    verdict = "every device came to rest" if settled else f"not every device came to rest (below {SETTLED:g})"
-    say(out, f"speed at the end over peak speed: {text}: {verdict}")
-    say(out, f"plots, certificate and report: {folder}")
-    return EXIT_OK if settled else EXIT_FAILED
+def _uncoupled(session: Session, ticks: int) -> Outcome:
+    """Run a session that nothing certifies; its incidents are what is to be seen, and the demonstration words them."""
+    prepared = prepare(session, uncertified=True)
+    return run_session(prepared, Console(quiet=True), clock=REALTIME, reach=IPC, ticks=ticks, keep=True)
+
+
+def how_it_ended(recording: Recording, nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """What became of a run whose devices let go beyond their limits, as a part of a sentence.
+
+    Args:
+        recording: of the run.
+        nodes: of its report.
+    """
+    gone = [name for name, node in nodes.items() if node.get("let_go")]
+    peak = np.nanmax(np.abs(recording.velocity), initial=0.0)
+    if not gone:
+        return f"within {DISPLACEMENT_LIMIT:g} m and {SPEED_LIMIT:g} m/s to the end, up to {peak:.2g} m/s"
+    forced = np.flatnonzero(np.any(np.nan_to_num(recording.f_v) != 0.0, axis=1))
+    end = recording.period * (int(forced[-1]) + 1 if forced.size else 0)
+    return (
+        f"{', '.join(gone)} exceeded {DISPLACEMENT_LIMIT:g} m or {SPEED_LIMIT:g} m/s and let go; no force after "
+        f"{end:.1f} s"
+    )
+
+
+def verdict(report: Mapping[str, Any]) -> tuple[str, bool]:
+    """One sentence about a whole report: promises, rest, least account, late ticks and enforced energy.
+
+    Returns:
+        The sentence, and whether every promise was kept and every device came to rest.
+    """
+    nodes, lateness = report["nodes"], report.get("lateness")
+    tank = 0.0 if lateness is None else lateness["tank"]
+    broken = [name for name, node in nodes.items() if not _kept(node, tank)]
+    moving = [name for name, n in nodes.items() if "peak_speed" in n and n["final_speed"] >= SETTLED * n["peak_speed"]]
+    promises = f"promises broken by {', '.join(broken)}" if broken else f"all {len(nodes)} promises were kept"
+    rest = f"not every device came to rest ({', '.join(moving)})" if moving else "every device came to rest"
+    parts = [f"{promises}, and {rest}"]
+    devices = [node for node in nodes.values() if "interface" in node]
+    if devices and lateness is not None:
+        least = min(node["interface"]["min"] for node in devices)
+        enforced = sum(node["interface"]["kept_back"] for node in devices)
+        late, ticks = (sum(node[key] for node in devices) for key in ("late", "ticks"))
+        beyond = sum(node["tau_breaches"] for node in devices)
+        parts += [
+            f"the least energy account was {joules(least)} (bound {joules(0.0 - tank)})",
+            f"{late} of {ticks} ticks were late, {beyond} beyond the certified τ",
+            f"{joules(enforced)} was held back by enforcement",
+        ]
+    return "; ".join(parts), not broken and not moving
+
+
+def _kept(node: Mapping[str, Any], tank: float) -> bool:
+    """Whether a party kept its ledger, and a device its interface account, above their bounds."""
+    margin = node["ledger"].get("margin", 0.0) if "ledger" in node else 0.0
+    account = node["interface"]["min"] if "interface" in node else 0.0
+    return bool(margin >= -LEDGER_ROUNDING and account >= -tank - LEDGER_ROUNDING)

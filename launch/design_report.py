@@ -28,6 +28,7 @@ from manyhands.design.problem import HapticLoop
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.plan.prepare import certify, coupling_request, haptic_loop, with_delay_of
 from manyhands.launch.run.display import energy_line, printable, say, status
+from manyhands.launch.run.outcome import lateness_sentence
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
 
@@ -157,15 +158,18 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
     """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped."""
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
     table = Table(title=title, title_justify="left")
-    for column in ("node", "ticks", "late", "τ p50/p99/p99.9/max [µs]", "period p50/p99/p99.9/max [µs]",
-                   "ledger min [J]", "peak → final [m/s]"):  # fmt: skip
+    for column in ("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", "period [µs]\np50/p99/p99.9/max",
+                   "ledger\nmin [J]", "account\nmin/bound [J]", "speed [m/s]\npeak → final"):  # fmt: skip
         table.add_column(column, justify="left" if column == "node" else "right")
     for name, node in report["nodes"].items():
         speeds = f"{node['peak_speed']:.3g} → {node['final_speed']:.1e}" if "peak_speed" in node else ""
         ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
-        table.add_row(name, str(node["ticks"]), str(node.get("late", "")), *percentiles, ledger, speeds)
+        late = str(node.get("late", ""))
+        table.add_row(name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds)
     console.print(table)
+    if sentence := lateness_sentence(report):
+        console.print(sentence, markup=False, soft_wrap=True)
     for node in report["nodes"].values():
         if "energy" in node:
             entry = node["energy"]
@@ -178,6 +182,14 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
             console.print(f"{name}: not admitted, or not as it came: {listed}", markup=False, soft_wrap=True)
+
+
+def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    """The least account of a node's interface beside its bound, as far as there are any."""
+    if "interface" not in node:
+        return ""
+    bound = f"/{0.0 - report['lateness']['tank']:.0e}" if "lateness" in report else ""
+    return f"{node['interface']['min']:.1e}{bound}"
 
 
 def _coupling_rows(table: Table, coupling: SpringDamper) -> None:

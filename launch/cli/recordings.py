@@ -125,6 +125,8 @@ def _print(found: Info, damages: list[Damage]) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from manyhands.launch.run.outcome import joules
+
     recorded = found.recorded
     say(out, f"session {recorded.session}, certificate {recorded.certificate}, manyhands {recorded.version}")
     begin = f", from tick {found.first}" if found.first else ""
@@ -146,6 +148,8 @@ def _print(found: Info, damages: list[Damage]) -> None:
         gaps = found.gaps[device]
         listed = ", ".join(f"{gap.begin}..{gap.end - 1}" for gap in gaps[:_GAPS_SHOWN])
         say(out, f"missing of {device}: {ticks} ticks: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
+    for device, least in found.accounts.items():
+        say(out, f"least interface account of {device}: {joules(least)}")
     if found.cut is not None:
         say(out, f"not whole: {found.cut}")
     for damage in damages:

@@ -228,13 +228,14 @@ def demo(
     duration: Duration = 10.0,
     clock: Clock = REALTIME,
 ) -> None:
-    """Design Example 1's coupling, run its seven processes, and draw the paper's Figs. 5-7."""
+    """Design Example 1's coupling, run its seven processes with it and without, and draw the paper's Figs. 5-7."""
     with errors():
-        from manyhands.launch.demo import run_demo
+        from manyhands.launch.demo import LIMITED, run_demo
 
         require_one_of("--clock", clock, CLOCKS)
         require_folder(output)
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
+        shipped["example1-limited"] = load_named(Path("example1-uncoupled.yaml"), [*LIMITED])
         require_runnable(Plan(shipped["example1"]).graph)
         ticks = kept_ticks(shipped["example1"], duration)
         shipped["example1"], profile = settle_delay(shipped["example1"], realtime=clock == REALTIME)

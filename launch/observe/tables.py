@@ -258,7 +258,7 @@ def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
         for place, title in enumerate(titles)
     ]
     ranks = {len(_FIXED) + place: column.rank for place, column in enumerate(COLUMNS)}
-    ranks[_FIXED.index("role")] = 6  # the name often makes the role clear
+    ranks[_FIXED.index("role")] = 7  # the name often makes the role clear
     kept = list(range(len(titles)))
     for place in sorted(ranks, key=ranks.__getitem__, reverse=True):
         if sum(needed[one] for one in kept) > width:

@@ -4,6 +4,7 @@ numbers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,12 @@ from mcap.records import Attachment, Channel, Metadata
 
 from manyhands.launch.recordings.mcap import End, Message, Messages, parts
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import cut_at
+from manyhands.launch.recordings.run import cut_at, fitting, objects
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
-from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded
-from manyhands.protocol.channels import DISPLACEMENT, topic_name, topics_of
+from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_figures
+from manyhands.protocol.channels import DISPLACEMENT, TELEMETRY, topic_name, topics_of
 from manyhands.protocol.messages import Role
 
 
@@ -57,6 +59,7 @@ class Info:
         attachments: size in bytes by name.
         missing: number of ticks that are missing between first and last, by device, for devices that miss some.
         gaps: the missing ticks by device; the first :data:`MOST_GAPS`.
+        accounts: the least interface account of each device that reported one, J.
         cut: why the file cannot be read to its end, and up to which tick it can; None for a whole file.
     """
 
@@ -68,6 +71,7 @@ class Info:
     attachments: Mapping[str, int]
     missing: Mapping[str, int]
     gaps: Mapping[str, tuple[MissingTicks, ...]]
+    accounts: Mapping[str, float]
     cut: str | None
 
     @property
@@ -92,6 +96,7 @@ class Info:
             "attachments": dict(self.attachments),
             "missing": dict(self.missing),
             "gaps": {device: [[gap.begin, gap.end] for gap in gaps] for device, gaps in self.gaps.items()},
+            "accounts": dict(self.accounts),
             "cut": self.cut,
         }
 
@@ -126,6 +131,8 @@ class _InfoReader:
         self._recorded: Recorded | None = None
         self._channels: dict[int, ChannelInfo] = {}
         self._devices: dict[str, tuple[str, Coverage]] = {}
+        self._reporting: dict[str, str] = {}  # devices, by the topic of their figures
+        self._accounts: dict[str, float] = {}
         self._attachments: dict[str, int] = {}
         self._why: str | None = None
 
@@ -151,6 +158,7 @@ class _InfoReader:
         self._devices = {
             topic_name(recorded.session, device, sample): (device, Coverage()) for device in recorded.devices
         }
+        self._reporting = {topic_name(recorded.session, device, TELEMETRY): device for device in recorded.devices}
 
     def _count(self, found: list[Message]) -> None:
         together: dict[int, list[Message]] = {}
@@ -167,6 +175,15 @@ class _InfoReader:
             if channel.topic in self._devices:
                 ticks = np.fromiter((message.sequence for message in own), dtype=np.int64, count=len(own))
                 self._devices[channel.topic][1].take_each(ticks)
+            elif channel.topic in self._reporting:
+                self._take_accounts(self._reporting[channel.topic], own)
+
+    def _take_accounts(self, device: str, found: list[Message]) -> None:
+        """Take the least account from figures; each message has the least since the device's process began."""
+        for _, figures in fitting(objects([message.data for message in found]), decode_figures):
+            least = figures.get(names.INTERFACE_LEAST, math.nan)
+            if math.isfinite(least):
+                self._accounts[device] = min(least, self._accounts.get(device, math.inf))
 
     def info(self) -> Info:
         if self._recorded is None:
@@ -187,5 +204,6 @@ class _InfoReader:
             attachments=self._attachments,
             missing=missing,
             gaps={device: devices[device].gaps_in(begin, end) for device in missing},
+            accounts={device: self._accounts[device] for device in devices if device in self._accounts},
             cut=None if self._why is None else cut_at(self._why, end),
         )

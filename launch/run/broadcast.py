@@ -107,6 +107,8 @@ def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbo
         delta_D={name: float(np.linalg.eigvalsh(session.osp_level(name))[0]) for name in session.devices},
         ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
         enforced=tuple(prepared.loop.enforced),
+        tank=session.faults.tank,
+        bounded=session.faults.enforced_tank is not None,
     )
 
 

@@ -52,10 +52,11 @@ COLUMNS: Final = (
     Column("τ p99 [µs]", f"{names.TAU}_p99", ".0f", 2),
     Column("rung", names.RUNG, ".0f", 5),
     Column("frozen", names.FROZEN, ".0f", 3),
-    Column("speed [m/s]", names.SPEED, ".2e", 7),
-    Column("ledger [J]", names.LEDGER, ".2e", 6),
-    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 8),
-    Column("refused", names.NOT_ADMITTED, ".0f", 9),
+    Column("speed [m/s]", names.SPEED, ".2e", 8),
+    Column("account [J]", names.INTERFACE, ".2e", 6),
+    Column("ledger [J]", names.LEDGER, ".2e", 7),
+    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 9),
+    Column("refused", names.NOT_ADMITTED, ".0f", 10),
 )
 """In the order in which they are shown."""
 
@@ -165,7 +166,7 @@ class LiveTable:
         table.add_column("node")
         table.add_column("role")
         for column in ("tick", "rate [Hz]", *(column.title for column in COLUMNS)):
-            table.add_column(column, justify="right")
+            table.add_column(Text(column.replace(" [", "\n[")), justify="right")
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
             away = progress.states[name] in _AWAY

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.design.files import replacing
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME, WALL
 from manyhands.nodes.telemetry import PERCENTILES
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Report, Role, Telemetry
@@ -112,7 +114,7 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
         entry["interface"] = {
             "min": figures[names.INTERFACE_LEAST],
             "final": figures[names.INTERFACE],
-            "changed_ticks": int(figures.get(names.INTERFACE_TICKS, 0.0)),
+            "changed_ticks": int(min(max(figures.get(names.INTERFACE_TICKS, 0.0), 0.0), MAX_COUNT)),
             "kept_back": figures.get(names.INTERFACE_KEPT_BACK, 0.0),
             "offset": figures.get(names.INTERFACE_OFFSET, 0.0),
         }
@@ -167,6 +169,53 @@ def _energy(figures: Mapping[str, float]) -> dict[str, Any]:
     return out
 
 
+def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
+    """What a session promises about lateness, for its report; None where no device can be late, or nothing is proved.
+
+    Args:
+        prepared: the session with its certificate.
+        clock: "realtime" or "simulated".
+    """
+    certificate, session = prepared.certificate, prepared.session
+    late = clock == REALTIME and any(device.time == WALL for device in session.devices.values())
+    if certificate is None or not late:
+        return None
+    return {
+        "tau": certificate.tau,
+        "period_tolerance": certificate.period_tolerance,
+        "enforced": session.faults.enforced_tank is not None,
+        "tank": session.faults.tank,
+    }
+
+
+def lateness_sentence(report: Mapping[str, Any]) -> str | None:
+    """What is proved of lateness, what was enforced beyond, and the least account: a sentence about a whole report.
+
+    Returns:
+        None for a run without devices in wall time.
+    """
+    entries = {name: node["interface"] for name, node in report["nodes"].items() if "interface" in node}
+    if not entries:
+        return None
+    least = min(entries, key=lambda name: entries[name]["min"])
+    account, promise = entries[least]["min"], report.get("lateness")
+    lowest = f"least account {joules(account)} ({least})" if account < 0.0 else "no account fell below 0"
+    if promise is None:
+        return f"lateness: nothing is proved, and it was only counted; {lowest}"
+    proved = f"lateness: proved up to τ = {1e3 * promise['tau']:.4g} ms"
+    if promise["enforced"]:
+        changed, kept = (sum(entry[key] for entry in entries.values()) for key in ("changed_ticks", "kept_back"))
+        beyond = f"enforced beyond: {changed} {'tick' if changed == 1 else 'ticks'} changed, {joules(kept)} kept back"
+    else:
+        beyond = "only counted beyond"
+    return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}"
+
+
+def joules(energy: float) -> str:
+    """An energy for a sentence, in J, or in mJ below 1 J."""
+    return f"{energy:.3g} J" if abs(energy) >= 1.0 else f"{1e3 * energy:.3g} mJ"
+
+
 def run_report(
     session: str,
     certificate: str,
@@ -177,6 +226,7 @@ def run_report(
     refused: Mapping[str, int],
     incidents: Incidents,
     enforced: Sequence[str] = (),
+    lateness: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -190,6 +240,7 @@ def run_report(
         refused: what the supervisor did not admit, by kind; only kinds that occurred.
         incidents: the faults that the session survived.
         enforced: parties whose level is enforced at run time instead of proved.
+        lateness: what is promised about lateness, as :func:`lateness_entry`.
     """
     restarts = incidents.restarts
     return {
@@ -201,6 +252,7 @@ def run_report(
             name: node_entry(role, reports[name], restarts[name]) for name, role in nodes.items() if name in reports
         },
         **({"enforced": list(enforced)} if enforced else {}),
+        **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"refused": dict(refused)} if refused else {}),
         **({"incidents": list(incidents.sentences)} if incidents.total else {}),
     }

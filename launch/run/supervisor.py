@@ -27,7 +27,7 @@ from manyhands.launch.run.breaches import Assumptions, EndSession, EnergyInciden
 from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.directory import kept_files, run_directory
-from manyhands.launch.run.outcome import Outcome, Progress, run_report
+from manyhands.launch.run.outcome import Outcome, Progress, lateness_entry, run_report
 from manyhands.launch.run.processes import Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.recovery import RestartBudget
@@ -458,6 +458,7 @@ class Supervisor:
                 self._refused,
                 conductor.incidents,
                 self._prepared.loop.enforced,
+                lateness_entry(self._prepared, self._clock_name),
             )
             | recorder.as_plain(),
             recording,

@@ -30,7 +30,7 @@ LEDGER_BOUND: Final = 0.0
 """J: the least that a ledger's margin may be; its bound is -V(psi_0) = 0, less what lateness may put in."""
 
 LEDGER_ROUNDING: Final = 1e-9
-"""The largest rounding error of a long session's sums, J."""
+"""The largest rounding error of a long session's sums, J, of ledgers and of interface accounts."""
 
 
 class AlarmLevel(StrEnum):
@@ -92,6 +92,7 @@ def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     for node in scene.nodes.values():
         yield from _of_node(node)
         yield from _ledger(node)
+        yield from _account(node, scene)
         yield from _tau(node, scene)
     if scene.frozen:
         yield AlarmCause(
@@ -138,6 +139,20 @@ def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
             f"{node.name}: its ledger fell {-margin:.3g} J below its bound",
             "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
         )
+
+
+def _account(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
+    certificate, least = scene.about.certificate, node.figures.get(names.INTERFACE_LEAST, 0.0)
+    if certificate is None or not least < -certificate.tank - LEDGER_ROUNDING:
+        return
+    lateness = f"{node.name}: lateness has put {-least:.3g} J into the loop, more than the {certificate.tank:.3g} J"
+    if certificate.bounded:
+        text = f"{lateness} that its interface has to keep to"
+        advice = "See whether its process was stopped or its clock changed; if not, report it: the bound is proved."
+    else:
+        text = f"{lateness} of faults.tank; it is counted and not bounded"
+        advice = "Let the device bound it (faults: {lateness: enforce}), or design for a longer tau (design.tau: auto)."
+    yield AlarmCause(f"{node.name} account", AlarmLevel.FAULT, text, advice)
 
 
 def covered_tau(scene: Scene, device: str) -> float:

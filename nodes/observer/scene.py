@@ -75,6 +75,8 @@ class CertificateAbout:
         delta_D: the least eigenvalue of each device's level, N*s/m.
         ladder: the delays that the further rungs cover, s.
         enforced: parties whose level is enforced at run time instead of proved.
+        tank: E_0, what lateness may put in through each device in wall time, J.
+        bounded: whether the devices keep to that bound; otherwise lateness is counted alone.
     """
 
     tau: float
@@ -83,6 +85,8 @@ class CertificateAbout:
     delta_D: Mapping[str, float]
     ladder: tuple[float, ...]
     enforced: tuple[str, ...]
+    tank: float
+    bounded: bool
 
 
 @dataclass(frozen=True)
@@ -216,6 +220,8 @@ def _certificate(data: Any) -> CertificateAbout:
             "delta_D": _numbers(data["delta_D"]),
             "ladder": tuple(map(_number, data["ladder"])),
             "enforced": _texts(data["enforced"]),
+            "tank": _number(data["tank"]),
+            "bounded": _flag(data["bounded"]),
         }
     )
 
@@ -235,6 +241,12 @@ def _texts(values: Any) -> tuple[str, ...]:
 def _number(value: Any) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
         raise TypeError(f"found {value!r}; expected a number")
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"found {value!r}; expected true or false")
     return value
 
 

@@ -1,7 +1,7 @@
 """The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
-Every trace of the table of topics is a track. So is each device's velocity: the difference of its displacement from
-tick to tick, taken before decimation.
+Every trace of the table of topics is a track, except for the instants of ticks. So is each device's velocity: the
+difference of its displacement from tick to tick, taken before decimation.
 
 A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session are
 aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
@@ -227,7 +227,7 @@ class Tracks:
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
         for topic in topics_of(node.role, tuple(about.masses), about.clock == REALTIME):
-            if topic.trace == LEDGER and about.certificate is None:
+            if (topic.trace == LEDGER and about.certificate is None) or topic.columns is Columns.INSTANTS:
                 continue
             yield TrackKey(name, topic)
             if node.role is Role.DEVICE and topic.trace == DISPLACEMENT:

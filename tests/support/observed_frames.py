@@ -21,7 +21,7 @@ ABOUT = About(
     links=(LinkAbout(("cx", "environment"), ("d.x",)), LinkAbout(("cy", "environment"), ("d.y",)),
            LinkAbout(("d", "cx"), ("d.x",)), LinkAbout(("d", "cy"), ("d.y",))),
     masses={"hub": 3.0}, springs=(), grips=(), reach={}, environment="network",
-    certificate=CertificateAbout(0.0, {}, None, {}, (), ()), observers={"scope": ("cx/tool", "telemetry")},
+    certificate=CertificateAbout(0.0, {}, None, {}, (), (), 0.005, True), observers={"scope": ("cx/tool", "telemetry")},
 )  # fmt: skip
 
 

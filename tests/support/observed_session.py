@@ -39,7 +39,7 @@ ABOUT = About(
     springs=(SpringAbout(("left", "ball"), 100.0, 0.1), SpringAbout(("right.x", "ball"), 100.0, 0.1)),
     grips=("right",),
     reach={"left": 0.1, "right.x": 0.1, "right.y": 0.05},
-    certificate=CertificateAbout(0.0003, {"(10)": 0.5}, None, {"left": 1.0, "right": 1.0}, (0.0005,), ()),
+    certificate=CertificateAbout(0.0003, {"(10)": 0.5}, None, {"left": 1.0, "right": 1.0}, (0.0005,), (), 0.005, True),
     environment="network",
 )
 """Two users and a ball; the right device can be held."""

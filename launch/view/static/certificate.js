@@ -19,23 +19,34 @@ export class Certificate {
     if (certificate === null) return;
     this.worst = html("td", { id: "tau-worst" }, "–");
     const rows = [
-      row("delay covered, τ", us(certificate.tau)),
+      row("delays, τ", this.lateness(), { id: "lateness" }),
       html("tr", {}, html("th", { scope: "row" }, "delay measured (worst now, p99)"), this.worst),
       ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
       row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
       row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),
-      row("enforced", certificate.enforced.join(", ") || "none: everything is proved"),
+      row("levels enforced", certificate.enforced.join(", ") || "none: all are proved"),
     ];
     byId("certificate-table").tBodies[0].replaceChildren(...rows);
+    say(byId("account-bound"), `≥ ${quantity(-certificate.tank, "J")}`);
     this.parties = Object.keys(about.nodes).map((name) => this.party(name, certificate));
     byId("parties-table").tBodies[0].replaceChildren(...this.parties.map((party) => party.row));
   }
 
+  /** What is proved of delays, and what happens to energy that longer ones put in. */
+  lateness() {
+    const { certificate, clock } = this.about;
+    const proved = `proved up to ${us(certificate.tau)}`;
+    if (clock !== "realtime") return proved;
+    const tank = quantity(certificate.tank, "J");
+    return `${proved}, ${certificate.bounded ? `enforced beyond (tank ${tank})` : `counted beyond (bound ${tank})`}`;
+  }
+
   party(name, certificate) {
     const level = certificate.delta_D[name];
-    const [total, least] = [html("td"), html("td")];
+    const [total, least, account] = [html("td"), html("td"), html("td", { "data-account": name })];
     const shown = level === undefined ? "as designed" : `Δ ${number(level)} N·s/m`;
-    return { name, total, least, row: html("tr", {}, html("th", { scope: "row" }, name), html("td", {}, shown), total, least) };
+    const cells = [html("th", { scope: "row" }, name), html("td", {}, shown), total, least, account];
+    return { name, total, least, account, row: html("tr", {}, ...cells) };
   }
 
   show(session) {
@@ -50,11 +61,15 @@ export class Certificate {
     const real = this.about.clock === "realtime";
     say(this.worst, real ? `${number(worst)} µs, ${number(most)} µs` : "none: the clock is simulated");
     this.worst.className = real && late ? "broken" : "";
-    for (const { name, total, least } of this.parties) {
+    const { tank } = this.about.certificate;
+    for (const { name, total, least, account } of this.parties) {
       const { figures } = session.nodes.get(name);
       say(total, quantity(figures.ledger, "J"));
       say(least, quantity(figures.ledger_margin, "J"));
       least.className = figures.ledger_margin < -1e-9 ? "broken" : "";
+      if (figures.interface === undefined) continue;
+      say(account, quantity(figures.interface, "J"));
+      account.className = figures.interface_min < -tank - 1e-9 ? "broken" : "";
     }
   }
 }

@@ -8,6 +8,7 @@ const QUANTITIES = [
   { id: "v", label: "Velocity", topics: ["velocity"] },
   { id: "f", label: "Force", topics: ["force", "reaction"], shown: ["force"] },
   { id: "E", label: "Ledgers", topics: ["ledger"] },
+  { id: "account", label: "Accounts", topics: ["interface"] },
   { id: "tau", label: "Delay", topics: ["tau"] },
 ];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];

@@ -81,6 +81,21 @@ def test_what_is_no_recording_is_refused(text: bytes, tmp_path: Path) -> None:
         read_info(path)
 
 
+def test_the_least_account_of_each_device_is_reported(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    for tick, least in ((5, 0.0), (10, -0.0025), (15, -0.001), (20, float("nan"))):  # a new process began after tick 10
+        core.take(observation("dx", tick, 5, interface_min=least), STARTED)
+        core.take(observation("c", tick, 5, interface_min=-1.0), STARTED)  # no device
+    path = tmp_path / "run.mcap"
+    path.write_bytes(core.cut() + core.end())
+    assert read_info(path).accounts == {"dx": -0.0025}
+    runner = CliRunner()
+    assert "least interface account of dx: -2.5 mJ" in runner.invoke(app, ["info", str(path)]).stdout
+    assert json.loads(runner.invoke(app, ["info", str(path), "--json"]).stdout)["accounts"] == {"dx": -0.0025}
+    path.write_bytes(recording())
+    assert read_info(path).accounts == {}
+
+
 def test_the_command_reports_damage_and_fails_only_with_check(tmp_path: Path) -> None:
     whole, path = recording(), tmp_path / "run.mcap"
     path.write_bytes(whole)

@@ -14,12 +14,16 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.design_report import print_report
-from manyhands.launch.run.outcome import node_entry, run_report, save_json
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node_entry, run_report, save_json
 from manyhands.launch.run.states import Incidents
+from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Report, Role
+
+from ...support.simulated_recordings import SESSIONS
 
 HONEST = Report(
     100,
@@ -34,6 +38,7 @@ KEYS = [
     *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
     *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
     *(names.LEDGER_MIN_TICK, names.LEDGER_MARGIN, names.FROZEN_TICKS, names.JUMPS, names.RELEASED, names.RUNG),
+    *(names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_TICKS, names.INTERFACE_KEPT_BACK),
     *("late_own", f"{names.WAITED_TICKS}x", f"{names.WAITED_TIME}x", f"{names.FROZEN_LATE}x"),
 ]
 some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
@@ -96,9 +101,12 @@ def whole(
     refused: dict[str, int] | None = None,
     incidents: Incidents | None = None,
     enforced: tuple[str, ...] = (),
+    lateness: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     roles, withstood = dict.fromkeys((*nodes, "silent"), Role.DEVICE), incidents or Incidents()
-    return run_report("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced)
+    return run_report(
+        "example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced, lateness
+    )
 
 
 def test_what_a_node_withstood_and_where_its_ledger_was_least() -> None:
@@ -153,3 +161,71 @@ def test_the_whole_and_its_file(tmp_path: Path) -> None:
     save_json(made, tmp_path / "run.json")
     assert json.loads((tmp_path / "run.json").read_text()) == made
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+PROMISE = {"tau": 0.00085, "period_tolerance": 0.25, "enforced": True, "tank": 0.005}
+
+
+def late(least: float, ticks: float = 0.0, kept_back: float = 0.0) -> Report:
+    account = {names.INTERFACE: 0.02, names.INTERFACE_LEAST: least, names.INTERFACE_TICKS: ticks}
+    return Report(100, {**HONEST.figures, **account, names.INTERFACE_KEPT_BACK: kept_back}, {}, {})
+
+
+@pytest.mark.parametrize(
+    ("nodes", "promise", "sentence"),
+    [
+        ({"dx": HONEST}, PROMISE, None),
+        (
+            {"dx": late(0.0), "dy": late(0.0)},
+            PROMISE,
+            "lateness: proved up to τ = 0.85 ms, enforced beyond: 0 ticks changed, 0 mJ kept back; no account fell "
+            "below 0, bound -5 mJ",
+        ),
+        (
+            {"dx": late(-1e-3, 1.0, 2e-4), "dy": late(-0.0025, 6.0, 1e-4), "dz": HONEST},
+            PROMISE,
+            "lateness: proved up to τ = 0.85 ms, enforced beyond: 7 ticks changed, 0.3 mJ kept back; least account "
+            "-2.5 mJ (dy), bound -5 mJ",
+        ),
+        (
+            {"dx": late(-312.0)},
+            {**PROMISE, "tau": 0.0, "enforced": False},
+            "lateness: proved up to τ = 0 ms, only counted beyond; least account -312 J (dx), bound -5 mJ",
+        ),
+        (
+            {"dx": late(-312.0)},
+            None,
+            "lateness: nothing is proved, and it was only counted; least account -312 J (dx)",
+        ),
+    ],
+)
+def test_a_sentence_about_lateness(
+    nodes: dict[str, Report], promise: dict[str, Any] | None, sentence: str | None
+) -> None:
+    made = whole(nodes, lateness=promise)
+    assert lateness_sentence(made) == sentence
+    shown = StringIO()
+    print_report(Console(file=shown, width=123), made)
+    assert (sentence or "no sentence") in shown.getvalue() + "no sentence"
+
+
+def test_the_table_has_each_least_account_beside_its_bound() -> None:
+    shown = StringIO()
+    print_report(Console(file=shown, width=123), whole({"dx": late(-0.0025), "dy": HONEST}, lateness=PROMISE))
+    rows = [[cell.strip() for cell in line.split("│")] for line in shown.getvalue().splitlines() if "│" in line]
+    assert [(row[1], row[7]) for row in rows] == [("dx", "-2.5e-03/-5e-03"), ("dy", "")]
+    assert whole({"dx": late(-0.0025)}, lateness=PROMISE)["lateness"] == PROMISE
+
+
+def test_a_promise_about_lateness_needs_a_certificate_and_a_device_in_wall_time() -> None:
+    def promise(clock: str, *settings: str, uncertified: bool = False) -> dict[str, Any] | None:
+        session = load_session(SESSIONS / "example1.yaml", ["design.tau=0.0003", *settings])
+        return lateness_entry(prepare(session, uncertified=uncertified), clock)
+
+    expected = {"tau": 0.0003, "period_tolerance": 0.0, "enforced": True, "tank": 0.005}
+    assert promise("realtime") == expected
+    counted = promise("realtime", "faults.lateness=count", "faults.tank=0.002", "devices.dx.time=own")
+    assert counted == {**expected, "enforced": False, "tank": 0.002}
+    assert promise("simulated") is None
+    assert promise("realtime", *(f"devices.{name}.time=own" for name in ("dx", "dy", "dz"))) is None
+    assert promise("realtime", "design.coupling=none", uncertified=True) is None

@@ -60,6 +60,8 @@ def test_a_page_receives_the_session_first() -> None:
     told = json.loads(fed().session())
     assert (told["type"], told["session"], told["grips"], told["bucket"]) == ("session", "pair", ["right"], 10)
     assert told["tracks"]["right/sample"]["columns"] == ["right.x", "right.y"]
+    assert told["tracks"]["right/interface"]["columns"] == ["e"]
+    assert "right/instants" not in told["tracks"]  # nobody draws them
 
 
 def test_a_picture_has_what_is_new() -> None:

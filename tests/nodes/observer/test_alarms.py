@@ -53,6 +53,11 @@ def test_a_session_that_is_well_has_none() -> None:
             AlarmLevel.FAULT,
             "vl: its ledger fell 0.25 J below",
         ),
+        (
+            observed("left", 100, NO_TRACE, interface_min=-0.25),
+            AlarmLevel.FAULT,
+            "left: lateness has put 0.25 J into the loop, more than the 0.005 J that its interface has to keep to",
+        ),
         (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
         (
             observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
@@ -90,6 +95,21 @@ def test_a_simulated_clock_and_no_certificate_know_no_delay() -> None:
     slow = observed("left", 100, NO_TRACE, tau_worst_us=1e6)
     assert looked(slow, about=replace(ABOUT, clock="simulated"))[1].listed() == []
     assert looked(slow, about=UNCERTIFIED)[1].listed() == []
+
+
+@pytest.mark.parametrize("least", [0.0, -0.005, -0.005 - 1e-12, np.nan])
+def test_an_account_within_its_tank_raises_none(least: float) -> None:
+    assert looked(observed("left", 100, NO_TRACE, interface_min=least))[1].listed() == []
+
+
+def test_an_account_that_is_counted_alone_advises_to_bound_it() -> None:
+    assert ABOUT.certificate is not None
+    counted = replace(ABOUT, certificate=replace(ABOUT.certificate, bounded=False))
+    below = observed("left", 100, NO_TRACE, interface_min=-0.25)
+    alarm = only(looked(below, about=counted)[1])
+    assert "it is counted and not bounded" in alarm.text
+    assert "faults: {lateness: enforce}" in alarm.advice
+    assert looked(below, about=UNCERTIFIED)[1].listed() == []  # nothing is promised
 
 
 def test_a_softer_coupling_covers_a_longer_delay() -> None:

@@ -20,7 +20,9 @@ WHOLE = About(
            "environment": NodeAbout(Role.ENVIRONMENT, ("dx.x", "dx.y"))},
     links=(LinkAbout(("cx", "environment"), ("dx.x", "dx.y")),),
     masses={"hub": 3.0}, springs=(SpringAbout(("dx.x", "hub"), 3800.0, 0.1),), grips=("dx",), reach={"dx.x": 0.1},
-    certificate=CertificateAbout(0.0001, {"(10)": 0.2}, None, {"dx": 1.37}, (0.0002, 0.0005), ("environment",)),
+    certificate=CertificateAbout(
+        0.0001, {"(10)": 0.2}, None, {"dx": 1.37}, (0.0002, 0.0005), ("environment",), 0.005, True
+    ),
     environment="network", observers={"watch": ("telemetry", "dx/sample")},
 )  # fmt: skip
 
@@ -77,6 +79,7 @@ DAMAGED = {
     "a mass that is no number": changed(masses={"hub": float("inf")}),
     "a spring in words": changed(springs=[{"ends": ["a", "b"], "stiffness": "s", "damping": 0.0}]),
     "a certificate of another kind": changed(certificate={"tau": 1.0}),
+    "a bound in words": changed(certificate={**WHOLE.as_plain()["certificate"], "bounded": "yes"}),
 }
 
 

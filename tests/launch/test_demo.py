@@ -1,0 +1,77 @@
+"""What the demonstration concludes: its last sentence, its exit code, and what became of the run without coupling."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.demo import LIMITED, how_it_ended, verdict
+from manyhands.launch.files import load_named
+from manyhands.launch.recordings.recording import Recording
+
+PROMISE = {"tau": 0.0007, "period_tolerance": 0.25, "enforced": True, "tank": 0.005}
+
+
+def device(least: float = 0.0, final_speed: float = 0.0, margin: float = 0.005) -> dict[str, Any]:
+    account = {"min": least, "final": 0.02, "changed_ticks": 3, "kept_back": 0.0005, "offset": 0.0}
+    return {
+        **{"ticks": 1000, "late": 5, "tau_breaches": 2, "peak_speed": 0.4, "final_speed": final_speed},
+        **{"interface": account, "ledger": {"min": 0.0, "final": 0.02, "at": 0, "margin": margin}},
+    }
+
+
+def report(dx: dict[str, Any], promise: dict[str, Any] | None = None) -> dict[str, Any]:
+    coupling = {"ticks": 1000, "ledger": {"min": 0.0, "final": 0.0, "at": 0, "margin": 0.0}}
+    nodes = {"dx": dx, "dy": device(), "cx": coupling, "environment": coupling}
+    return {"nodes": nodes, "lateness": PROMISE if promise is None else promise}
+
+
+def test_a_run_that_kept_everything() -> None:
+    sentence, kept = verdict(report(device(least=-0.002)))
+    assert kept
+    assert sentence == (
+        "all 4 promises were kept, and every device came to rest; the least energy account was -2 mJ (bound -5 mJ); "
+        "10 of 2000 ticks were late, 4 beyond the certified τ; 1 mJ was held back by enforcement"
+    )
+
+
+@pytest.mark.parametrize(
+    ("dx", "words"),
+    [
+        (device(least=-0.0051), "promises broken by dx, and every device came to rest"),
+        (device(margin=-1e-6), "promises broken by dx, and every device came to rest"),
+        (device(final_speed=0.4e-3), "all 4 promises were kept, and not every device came to rest (dx)"),
+    ],
+)
+def test_a_run_that_did_not(dx: dict[str, Any], words: str) -> None:
+    sentence, kept = verdict(report(dx))
+    assert not kept
+    assert sentence.startswith(words)
+
+
+def test_without_devices_in_wall_time_nothing_is_reported_of_lateness() -> None:
+    still = {key: value for key, value in device().items() if key != "interface"}
+    sentence, kept = verdict({"nodes": {"dx": still, "dy": still}})
+    assert (sentence, kept) == ("all 2 promises were kept, and every device came to rest", True)
+
+
+def moved(f_v: list[list[float]], x: list[list[float]]) -> Recording:
+    return Recording("s", "c", 0.1, ("dx", "dy"), np.array(x), np.array(f_v))
+
+
+def test_how_a_run_without_coupling_ended() -> None:
+    x = [[0.0, 0.0], [0.1, np.nan], [0.3, -0.1]]
+    forced = moved([[0.0, 1.0], [np.nan, -2.0], [0.0, 0.0]], x)
+    ended = how_it_ended(forced, {"dx": {"let_go": 1}, "dy": {"let_go": 2}, "cx": {}})
+    assert ended == "dx, dy exceeded 0.2 m or 3 m/s and let go; no force after 0.2 s"
+    assert how_it_ended(forced, {"dx": {"let_go": 0}, "cx": {}}) == "within 0.2 m and 3 m/s to the end, up to 2 m/s"
+    assert how_it_ended(moved([[0.0, 0.0]], [[0.0, 0.0]]), {"dx": {"let_go": 1}}).endswith("no force after 0.0 s")
+
+
+def test_the_session_without_coupling_has_the_limits_that_the_picture_names() -> None:
+    session = load_named(Path("example1-uncoupled.yaml"), [*LIMITED])
+    for own in session.devices.values():
+        assert (own.limits.displacement, own.limits.speed) == ((0.2,), (3.0,))
