@@ -136,7 +136,7 @@ def bounded(run: RecordedRun, node: str, allowed: float = 0.0) -> Check:
     what = f"its ledger never fell below {bound}: it kept its promise"
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     wrong = trace < -allowed - tolerance
-    first = first_of(wrong, ("E",), trace, np.full_like(trace, -allowed))
+    first = first_of(wrong, ("E",), trace, np.full_like(trace, 0.0 - allowed))
     verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
     remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
     return Check(
@@ -154,7 +154,7 @@ def bounded(run: RecordedRun, node: str, allowed: float = 0.0) -> Check:
 
 
 def account_bounded(node: str, account: Array, tank: float | None) -> Check:
-    """The account e_k of a device in wall time is never below -E_0; where it is counted alone, an assumption is >= 0.
+    """The account e_k of a device in wall time is never below -E_0; where it is counted alone, 0 is an assumption.
 
     Args:
         node: the device.
@@ -163,11 +163,11 @@ def account_bounded(node: str, account: Array, tank: float | None) -> Check:
     """
     known = account[np.isfinite(account)]
     tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
-    least = -(tank or 0.0)
+    least = 0.0 - (tank or 0.0)
     wrong = account < least - tolerance
     first = first_of(wrong, ("e",), account, np.full_like(account, least))
     if tank is None:
-        what = "lateness put in no energy; nothing bounds it in this session"
+        what = "its account is never below 0, as within the certificate; nothing bounds it in this session"
     else:
         what = f"lateness put in no more than its tank of {1e3 * tank:g} mJ"
     verdict = CheckVerdict.HOLDS if len(known) else CheckVerdict.UNCHECKED
@@ -496,6 +496,9 @@ class _AuditRun:
             else:
                 self._follow_guard(name, device, x, f, blocks.f)
                 out += self._device(name, device, courses[name])
+                jumped = [k for k, happened in courses[name].before.items() if happened.jumped]
+                sent_on = np.ix_(jumped, self._ports[name])
+                f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
             self._next()
         for name, coupling in couplings.items():
             own, course = self._ports[name], blocks.courses[name]

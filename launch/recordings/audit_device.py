@@ -308,8 +308,8 @@ def recompute_in_wall_time(
             may_let_go = rows.let_go is not None and k >= rows.let_go
             freed += max(0, state.periods_to(applied) - 1)
             asked = rows.asked[k]
-            if happened.jumped:  # the zero force of a later tick, which a coupling without a row sent
-                asked = np.nan_to_num(asked)
+            if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
+                asked = np.where(rows.f[k] == 0.0, 0.0, asked)
             why = happened.unknown or _unknown(happened.released, may_let_go, freed, asked)
             if why:
                 state = None
