@@ -7,6 +7,7 @@ the others sent it, by the arithmetic of the nodes. The result is compared with 
 | party | from | follows |
 |---|---|---|
 | device | the forces that it exerted, and its hand | x, its ledger |
+| device in wall time | the forces of its couplings, its hand, s_k and a_k | the same, the exerted force, e_k |
 | coupling | x of its devices, f_v from the environment | p, its ledger |
 | environment | p of all couplings | x_e, q, f_v, its ledger |
 
@@ -496,7 +497,7 @@ class _AuditRun:
             else:
                 self._follow_guard(name, device, x, f, blocks.f)
                 out += self._device(name, device, courses[name])
-                jumped = [k for k, happened in courses[name].before.items() if happened.jumped]
+                jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
                 sent_on = np.ix_(jumped, self._ports[name])
                 f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
             self._next()

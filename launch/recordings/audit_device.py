@@ -250,8 +250,8 @@ class _WallState:
         """
         driver, interface = self._driver, self.interface
         held, until = interface.force(asked, self._guard.clip(asked), at)
-        moved = list(map(float, driver.apply(f, at, until)))
-        ended = interface.applied(moved, at, f, until)
+        moved = driver.apply(f, at, until)
+        ended = interface.applied(None if moved is None else list(map(float, moved)), at, f, until)
         work, before = driver.intended_work(), self._core.ledger.total
         self._core.apply(asked, work)
         self._energy += abs(work) + abs(self._core.ledger.total - before - work)
