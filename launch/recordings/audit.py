@@ -7,6 +7,7 @@ the others sent it, by the arithmetic of the nodes. The result is compared with 
 | party | from | follows |
 |---|---|---|
 | device | the forces that it exerted, and its hand | x, its ledger |
+| device in wall time | the forces of its couplings, its hand, s_k and a_k | the same, the exerted force, e_k |
 | coupling | x of its devices, f_v from the environment | p, its ledger |
 | environment | p of all couplings | x_e, q, f_v, its ledger |
 
@@ -25,6 +26,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,7 +39,8 @@ from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import UNCERTIFIED, NotCertified, Prepared, prepare
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
-from manyhands.launch.recordings.audit_device import recompute_device
+from manyhands.launch.recordings.audit_device import ROUNDING as FREE_ROUNDING
+from manyhands.launch.recordings.audit_device import WallRows, recompute_device, recompute_in_wall_time
 from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks, increments, recompute_environment
 from manyhands.launch.recordings.events import Course, course_of, sent_no_force
 from manyhands.launch.recordings.findings import (
@@ -55,8 +58,9 @@ from manyhands.launch.recordings.run import RecordedRun, changed_after, first_si
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.bundle import SIMULATED, WALL, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.device.core import Guard
+from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.telemetry import longest_period
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
@@ -67,6 +71,11 @@ _EPSILON = float(np.finfo(np.float64).eps)
 
 LEDGER_ROUNDING = 1e-12
 """A ledger may be below its bound by this part of all the work in its increments, which is rounding."""
+
+FREE_SUMS: Final = (
+    f"{FREE_ROUNDING:g} units in the last place of the energy exchanged so far for each free period, since the order "
+    "of the sums differs; exact before the first"
+)
 
 _LIMITS = "no tolerance: the node itself compares with this limit"
 
@@ -109,8 +118,13 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, reported)
 
 
-def bounded(run: RecordedRun, node: str) -> Check:
+def bounded(run: RecordedRun, node: str, allowed: float = 0.0) -> Check:
     """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
+
+    Args:
+        run: the recording.
+        node: its name.
+        allowed: how far the ledger may fall below 0, J: of a device in wall time, its tank.
 
     Returns:
         The check; nothing was checked where no ledger was kept.
@@ -119,10 +133,11 @@ def bounded(run: RecordedRun, node: str) -> Check:
     total = trace[np.isfinite(trace)]
     work = float(np.abs(np.diff(total, prepend=0.0)).sum())
     tolerance = LEDGER_ROUNDING * work
-    what = "its ledger never fell below 0: it kept its promise"
+    bound = f"-{allowed:g} J, its tank" if allowed else "0"
+    what = f"its ledger never fell below {bound}: it kept its promise"
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
-    wrong = trace < -tolerance
-    first = first_of(wrong, ("E",), trace, np.zeros_like(trace))
+    wrong = trace < -allowed - tolerance
+    first = first_of(wrong, ("E",), trace, np.full_like(trace, 0.0 - allowed))
     verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
     remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
     return Check(
@@ -137,6 +152,65 @@ def bounded(run: RecordedRun, node: str) -> Check:
         source=source,
         remark=remark,
     )
+
+
+def account_bounded(node: str, account: Array, tank: float | None) -> Check:
+    """The account e_k of a device in wall time is never below -E_0; where it is counted alone, 0 is an assumption.
+
+    Args:
+        node: the device.
+        account: recorded, ticks x 1, J.
+        tank: E_0, J; None where nothing bounds the account.
+    """
+    known = account[np.isfinite(account)]
+    tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
+    least = 0.0 - (tank or 0.0)
+    wrong = account < least - tolerance
+    first = first_of(wrong, ("e",), account, np.full_like(account, least))
+    if tank is None:
+        what = "its account is never below 0, as within the certificate; nothing bounds it in this session"
+    else:
+        what = f"lateness put in no more than its tank of {1e3 * tank:g} mJ"
+    verdict = CheckVerdict.HOLDS if len(known) else CheckVerdict.UNCHECKED
+    if first is not None:
+        verdict = CheckVerdict.ASSUMPTION if tank is None else CheckVerdict.BROKEN
+    remark = f"least account {1e3 * min(0.0, float(known.min())):.4g} mJ" if len(known) else ""
+    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
+    return Check(
+        "account",
+        node,
+        what,
+        verdict,
+        len(known),
+        first,
+        int(wrong.sum()),
+        tolerance=tolerance,
+        source=source,
+        remark=remark,
+    )
+
+
+def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Check:
+    """The instants of a device in wall time are in order: a_(k-1) <= s_k <= a_k, and the force before ended by a_k.
+
+    The delay tau is measured apart from them, and is at least a_k - s_k. After free periods it counts from their last
+    sample.
+    """
+    sampled, applied, ended = instants.T
+    rows = np.flatnonzero(there(instants))
+    expected = instants.copy()
+    free = np.zeros(len(instants), dtype=np.bool_)
+    free[[k for k, happened in course.before.items() if happened.released or happened.unknown]] = True
+    tau = np.rint(1e3 * rows_of(run, node, names.TAU)[:, 0])
+    latest = np.where(free | np.isnan(tau), np.inf, sampled + tau)
+    expected[:, 1] = np.minimum(np.maximum(applied, sampled), latest)
+    expected[:, 2] = np.minimum(ended, applied)
+    begun = {k for k, happened in course.before.items() if happened.began}
+    for last, k in pairwise(rows.tolist()):
+        if k not in begun:
+            expected[k, 0] = max(sampled[k], applied[last])
+    what = "samples and forces are in the order of time, and a force acts within its delay tau"
+    return compare("instants", node, what, ("sampled", "applied", "ended"), instants, expected)
 
 
 def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check]:
@@ -394,7 +468,7 @@ class _AuditRun:
     def __init__(self, prepared: Prepared, run: RecordedRun, progress: TickProgress) -> None:
         self._prepared, self._run, self._progress = prepared, run, progress
         self._session = prepared.session
-        self._bundles = cutting.cut(prepared, cutting.RunPlan(SIMULATED, None, ""))
+        self._bundles = cutting.cut(prepared, cutting.RunPlan(run.recorded.clock, None, ""))
         ports = self._session.ports
         index = {port: i for i, port in enumerate(ports)}
         self._ports = {
@@ -416,9 +490,17 @@ class _AuditRun:
             {name: self._course(name, coupling) for name, coupling in couplings.items()},
         )
         courses = {name: self._course(name, device) for name, device in devices.items()}
-        for name, device in devices.items():
-            self._follow_guard(name, device, x, f, blocks.f)
         out: list[Check] = []
+        for name, device in devices.items():
+            if device.time == WALL:
+                out += self._in_wall_time(name, device, x, f, blocks.f, courses[name])
+            else:
+                self._follow_guard(name, device, x, f, blocks.f)
+                out += self._device(name, device, courses[name])
+                jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
+                sent_on = np.ix_(jumped, self._ports[name])
+                f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
+            self._next()
         for name, coupling in couplings.items():
             own, course = self._ports[name], blocks.courses[name]
             of_devices = [courses[device] for device in self._session.devices_of(name)]
@@ -429,14 +511,11 @@ class _AuditRun:
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
             )
             self._next()
-        for name, device in devices.items():
-            out += self._device(name, device, courses[name])
-            self._next()
         out += forces_agree(self._run, blocks, f)
         out += self._environment(blocks)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [figures_agree(self._run, name) for name in ledgers]
-        out += [bounded(self._run, name) for name in ledgers]
+        out += [bounded(self._run, name, self._allowed(name)) for name in ledgers]
         for name, device in devices.items():
             out += limits_kept(self._run, name, device)
             taus = {0: device.rungs[0].tau} | {
@@ -490,6 +569,101 @@ class _AuditRun:
             self._report,
         )
         return self._compared(name, names.DISPLACEMENT, "x follows from f_v by the device and its hand", again)
+
+    def _in_wall_time(
+        self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course
+    ) -> list[Check]:
+        """Check a device in wall time, and replace its x and f by what its couplings received and asked for.
+
+        Where these cannot be computed, its x and f are taken for them as long as neither its guard nor its interface
+        has changed anything, by its figures.
+
+        Args:
+            name: the device.
+            bundle: its part of the session.
+            x: recorded, ticks x ports, m; changed in place.
+            f: exerted by the devices, N; changed in place where it is what follows from ``asked``.
+            asked: handed on by their couplings, N.
+            course: what happened between its rows.
+        """
+        run, own = self._run, self._ports[name]
+        figures, ports = run.figures.get(name, ()), run.recorded.ports[name]
+        its_x, its_f = rows_of(run, name, names.DISPLACEMENT), rows_of(run, name, names.FORCE)
+        instants, account = rows_of(run, name, names.INSTANTS), rows_of(run, name, names.INTERFACE)
+        let_go = changed_after(figures, names.LET_GO)
+        recorded = there(instants).any()
+
+        def make() -> Driver | str:
+            if not recorded:
+                return "it was in wall time, and the recording has no instants"
+            return hand_of(bundle, self._session, run.recorded.clock)
+
+        rows = WallRows(its_x, its_f, asked[:, own], instants, let_go)
+        again = recompute_in_wall_time(bundle, make, rows, course, self._report)
+        counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
+        changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
+        known = there(again.sent)
+        unknown = ~known & (np.arange(run.ticks) >= min(changed, default=run.ticks))
+        same = known & (again.exerted == its_f).all(axis=1)
+        x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
+        f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
+        gaps = again.gaps
+        return [
+            compare(
+                "signal",
+                name,
+                "x at s_k follows from f_v, a_k and s_k by the device and its hand",
+                ports,
+                its_x,
+                again.x,
+                gaps=gaps,
+            ),
+            compare(
+                "exerted",
+                name,
+                "it exerts what its couplings asked for, as far as its limits and its account allow",
+                ports,
+                its_f,
+                again.exerted,
+                gaps=gaps,
+            ),
+            compare(
+                "interface",
+                name,
+                "its account e_k follows from motion, forces, s_k and a_k",
+                ("e",),
+                account,
+                again.account,
+                gaps=gaps,
+            ),
+            compare(
+                "ended",
+                name,
+                "the force before ended when the device states",
+                ("ended",),
+                instants[:, 2:],
+                again.ended,
+                gaps=gaps,
+            ),
+            ordered(run, name, instants, course),
+            account_bounded(name, account, bundle.tank),
+            compare(
+                "ledger",
+                name,
+                "its ledger follows at the certificate's level",
+                ("E",),
+                rows_of(run, name, names.LEDGER),
+                again.ledger,
+                gaps=gaps,
+                tolerance=again.tolerance,
+                source=EXACT if not again.tolerance.any() else FREE_SUMS,
+            ),
+        ]
+
+    def _allowed(self, name: str) -> float:
+        """How far the ledger of a node may fall below 0, J: that of a device in wall time, by its tank."""
+        bundle = self._bundles[name]
+        return bundle.tank or 0.0 if isinstance(bundle, DeviceBundle) and bundle.time == WALL else 0.0
 
     def _course(self, name: str, bundle: DeviceBundle | CouplingBundle) -> Course:
         """What happened to a device or a coupling between its rows."""

@@ -6,12 +6,23 @@ and the ledger follows, all to the last bit.
 A device that received no force for a while ran free for some periods. A process that ended and came back began at rest.
 Neither has a row; both are recorded as events, with their ticks (:mod:`manyhands.launch.recordings.events`). Where
 events are missing, the device is not checked from there on, until a new process begins.
+
+**A device in wall time** (:func:`recompute_in_wall_time`) recorded the instants of its events: s(k), when x was
+sampled, a(k), when its force was applied, and when the force before had ended. Driver, guard, interface and core make
+the same calls as in the loop, with the forces that the couplings handed on. So x(s(k)), the motion that the couplings
+received, the exerted force and the account e(k) follow to the last bit. Free periods need no instants of their own: the
+device exerts no force in them, and a sample or a release in between does not cut its integration.
+
+The ledger sums up what the hand's intention did, free period by free period. The audit computes it in one piece from
+sample to sample. Only the rounding of these sums differs. In units in the last place of all the energy that was
+exchanged so far, each free period adds a few: the sum itself, and a part of a grid period that is added and subtracted
+once more. :data:`ROUNDING` of them are allowed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -22,8 +33,9 @@ from manyhands.launch.recordings.findings import EVERY, Progress, Recomputed, Un
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
-from manyhands.nodes.device.core import DeviceCore
+from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.interface import interface_of
 from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]
@@ -121,3 +133,213 @@ def recompute_device(
         if k % EVERY == 0:
             progress(k)
     return out
+
+
+ROUNDING: Final = 64.0
+"""Units in the last place of the energy exchanged so far, by which each free period may change the ledger's sum."""
+
+_EPSILON: Final = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class WallRows:
+    """What a device in wall time recorded, and what its couplings handed on; NaN in ticks without a row.
+
+    Attributes:
+        x: at the instants s(k), ticks x axes, m.
+        f: the force that was exerted from a(k) on, ticks x axes, N.
+        asked: the force that the couplings handed on, ticks x axes, N.
+        instants: s(k), a(k), and when the force before had ended, ticks x 3, ns since tick 0.
+        let_go: the tick from which on the device may have let go; None if it never did.
+    """
+
+    x: Array
+    f: Array
+    asked: Array
+    instants: Array
+    let_go: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class RecomputedInWallTime:
+    """The signals of a device in wall time, computed again; NaN where they could not be.
+
+    Attributes:
+        x: at the instants s(k), ticks x axes, m.
+        sent: the displacement that the couplings received, ticks x axes, m.
+        exerted: the force that the interface lets the device exert, ticks x axes, N.
+        ended: when the force before had ended, ticks x 1, ns since tick 0.
+        account: e(k), ticks x 1, J.
+        ledger: ticks x 1, J.
+        tolerance: of the ledger, ticks x 1, J; 0 before the first free period.
+        gaps: the ticks that could not be computed, with the reason.
+    """
+
+    x: Array
+    sent: Array
+    exerted: Array
+    ended: Array
+    account: Array
+    ledger: Array
+    tolerance: Array
+    gaps: list[UncheckedTicks] = field(default_factory=list)
+
+    @classmethod
+    def nothing(cls, ticks: int, axes: int) -> RecomputedInWallTime:
+        """All NaN, before anything is computed."""
+        x, sent, exerted = (np.full((ticks, axes), np.nan) for _ in range(3))
+        ended, account, ledger = (np.full((ticks, 1), np.nan) for _ in range(3))
+        return cls(x, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
+
+
+class _WallState:
+    """A device in wall time with its hand, its guard and its interface, between two rows."""
+
+    def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
+        """Device and hand begin at rest, at the first sample."""
+        common = bundle.common
+        self._bundle, self._driver, self._period = bundle, driver, from_seconds(common.period)
+        self._guard = Guard(bundle.limits, common.period, common.ports)
+        self._core = DeviceCore(*bundle.promises[0], common.period)
+        self.interface = interface_of(bundle)
+        self._sampled = Instant(0)
+        self._applied: Instant | None = None
+        self._energy = 0.0  # all that was exchanged so far, J
+        self._released = 0
+
+    def periods_to(self, applied: int) -> int:
+        """Periods of the grid between the last force and the instant ``applied``, ns."""
+        return 0 if self._applied is None else (applied - self._applied) // self._period
+
+    def sample(self, at: Instant, may_let_go: bool) -> tuple[Floats, Floats]:
+        """The displacement at ``at``, m, and that which the couplings received.
+
+        Args:
+            at: s(k).
+            may_let_go: whether the device may have let go so far; if it never did, its guard changes nothing.
+        """
+        driver, interface = self._driver, self.interface
+        x = list(map(float, driver.sample(0, at)))
+        periods = max(1, -((self._sampled - at + self._period // 2) // self._period))
+        self._sampled = at
+        if may_let_go:
+            goal = self._guard.report(x, periods)
+        else:
+            self._guard.breach(x, periods)
+            goal = x
+        until = interface.until
+        sent = interface.send(x, goal, at)
+        if interface.until is not until:
+            driver.apply(interface.exerted, at, interface.until)
+        self._core.sample(sent, interface.speed)
+        return x, sent
+
+    def release(self, periods: int, at: Instant) -> None:
+        """Run free for so many periods; the force had ended at ``at``."""
+        self._released += periods
+        until = self.interface.until
+        if until is None or at < until:
+            self._driver.release(at)
+            self.interface.released(at)
+
+    def apply(self, asked: Floats, f: Floats, at: Instant) -> tuple[Floats, Instant]:
+        """Take the couplings' answer, N, and exert f, N, from ``at`` on.
+
+        Returns:
+            What the interface would exert, N, and when the force before had ended.
+        """
+        driver, interface = self._driver, self.interface
+        held, until = interface.force(asked, self._guard.clip(asked), at)
+        moved = driver.apply(f, at, until)
+        ended = interface.applied(None if moved is None else list(map(float, moved)), at, f, until)
+        work, before = driver.intended_work(), self._core.ledger.total
+        self._core.apply(asked, work)
+        self._energy += abs(work) + abs(self._core.ledger.total - before - work)
+        self._applied = at
+        return held, ended
+
+    def change(self, rung: int) -> None:
+        """Change the promised level to that of ``rung``."""
+        of = self._bundle.rungs[rung]
+        self._core.change(*self._bundle.promises[rung])
+        self.interface.change(of.share, of.tau, of.period_tolerance)
+
+    @property
+    def ledger(self) -> float:
+        """The ledger's total, J."""
+        return self._core.ledger.total
+
+    @property
+    def tolerance(self) -> float:
+        """By how much the ledger may differ, J."""
+        return ROUNDING * _EPSILON * self._released * self._energy
+
+
+def recompute_in_wall_time(
+    bundle: DeviceBundle,
+    make: Callable[[], Driver | str],
+    rows: WallRows,
+    course: Course,
+    progress: Progress = no_progress,
+) -> RecomputedInWallTime:
+    """The signals of a device in wall time, from the forces of its couplings, its own, and the instants of both.
+
+    Args:
+        bundle: the device's part of the session.
+        make: makes the device with its hand, at rest; or returns the reason why its motion is unknown.
+        rows: what was recorded.
+        course: what happened between the rows.
+        progress: called now and then with the number of ticks that are done.
+    """
+    ticks = len(rows.x)
+    out, driver = RecomputedInWallTime.nothing(*rows.x.shape), make()
+    if isinstance(driver, str):
+        out.gaps.append(UncheckedTicks(0, ticks, f"{driver}: its motion, account and ledger are not checked"))
+        return out
+    state: _WallState | None = _WallState(bundle, driver)
+    nothing, freed = Happening(), 0
+    for k in np.flatnonzero(there(rows.x) & there(rows.f) & there(rows.instants)).tolist():
+        happened = course.before.get(k, nothing)
+        if happened.began and k > 0:
+            again = make()
+            state = None if isinstance(again, str) else _WallState(bundle, again)
+        if state is not None:
+            sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
+            may_let_go = rows.let_go is not None and k >= rows.let_go
+            freed += max(0, state.periods_to(applied) - 1)
+            asked = rows.asked[k]
+            if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
+                asked = np.where(rows.f[k] == 0.0, 0.0, asked)
+            why = happened.unknown or _unknown(happened.released, may_let_go, freed, asked)
+            if why:
+                state = None
+                out.gaps.append(UncheckedTicks(k, ticks, f"{why}: from there on it is not checked"))
+        if state is None:
+            continue
+        if happened.began and out.gaps and out.gaps[-1].end > k:
+            out.gaps[-1] = replace(out.gaps[-1], end=k)
+        if happened.rung is not None:
+            state.change(happened.rung)
+        out.x[k], out.sent[k] = state.sample(sampled, may_let_go)
+        if happened.released:
+            state.release(happened.released, ended)
+        if happened.jumped:
+            state.interface.skipped()
+        out.exerted[k], out.ended[k, 0] = state.apply(asked.tolist(), rows.f[k].tolist(), applied)
+        if k in course.rungs:
+            state.change(course.rungs[k])
+        out.account[k], out.ledger[k], out.tolerance[k] = state.interface.account.energy, state.ledger, state.tolerance
+        if k % EVERY == 0:
+            progress(k)
+    return out
+
+
+def _unknown(released: int, may_let_go: bool, freed: int, asked: Array) -> str:
+    """Why a device in wall time cannot be followed; empty where it can."""
+    if not np.isfinite(asked).all():
+        return "the force that a coupling handed on is not recorded"
+    if released and may_let_go:
+        return "it was beyond its limits and ran free, and the samples of free periods are not recorded"
+    if freed > MOST_FREE:
+        return f"it ran free for {freed} periods, more than are computed"
+    return ""

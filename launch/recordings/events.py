@@ -29,7 +29,7 @@ class Happening:
 
     Attributes:
         began: whether this is the first row of a process, which begins at rest and at rung 0.
-        jumped: whether the session had gone on without the node.
+        jumped: whether the session had gone on without the node since the tick for which it sent its signal.
         released: number of periods without force.
         rung: the rung that the node changed to in a tick without a row; None if it did not.
         unknown: why the node's state is not known from this row on; empty where it is.
@@ -136,6 +136,7 @@ class _Process:
     Attributes:
         begin: the tick of its first row; 0 where no event states it.
         recorded: whether an event states it.
+        late: whether it began at an earlier tick, and the session had gone on before its first row.
         jumps: by the tick of a row, the tick after the row before.
         releases: number of periods without force, by the tick that was awaited.
         rungs: by tick.
@@ -145,6 +146,7 @@ class _Process:
 
     begin: int = 0
     recorded: bool = False
+    late: bool = False
     jumps: dict[int, int] = field(default_factory=dict)
     releases: dict[int, int] = field(default_factory=dict)
     rungs: dict[int, int] = field(default_factory=dict)
@@ -161,7 +163,7 @@ class _Process:
         out: dict[int, Happening] = {}
         first = int(rows[0])
         if self.recorded:
-            out[first] = Happening(began=True)
+            out[first] = Happening(began=True, jumped=self.late)
         if first != self.begin:
             out[first] = replace(out.get(first, Happening()), unknown="its first rows are missing")
         for i in np.flatnonzero(np.diff(rows) != 1):
@@ -200,7 +202,9 @@ def _processes(figures: Figures, ladder: int) -> list[_Process]:
             match event.kind:
                 case Kind.BEGAN:
                     if event.tick >= out[-1].begin:
-                        out.append(_Process(event.tick, recorded=True))
+                        # the count of a process's first telemetry is that of its first row: a jump begins a telemetry
+                        late = values.get(names.JUMPS, 0.0) > 0.0
+                        out.append(_Process(event.tick, recorded=True, late=late))
                         released, rung, before = 0, 0, event.tick
                 case Kind.JUMPED:
                     out[-1].jumps[event.tick] = event.value

@@ -67,6 +67,9 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     for line in dict.fromkeys(line for check in checks for line in _unchecked(check)):
         say(out, f"not checked: {line}")
     for check in checks:
+        if check.name == "account" and check.verdict is CheckVerdict.HOLDS:
+            say(out, f"{check.party}: {check.what}: {check.remark}")
+    for check in checks:
         if check.verdict is CheckVerdict.ASSUMPTION:
             say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.remark}")
     for check in audit.broken:

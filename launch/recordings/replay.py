@@ -24,7 +24,7 @@ from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
 from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
-from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
+from manyhands.nodes.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.recorder.coverage import Coverage
@@ -47,8 +47,6 @@ def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | str:
     name = bundle.common.name
     if name in given_devices(session, clock):
         return "a person moved the device"
-    if clock != SIMULATED and session.devices[name].time == WALL:
-        return "the device was in wall time, and the recording has no instants"
     return driver_of(bundle)
 
 

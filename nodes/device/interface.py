@@ -44,7 +44,9 @@ from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.nodes.arithmetic import Floats, dot, linear_map
-from manyhands.protocol.clock import Duration, Instant
+from manyhands.nodes.bundle import DeviceBundle
+from manyhands.nodes.timeouts import timeouts
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 Matrix = NDArray[np.float64]
 
@@ -466,3 +468,19 @@ class DeviceInterface:
         root = math.sqrt(slope * slope + 4.0 * curve * (most - need))
         s = (slope + root) / (2.0 * curve) if slope > 0.0 else 2.0 * (most - need) / (root - slope)
         return [at + min(1.0, s) * to for at, to in zip(best, way, strict=True)]
+
+
+def interface_of(bundle: DeviceBundle) -> DeviceInterface:
+    """The interface of a device in wall time, at rest; a force is held until it is stale, and one period more."""
+    rung, T = bundle.rungs[0], bundle.common.period
+    longest = Duration((timeouts(bundle.common).stale or 0) + from_seconds(T))
+    return DeviceInterface(
+        bundle.osp,
+        rung.share,
+        rung.tau,
+        rung.period_tolerance,
+        T,
+        bundle.limits.speed,
+        longest,
+        bundle.tank,
+    )

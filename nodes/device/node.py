@@ -25,7 +25,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.interface import interface_of
 from manyhands.nodes.device.telemetry import NO_INSTANTS, DeviceTelemetry
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import LogEvent
@@ -62,27 +62,13 @@ class DeviceNode:
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
-        self._interface = self._interface_of(bundle) if bundle.time == WALL else None
+        self._interface = interface_of(bundle) if bundle.time == WALL else None
         self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self._interface)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
         self._life: Life | None = None  # until the loop begins
         self._epoch = Instant(0)
-
-    def _interface_of(self, bundle: DeviceBundle) -> DeviceInterface:
-        rung, T = bundle.rungs[0], bundle.common.period
-        stale = self._timeouts.stale or Duration(0)
-        return DeviceInterface(
-            bundle.osp,
-            rung.share,
-            rung.tau,
-            rung.period_tolerance,
-            T,
-            bundle.limits.speed,
-            Duration(stale + self._period),
-            bundle.tank,
-        )
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
@@ -115,7 +101,7 @@ class DeviceNode:
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
         interface, sent_tick = self._interface, -1  # the tick for which a motion was sent last
-        intended = 0.0  # the work of the hand's intention that the ledger does not have yet, J
+        intended = since = 0.0  # the work of the hand's intention up to that motion, for the ledger, and since, J
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
@@ -132,9 +118,10 @@ class DeviceNode:
             let_go = guard.let_go
             goal = guard.report(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
+            fresh = sent_tick != tick
             if interface is None:
                 row_x, reported_x = x, goal
-            elif sent_tick != tick:
+            elif fresh:
                 row_x, row_at, sent_tick = x, at, tick
                 until = interface.until
                 reported_x = interface.send(x, goal, at)
@@ -158,12 +145,13 @@ class DeviceNode:
                 return
             received = clock.now()
             if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
-                driver.apply(self._zero, Instant(received - epoch))
+                driver.release(Instant(received - epoch))
+                work = driver.intended_work()
                 if interface is None:
                     core.sample(x)
-                    core.apply(self._zero, driver.intended_work())
-                else:  # the couplings were given nothing in this period, and know of no motion in it
-                    intended += driver.intended_work()
+                    core.apply(self._zero, work)
+                else:  # the couplings were given nothing in this period, and know of no motion since the one sent
+                    intended, since = (since + work, 0.0) if fresh else (intended, since + work)
                 driver.idle(Instant((slot + 1) * period))
                 account.release(tick)
                 slot += 1
@@ -187,13 +175,14 @@ class DeviceNode:
                 ended = interface.applied(known, at, held, until)
                 instants = (row_at, at, ended)
             # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
+            work = driver.intended_work()
             if interface is None:
                 core.sample(x)
-                core.apply(held, driver.intended_work())
+                core.apply(held, work)
             else:
+                intended, since = (since + work, 0.0) if fresh else (intended, since + work)
                 core.sample(reported_x, interface.speed)
-                core.apply(wanted, intended + driver.intended_work())
-                intended = 0.0
+                core.apply(wanted, intended)
             for peer_link in peer_links:
                 peer_link.settle(tick)
             driver.idle(Instant((slot + 1) * period))

@@ -83,8 +83,20 @@ class WallTimeDriver(ABC):
         return state[: self._m]
 
     def release(self, at: Instant) -> Floats:
-        """Exert no force from ``at`` on; returns the displacement at ``at``, m."""
-        return self.apply(self._zero, at)
+        """Exert no force from ``at`` on; returns the displacement at ``at``, m.
+
+        Where it was released before, or its force has ended, nothing changes, and the integration is not cut. So the
+        motion of a device that runs free does not depend on how often its loop releases it, to the last bit.
+        """
+        at = self._begun(at)
+        moment = self._cut(self._resumed(at), at)
+        if moment.force is self._zero:
+            self._present = moment
+            now, state, force, _, _ = moment
+            return (self._seen(state, force, now, at) if now < at else state)[: self._m]
+        now, state, _, _, work = self._finished(moment, at)
+        self._present = Moment(now, state, self._zero, None, work)
+        return state[: self._m]
 
     def idle(self, due: Instant) -> None:
         """Integrate to the next grid point under the present force, if ``due`` is not before it.

@@ -46,6 +46,24 @@ def test_a_recorded_session_is_the_same_again_and_holds(recording: Path) -> None
     assert ledgers == dict.fromkeys(("d", "cx", "cy", "cz", "environment"), TICKS)
 
 
+def test_a_session_in_real_time_audits_to_the_end(tmp_path: Path) -> None:
+    """However late a busy machine makes it: what the certificate assumes of delays is a finding of its own."""
+    path = tmp_path / "real.mcap"
+    run("launch", "example1", "--duration", "1", "--record", path, "--set", "design.tau=0.001")
+    out = run("audit", path)
+    for device in ("dx", "dy", "dz"):
+        assert f"{device}: lateness put in no more than its tank of 5 mJ: least account " in out
+    checks = json.loads(run("audit", path, "--json"))["checks"]
+    found = {(check["party"], check["name"]): check for check in checks}
+    for device in ("dx", "dy", "dz"):
+        for name in ("signal", "exerted", "interface", "ended", "instants", "account", "ledger"):
+            assert (found[device, name]["verdict"], found[device, name]["unchecked"]) == ("holds", []), found[
+                device, name
+            ]
+        assert found[device, "interface"]["numbers"] > 500
+        assert found[device, "interface"]["tolerance"] == 0.0
+
+
 def test_one_changed_byte_is_located(recording: Path, tmp_path: Path) -> None:
     data = bytearray(recording.read_bytes())
     at = len(data) // 3

@@ -353,6 +353,16 @@ def test_a_device_left_behind_goes_on_from_its_position(prepared: Prepared) -> N
     assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event states why")]
 
 
+def test_a_process_that_begins_behind_the_session_has_jumped_before_its_first_row(prepared: Prepared) -> None:
+    bundle = bundle_of(prepared, "dx")
+    assert isinstance(bundle, DeviceBundle)
+    rows = np.zeros((300, 1))
+    figures = [(100, {"began@0": 1.0, "jumps": 0.0}), (200, {"began@130": 1.0, "jumps": 1.0}), (300, {"jumps": 1.0})]
+    before = course(bundle, figures, rows).before
+    assert (before[0].began, before[0].jumped) == (True, False)
+    assert (before[130].began, before[130].jumped) == (True, True)
+
+
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)

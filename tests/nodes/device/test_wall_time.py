@@ -169,6 +169,27 @@ def test_to_integrate_ahead_changes_no_bit(make: Make, events: list[Event], ahea
     assert lazy.sample(0, Instant(at + 777_777)) == eager.sample(0, Instant(at + 777_777))
 
 
+@given(events=events, after=st.lists(st.integers(0, 900_000), min_size=12, max_size=12))
+def test_a_device_that_runs_free_is_where_it_is_however_often_it_is_released(
+    make: Make, events: list[Event], after: list[int]
+) -> None:
+    """A recording has the instant at which a force was released, and none of the periods without force after it."""
+    once, often = make(), make()
+    at = 0
+    for (wait, force, lasts), again in zip(events, after, strict=False):
+        at += wait
+        assert once.sample(0, Instant(at)) == often.sample(0, Instant(at))
+        for driver in (once, often):
+            driver.apply([force] * driver.axes, Instant(at))
+        at += lasts or 1
+        for driver in (once, often):
+            driver.release(Instant(at))
+        read = [often.sample(0, Instant(at + again)), often.release(Instant(at + again))]
+        assert read[0] == read[1]
+        often.idle(Instant((at // PERIOD + 2) * PERIOD))
+        at += 900_000
+
+
 @given(events=events)
 def test_the_end_of_a_force_is_a_release_at_that_instant(make: Make, events: list[Event]) -> None:
     limited, released = make(), make()

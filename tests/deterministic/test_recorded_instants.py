@@ -1,0 +1,193 @@
+"""An audit computes devices in wall time again from their recorded instants, and finds every number that was changed.
+
+The recording is of a whole session in virtual time under the realtime clock. Its certificate covers no delay, so the
+interfaces of its devices change motions and forces. Processes are stopped for a while, and one is killed.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.recordings.audit import Audit, account_bounded, audit
+from manyhands.launch.recordings.findings import Check, CheckVerdict
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.run.states import SessionPhase
+from manyhands.launch.session import load_session
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Observation, Telemetry
+from tests.support.simulated_recordings import SESSIONS, START, attachments_of, recorded_of
+
+from .world import SimulatedSession
+
+MS = 1_000_000  # ns
+TICKS = 650
+DEVICES = ("dx", "dy", "dz")
+OF_A_DEVICE = ("signal", "exerted", "interface", "ended", "instants", "account", "ledger", "bound")
+
+Told = Mapping[str, Sequence[Telemetry]]
+
+
+class WatchedSession(SimulatedSession):
+    """A session in real time; :attr:`told` is the telemetry of each node."""
+
+    def __init__(self, prepared: Prepared, faults: Callable[[SimulatedSession], None]) -> None:
+        """Run it, with ``faults`` planned before it starts."""
+        self.told: dict[str, list[Telemetry]] = defaultdict(list)
+        super().__init__(prepared, "realtime", 7, ticks=TICKS)
+        faults(self)
+        self.scheduler.watch = lambda: self.conductor.phase is SessionPhase.OVER and not self.processes
+        self.scheduler.run()
+        self.scheduler.join()
+
+    def _hear(self, sender: str, frame: bytes) -> None:
+        message = decode(frame, MAX_CONTROL_BYTES)
+        if isinstance(message, Telemetry):
+            self.told[sender].append(message)
+        super()._hear(sender, frame)
+
+
+def faults(session: SimulatedSession) -> None:
+    def plan(at: float, act: Callable[[], None]) -> None:
+        session.scheduler.after(int(at * MS), act)
+
+    plan(250, lambda: session.stop("dx", 3 * MS))
+    plan(300, lambda: session.stop("cy", 20 * MS))
+    plan(400, lambda: session.stop("environment", 30 * MS))
+    plan(500, lambda: session.kill("dz"))
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    wishes = ["design.tau=0", "design.ladder=[]", "design.objective=stiffest", "faults.breach=warn",
+              "faults.tank=1e-6"]  # fmt: skip
+    return prepare(load_session(SESSIONS / "example1.yaml", wishes))
+
+
+@pytest.fixture(scope="module")
+def told(prepared: Prepared) -> Told:
+    session = WatchedSession(prepared, faults)
+    assert session.violations == []
+    return session.told
+
+
+def audited(path: Path, prepared: Prepared, told: Told) -> Audit:
+    core = RecorderCore(recorded_of(prepared, "realtime"), attachments_of(prepared), START)
+    for node, messages in told.items():
+        for message in messages:
+            core.take(encode(Observation(node, message.tick, message.figures, message.traces)), START)
+    path.write_bytes(core.cut() + core.end())
+    return audit(path, read_run(path), lambda text: None, lambda tick: None)
+
+
+def check_of(done: Audit, party: str, name: str) -> Check:
+    return next(check for check in done.checks if (check.party, check.name) == (party, name))
+
+
+def broken(done: Audit) -> dict[tuple[str, str], int]:
+    return {(check.party, check.name): -1 if check.first is None else check.first.tick for check in done.broken}
+
+
+def test_an_honest_recording_in_real_time_holds_to_the_end(prepared: Prepared, told: Told, tmp_path: Path) -> None:
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    happened = {event.kind for messages in told.values() for of in messages for event in events_in(of.figures)}
+    assert {Kind.BEGAN, Kind.RELEASED, Kind.JUMPED} <= happened
+    for name in DEVICES:
+        rows = sum(len(message.traces[names.TAU]) for message in told[name])
+        for check in (check_of(done, name, what) for what in OF_A_DEVICE):
+            assert (check.verdict, check.gaps) == (CheckVerdict.HOLDS, ()), check
+            assert check.tolerance == 0.0 or check.name in ("ledger", "account", "bound")
+        assert check_of(done, name, "interface").numbers == check_of(done, name, "ledger").numbers == rows
+        assert check_of(done, name, "ledger").tolerance < 1e-10
+
+    # the interfaces have changed motions and forces
+    assert min(told[name][-1].figures[names.INTERFACE_TICKS] for name in ("dx", "dy")) > 10
+    for coupling in ("cx", "cy"):  # cz has rows while dz is gone
+        assert check_of(done, coupling, "signal").numbers > 0.9 * check_of(done, coupling, "ledger").numbers
+
+
+def changed(told: Told, node: str, trace: str, column: int, tick: int, by: float) -> Told:
+    """The telemetry with one number changed."""
+    out = {name: list(messages) for name, messages in told.items()}
+    for i, message in enumerate(out[node]):
+        rows = message.traces[trace].copy()
+        begin = message.tick - len(rows)
+        if begin <= tick < message.tick:
+            rows[tick - begin, column] += by
+            out[node][i] = replace(message, traces={**message.traces, trace: rows})
+            return out
+    raise AssertionError(f"{node} has no row of tick {tick}")
+
+
+SAMPLED, APPLIED, ENDED = range(3)
+
+
+@pytest.mark.parametrize("tick", [120, 480])
+@pytest.mark.parametrize(
+    ("trace", "column", "by", "found"),
+    [
+        (names.INSTANTS, SAMPLED, 1000.0, {"signal": 0}),
+        (names.INSTANTS, SAMPLED, -1.0, {"signal": 0}),
+        (names.INSTANTS, APPLIED, 1000.0, {"interface": 0, "signal": 1}),
+        (names.INSTANTS, APPLIED, -1.0, {"interface": 0}),
+        (names.INSTANTS, ENDED, -1.0, {"ended": 0}),
+        (names.INTERFACE, 0, 1e-12, {"interface": 0}),
+        (names.FORCE, 0, 1e-9, {"exerted": 0, "signal": 1}),
+        (names.DISPLACEMENT, 0, 1e-12, {"signal": 0}),
+        (names.LEDGER, 0, 1e-9, {"ledger": 0}),
+    ],
+)
+def test_a_forged_number_is_found_at_its_tick(
+    trace: str,
+    column: int,
+    by: float,
+    found: Mapping[str, int],
+    tick: int,
+    prepared: Prepared,
+    told: Told,
+    tmp_path: Path,
+) -> None:
+    done = audited(tmp_path / "f.mcap", prepared, changed(told, "dx", trace, column, tick, by))
+    ticks = broken(done)
+    assert {("dx", name): tick + later for name, later in found.items()}.items() <= ticks.items()
+    assert min(ticks.values()) == tick
+    # what the couplings received follows from the device's motion, and so may what they recorded
+    assert {party for party, _ in ticks} <= {"dx", "cx"}
+
+
+def test_a_recording_without_instants_says_so(prepared: Prepared, told: Told, tmp_path: Path) -> None:
+    older = {
+        node: [
+            replace(of, traces={k: v for k, v in of.traces.items() if k not in (names.INSTANTS, names.INTERFACE)})
+            for of in messages
+        ]
+        for node, messages in told.items()
+    }
+    done = audited(tmp_path / "o.mcap", prepared, older)
+    assert broken(done) == {}
+    (gap,) = check_of(done, "dx", "signal").gaps
+    assert gap.why.startswith("it was in wall time, and the recording has no instants")
+
+
+def test_what_lateness_put_in_is_compared_with_the_tank() -> None:
+    account = np.array([[0.0], [1e-3], [-2e-3], [np.nan], [-1e-3]])
+    kept = account_bounded("d", account, 2e-3)
+    assert (kept.verdict, kept.numbers, kept.remark) == (CheckVerdict.HOLDS, 4, "least account -2 mJ")
+    exceeded = account_bounded("d", account, 1.9e-3)
+    assert (exceeded.verdict, exceeded.differing) == (CheckVerdict.BROKEN, 1)
+    assert exceeded.first is not None
+    assert exceeded.first.tick == 2
+    assert account_bounded("d", account, None).verdict is CheckVerdict.ASSUMPTION
+    assert account_bounded("d", account[:2], None).verdict is CheckVerdict.HOLDS
+    assert account_bounded("d", account[3:4], 1e-3).verdict is CheckVerdict.UNCHECKED
