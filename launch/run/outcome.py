@@ -110,6 +110,12 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             entry["ledger"]["at"] = int(tick)
         if names.LEDGER_MARGIN in figures:
             entry["ledger"]["margin"] = figures[names.LEDGER_MARGIN]
+    if counts.get(names.SUSPENDED, 0) > 0:
+        entry["suspended"] = {
+            "times": counts[names.SUSPENDED],
+            "seconds": figures.get(names.SUSPENDED_TIME, 0.0) / 1e6,
+            "energy": figures.get(names.SUSPENDED_ENERGY, 0.0),
+        }
     if {names.INTERFACE, names.INTERFACE_LEAST} <= figures.keys():
         entry["interface"] = {
             "min": figures[names.INTERFACE_LEAST],
@@ -200,6 +206,13 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
     least = min(entries, key=lambda name: entries[name]["min"])
     account, promise = entries[least]["min"], report.get("lateness")
     lowest = f"least account {joules(account)} ({least})" if account < 0.0 else "no account fell below 0"
+    for name, node in report["nodes"].items():
+        if "suspended" in node:
+            slept = node["suspended"]
+            lowest += (
+                f"; the process of {name} was suspended for {slept['seconds']:.3g} s, which put in "
+                f"{joules(slept['energy'])}"
+            )
     if promise is None:
         return f"lateness: nothing is proved, and it was only counted; {lowest}"
     proved = f"lateness: proved up to τ = {1e3 * promise['tau']:.4g} ms"

@@ -202,6 +202,13 @@ CALM: Final = 0.02
 LONGEST: Final = 2.0
 """The longest delay that the controller expects, in periods: a single long one would make it hold back too much."""
 
+RECOVERY: Final = 0.3
+"""s; the time constant with which an offset is made up. What is sent burns energy as a moving device does, so that a
+fast return would cost the tank more than a slow one; and a force must not step."""
+
+REST: Final = 1e-6
+"""m; an offset that is made up in one tick."""
+
 ROOM: Final = 2.0
 """What the tank holds beyond E_0, in terms of the cost that the present force may have in the expected time."""
 
@@ -307,19 +314,20 @@ class DeviceInterface:
         account.sampled(x, at)
         self._book()
         reserve = min(left, max(self._tau, self._expected)) * self._power if self._power > 0.0 else 0.0
-        # an offset is made up within the limit of speed; the device's own step is the guard's to judge
-        most = [max(abs(to - was), v * self._T) for to, was, v in zip(goal, self._goal, self._speed, strict=True)]
-        bounded = [max(-way, min(way, to)) for to, way in zip(w, most, strict=True)]
-        kept = self._nearest(bounded, reserve - self.tank)
+        own = [to - was for to, was in zip(goal, self._goal, strict=True)]
+        offset = [was - at for was, at in zip(self._goal, before, strict=True)]
+        part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
+        wanted = w if part == 1.0 else [way + part * rest for way, rest in zip(own, offset, strict=True)]
+        kept = self._nearest(wanted, reserve - self.tank)
         self._goal = goal
-        self._changed = kept != w
-        if self._changed:
+        self._changed = kept != wanted
+        gain = account.least_gain(kept)
+        if kept == w:
+            self._sent = goal
+        else:
             self._sent = [at + way for at, way in zip(before, kept, strict=True)]
             self.offset = max(self.offset, *(abs(to - at) for to, at in zip(goal, self._sent, strict=True)))
-            gain = account.least_gain(kept)
-            self.kept_back += max(0.0, gain - account.least_gain(bounded))
-        else:
-            self._sent = goal
+            self.kept_back += max(0.0, gain - account.least_gain(own))
         account.received(kept, gain)
         self._book()
         if self._power > 0.0 and self.tank < left * self._power:

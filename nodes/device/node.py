@@ -38,6 +38,9 @@ from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, Si
 from manyhands.protocol.messages import Absent, Force, Report, Rung, Sample, Start
 from manyhands.protocol.transport import Link
 
+SUSPENSION = from_seconds(0.05)
+"""How long a process must not run to count as suspended: a busy scheduler makes it wait for some milliseconds."""
+
 
 class DeviceNode:
     """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links.
@@ -59,6 +62,8 @@ class DeviceNode:
         self._guard = Guard(bundle.limits, common.period, common.ports)
         self._realtime: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(common)
+        self._fresh = self._timeouts.stale or Duration(0)  # how long a force stays fresh; 0 where nothing is late
+        self._suspension = Duration(max(SUSPENSION, self._fresh))
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
@@ -144,6 +149,10 @@ class DeviceNode:
             if life.stopping:
                 return
             received = clock.now()
+            # no wait is longer than until the force is stale, and no work or scheduler takes so long
+            idle = max(sampled - max(due, ready), sent - sampled, received - sent - self._fresh)
+            if self._fresh and idle > self._suspension:
+                account.suspend(Duration(idle))
             if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.release(Instant(received - epoch))
                 work = driver.intended_work()

@@ -139,6 +139,7 @@ class DeviceTelemetry:
         stale: how often the device let go because its force was stale.
         released: periods without force for that reason.
         jumps: how often the session had gone on to a later tick without the device.
+        suspended: how often the process did not run for 50 ms or more.
     """
 
     def __init__(
@@ -159,6 +160,8 @@ class DeviceTelemetry:
         self._common, self._driver_figures, self._interface = common, driver_figures, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
+        self.suspended, self._suspended_time, self._suspended_energy = 0, 0, 0.0
+        self._before: float | None = None  # the account when the process was suspended, until the next tick
         period = self._period = from_seconds(common.period)
         self._assume(rung)
         self._lateness = LatenessCounter(period)
@@ -210,9 +213,20 @@ class DeviceTelemetry:
         self._trace_tau[row], self._energy[row] = tau, core.ledger.total
         self._speeds[row] = core.speed
         if self._interface is not None:
-            self._interface_energy[row], self._instants[row] = self._interface.account.energy, instants
+            energy = self._interface.account.energy
+            self._interface_energy[row], self._instants[row] = energy, instants
+            if self._before is not None:
+                self._suspended_energy += max(0.0, self._before - energy)
+                self._before = None
         self._filled = row + 1
         self.ticks = tick + 1
+
+    def suspend(self, time: Duration) -> None:
+        """The process did not run for ``time``, ns: the machine slept, somebody stopped it, or a debugger did."""
+        self.suspended += 1
+        self._suspended_time += time
+        if self._interface is not None and self._before is None:
+            self._before = self._interface.account.energy
 
     def release(self, tick: int) -> None:
         """Count a period without force, in which no force of ``tick`` came."""
@@ -275,7 +289,8 @@ class DeviceTelemetry:
         interface = self._interface
         if interface is None:
             return {}
-        return {
+        suspended = {names.SUSPENDED_ENERGY: self._suspended_energy} if self.suspended else {}
+        return suspended | {
             names.INTERFACE: interface.account.energy,
             names.INTERFACE_LEAST: interface.account.least,
             names.INTERFACE_TICKS: float(interface.ticks),
@@ -290,6 +305,7 @@ class DeviceTelemetry:
             {
                 names.PEAK_SPEED: core.peak_speed,
                 names.FINAL_SPEED: max(self._speeds),
+                names.SUSPENDED_TIME: self._suspended_time / 1e3,
                 **names.ledger_figures(core.ledger),
                 **self._interface_figures(),
             },
@@ -299,6 +315,7 @@ class DeviceTelemetry:
                 names.STALE: self.stale,
                 names.RELEASED: self.released,
                 names.JUMPS: self.jumps,
+                names.SUSPENDED: self.suspended,
                 names.RUNG: rung,
                 names.TAU_BREACHES: self._tau_breaches,
                 names.PERIOD_BREACHES: self._period_breaches,

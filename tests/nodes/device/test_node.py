@@ -174,6 +174,24 @@ def test_in_wall_time_the_same_motion_is_sent_until_the_tick_is_answered(
     assert {(sample.tick, float(sample.values[0])) for sample in asked} == {(SILENT, float(asked[0].values[0]))}
 
 
+def test_a_process_that_did_not_run_is_counted_apart(
+    in_wall_time: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
+) -> None:
+    def sleepy(self: MovingDriver, turn: int, at: Instant) -> np.ndarray:
+        if turn == 3:
+            self._time.ns += 300 * PERIOD
+        return awake(self, turn, at)
+
+    awake = MovingDriver.sample
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MovingDriver, "sample", sleepy)
+        one = Alone(in_wall_time, new_life(), new_line(), lambda tick: Force(tick, 0, np.array([0.5])), periods=30)
+    report = one.node.report()
+    assert report.counts["suspended"] == 1
+    assert report.figures["suspended_us"] == pytest.approx(300e3, rel=0.01)
+    assert report.figures["suspended_energy"] >= 0.0
+
+
 def test_while_it_runs_free_its_limits_hold(alone: Callable[..., Alone]) -> None:
     one = alone(nothing, periods=400, speed=5.0)
     assert one.life.failure == ""
