@@ -20,6 +20,7 @@ from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.passivity import Ledger, PassivityController
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.protocol.channels import (
+    APPLIED,
     DISPLACEMENT,
     FORCE,
     FREE_POSITION,
@@ -33,6 +34,7 @@ from manyhands.protocol.channels import (
 from manyhands.protocol.messages import Telemetry
 
 __all__ = [
+    "APPLIED",
     "DISPLACEMENT",
     "FORCE",
     "FREE_POSITION",
