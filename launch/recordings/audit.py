@@ -212,15 +212,19 @@ def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Che
     return compare("instants", node, what, ("sampled", "applied", "ended"), instants, expected)
 
 
-def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check]:
+def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Course) -> list[Check]:
     """A device's force is within its limit, and so is its displacement.
 
     Its speed is checked under the simulated clock alone, where no tick is late. Beyond one of the last two limits the
-    device has let go, and exerts no force.
+    device has let go, and exerts no force. In wall time a row after free periods has the displacement before them, and
+    the force after them; there the displacement is not judged.
     """
     x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
+    judged = np.ones(len(x), dtype=np.bool_)
+    if bundle.time == WALL:
+        judged[[k for k, happened in course.before.items() if happened.released]] = False
     found = [
-        ("displacement", np.abs(x), bundle.limits.displacement, "m"),
+        ("displacement", np.where(judged[:, None], np.abs(x), np.nan), bundle.limits.displacement, "m"),
         ("force", np.abs(f), bundle.limits.force, "N"),
     ]
     if run.recorded.clock == SIMULATED:
@@ -516,7 +520,7 @@ class _AuditRun:
         out += [figures_agree(self._run, name) for name in ledgers]
         out += [bounded(self._run, name, self._allowed(name)) for name in ledgers]
         for name, device in devices.items():
-            out += limits_kept(self._run, name, device)
+            out += limits_kept(self._run, name, device, courses[name])
             taus = {0: device.rungs[0].tau} | {
                 tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
             }

@@ -90,6 +90,18 @@ def audited(path: Path, prepared: Prepared, told: Told) -> Audit:
     return audit(path, read_run(path), lambda text: None, lambda tick: None)
 
 
+def test_a_device_beyond_its_limits_is_followed(tmp_path: Path) -> None:
+    """Its guard sends a displacement of its own, and lets it exert a part of what it is asked for."""
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dy.limits={displacement: 0.002}"]))
+    told = WatchedSession(prepared, lambda session: None).told
+    assert told["dy"][-1].figures[names.LET_GO] > 0
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name, what in (("dy", "exerted"), ("dy", "interface"), ("dy", "ledger"), ("cy", "signal"), ("cy", "agreement")):
+        check = check_of(done, name, what)
+        assert (check.verdict, check.numbers, check.gaps) == (CheckVerdict.HOLDS, TICKS, ()), check
+
+
 def check_of(done: Audit, party: str, name: str) -> Check:
     return next(check for check in done.checks if (check.party, check.name) == (party, name))
 
