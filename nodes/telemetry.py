@@ -66,6 +66,7 @@ ABSENCES = "absences"  # times that a coupling was frozen or lost
 JUMPS = "jumps"  # times that a node went on at a later tick than its own
 RELEASED = "released"  # periods in which a device exerted no force, for none came
 RUNG = "rung"  # the present rung of the ladder
+CHANGING = "changing"  # couplings whose clutches open because they are to change their rung; absent for none
 TAU_WORST = "tau_worst_us"  # since the last telemetry
 WAITED_IN = "waited:"  # and the coupling: a trace of the telemetry's ticks in which the others waited for it
 WAITED_TICKS = "waited_ticks_"  # and the coupling: ticks in which the others waited for it alone

@@ -91,12 +91,17 @@ def audited(path: Path, prepared: Prepared, told: Told) -> Audit:
 
 
 def test_a_device_beyond_its_limits_is_followed(tmp_path: Path) -> None:
-    """Its guard sends a displacement of its own, and lets it exert a part of what it is asked for."""
+    """Its guard sends a displacement of its own, and lets it exert a part of what it is asked for.
+
+    The couplings change their rungs as well. Their clutches open a hundred ticks before, and the environment says so.
+    """
     prepared = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dy.limits={displacement: 0.002}"]))
     told = WatchedSession(prepared, lambda session: None).told
     assert told["dy"][-1].figures[names.LET_GO] > 0
     done = audited(tmp_path / "r.mcap", prepared, told)
     assert broken(done) == {}
+    assert {event.kind for of in told["cx"] for event in events_in(of.figures)} == {Kind.BEGAN, Kind.RUNG}
+    assert check_of(done, "environment", "forces").numbers > 0
     for name, what in (("dy", "exerted"), ("dy", "interface"), ("dy", "ledger"), ("cy", "signal"), ("cy", "agreement")):
         check = check_of(done, name, what)
         assert (check.verdict, check.numbers, check.gaps) == (CheckVerdict.HOLDS, TICKS, ()), check
