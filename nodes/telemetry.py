@@ -20,6 +20,7 @@ from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.passivity import Ledger, PassivityController
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.protocol.channels import (
+    APPLIED,
     DISPLACEMENT,
     FORCE,
     FREE_POSITION,
@@ -33,6 +34,7 @@ from manyhands.protocol.channels import (
 from manyhands.protocol.messages import Telemetry
 
 __all__ = [
+    "APPLIED",
     "DISPLACEMENT",
     "FORCE",
     "FREE_POSITION",
@@ -64,6 +66,7 @@ ABSENCES = "absences"  # times that a coupling was frozen or lost
 JUMPS = "jumps"  # times that a node went on at a later tick than its own
 RELEASED = "released"  # periods in which a device exerted no force, for none came
 RUNG = "rung"  # the present rung of the ladder
+CHANGING = "changing"  # couplings whose clutches open because they are to change their rung; absent for none
 TAU_WORST = "tau_worst_us"  # since the last telemetry
 WAITED_IN = "waited:"  # and the coupling: a trace of the telemetry's ticks in which the others waited for it
 WAITED_TICKS = "waited_ticks_"  # and the coupling: ticks in which the others waited for it alone

@@ -134,6 +134,7 @@ LEDGER: Final = "ledger"
 TAU: Final = "tau_us"
 INTERFACE: Final = "interface"
 INSTANTS: Final = "instants"
+APPLIED: Final = "x_a"
 
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
@@ -191,6 +192,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             _LEDGER,
             Topic("tau", TAU, "τ", "us", Columns.ONE),
             Topic("interface", INTERFACE, "e", "J", Columns.ONE, wall=True),
+            Topic("applied", APPLIED, "x(a)", "m", Columns.PORTS, wall=True),
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
         ),
         Role.COUPLING: (

@@ -60,7 +60,6 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, WALL, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.device.core import Guard
-from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.telemetry import longest_period
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
@@ -213,15 +212,19 @@ def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Che
     return compare("instants", node, what, ("sampled", "applied", "ended"), instants, expected)
 
 
-def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle) -> list[Check]:
+def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Course) -> list[Check]:
     """A device's force is within its limit, and so is its displacement.
 
     Its speed is checked under the simulated clock alone, where no tick is late. Beyond one of the last two limits the
-    device has let go, and exerts no force.
+    device has let go, and exerts no force. In wall time a row after free periods has the displacement before them, and
+    the force after them; there the displacement is not judged.
     """
     x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
+    judged = np.ones(len(x), dtype=np.bool_)
+    if bundle.time == WALL:
+        judged[[k for k, happened in course.before.items() if happened.released]] = False
     found = [
-        ("displacement", np.abs(x), bundle.limits.displacement, "m"),
+        ("displacement", np.where(judged[:, None], np.abs(x), np.nan), bundle.limits.displacement, "m"),
         ("force", np.abs(f), bundle.limits.force, "N"),
     ]
     if run.recorded.clock == SIMULATED:
@@ -517,7 +520,7 @@ class _AuditRun:
         out += [figures_agree(self._run, name) for name in ledgers]
         out += [bounded(self._run, name, self._allowed(name)) for name in ledgers]
         for name, device in devices.items():
-            out += limits_kept(self._run, name, device)
+            out += limits_kept(self._run, name, device, courses[name])
             taus = {0: device.rungs[0].tau} | {
                 tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
             }
@@ -591,15 +594,11 @@ class _AuditRun:
         its_x, its_f = rows_of(run, name, names.DISPLACEMENT), rows_of(run, name, names.FORCE)
         instants, account = rows_of(run, name, names.INSTANTS), rows_of(run, name, names.INTERFACE)
         let_go = changed_after(figures, names.LET_GO)
-        recorded = there(instants).any()
-
-        def make() -> Driver | str:
-            if not recorded:
-                return "it was in wall time, and the recording has no instants"
-            return hand_of(bundle, self._session, run.recorded.clock)
-
-        rows = WallRows(its_x, its_f, asked[:, own], instants, let_go)
-        again = recompute_in_wall_time(bundle, make, rows, course, self._report)
+        applied = rows_of(run, name, names.APPLIED)
+        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go)
+        again = recompute_in_wall_time(
+            bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
+        )
         counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
         changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
         known = there(again.sent)
@@ -607,7 +606,7 @@ class _AuditRun:
         same = known & (again.exerted == its_f).all(axis=1)
         x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
         f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
-        gaps = again.gaps
+        gaps, of_motion = again.gaps, [*again.motion_gaps, *again.gaps]
         return [
             compare(
                 "signal",
@@ -616,8 +615,9 @@ class _AuditRun:
                 ports,
                 its_x,
                 again.x,
-                gaps=gaps,
+                gaps=of_motion,
             ),
+            compare("applied", name, "x at a_k follows likewise", ports, applied, again.applied, gaps=of_motion),
             compare(
                 "exerted",
                 name,
@@ -654,7 +654,7 @@ class _AuditRun:
                 ("E",),
                 rows_of(run, name, names.LEDGER),
                 again.ledger,
-                gaps=gaps,
+                gaps=of_motion,
                 tolerance=again.tolerance,
                 source=EXACT if not again.tolerance.any() else FREE_SUMS,
             ),

@@ -21,7 +21,8 @@ once more. :data:`ROUNDING` of them are allowed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -150,6 +151,7 @@ class WallRows:
         f: the force that was exerted from a(k) on, ticks x axes, N.
         asked: the force that the couplings handed on, ticks x axes, N.
         instants: s(k), a(k), and when the force before had ended, ticks x 3, ns since tick 0.
+        applied: x at the instants a(k), ticks x axes, m; NaN where the device could not measure it.
         let_go: the tick from which on the device may have let go; None if it never did.
     """
 
@@ -157,6 +159,7 @@ class WallRows:
     f: Array
     asked: Array
     instants: Array
+    applied: Array
     let_go: int | None
 
 
@@ -166,6 +169,7 @@ class RecomputedInWallTime:
 
     Attributes:
         x: at the instants s(k), ticks x axes, m.
+        applied: x at the instants a(k), ticks x axes, m.
         sent: the displacement that the couplings received, ticks x axes, m.
         exerted: the force that the interface lets the device exert, ticks x axes, N.
         ended: when the force before had ended, ticks x 1, ns since tick 0.
@@ -173,9 +177,11 @@ class RecomputedInWallTime:
         ledger: ticks x 1, J.
         tolerance: of the ledger, ticks x 1, J; 0 before the first free period.
         gaps: the ticks that could not be computed, with the reason.
+        motion_gaps: the ticks in which motion and ledger could not be computed.
     """
 
     x: Array
+    applied: Array
     sent: Array
     exerted: Array
     ended: Array
@@ -183,13 +189,59 @@ class RecomputedInWallTime:
     ledger: Array
     tolerance: Array
     gaps: list[UncheckedTicks] = field(default_factory=list)
+    motion_gaps: list[UncheckedTicks] = field(default_factory=list)
 
     @classmethod
     def nothing(cls, ticks: int, axes: int) -> RecomputedInWallTime:
         """All NaN, before anything is computed."""
-        x, sent, exerted = (np.full((ticks, axes), np.nan) for _ in range(3))
+        x, applied, sent, exerted = (np.full((ticks, axes), np.nan) for _ in range(4))
         ended, account, ledger = (np.full((ticks, 1), np.nan) for _ in range(3))
-        return cls(x, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
+        return cls(x, applied, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
+
+
+class _RecordedMotion:
+    """A :class:`manyhands.nodes.device.drivers.Driver` that is where the recording has it, at s(k) and at a(k).
+
+    Attributes:
+        tick: the row that is played.
+    """
+
+    def __init__(self, rows: WallRows) -> None:
+        """Play ``rows``."""
+        self._rows, self.tick = rows, 0
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return int(self._rows.x.shape[1])
+
+    def sample(self, tick: int, at: Instant) -> Floats:
+        """The displacement x at s(k), m."""
+        row: Floats = self._rows.x[self.tick].tolist()
+        return row
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats | None:
+        """The displacement x at a(k), m; None where the device could not measure it."""
+        row: Floats = self._rows.applied[self.tick].tolist()
+        return row if all(map(math.isfinite, row)) else None
+
+    def release(self, at: Instant) -> Floats | None:
+        """There is no force to release."""
+        return None
+
+    def idle(self, due: Instant) -> None:
+        """There is no deferred work."""
+
+    def intended_work(self) -> float:
+        """Zero: the work of a person is unknown."""
+        return 0.0
+
+    def figures(self) -> Mapping[str, float]:
+        """No figures."""
+        return {}
+
+    def close(self) -> None:
+        """There is nothing to close."""
 
 
 class _WallState:
@@ -242,21 +294,22 @@ class _WallState:
             self._driver.release(at)
             self.interface.released(at)
 
-    def apply(self, asked: Floats, f: Floats, at: Instant) -> tuple[Floats, Instant]:
+    def apply(self, asked: Floats, f: Floats, at: Instant) -> tuple[Floats, Instant, Floats | None]:
         """Take the couplings' answer, N, and exert f, N, from ``at`` on.
 
         Returns:
-            What the interface would exert, N, and when the force before had ended.
+            What the interface would exert, N, when the force before had ended, and the displacement at ``at``, m.
         """
         driver, interface = self._driver, self.interface
         held, until = interface.force(asked, self._guard.clip(asked), at)
         moved = driver.apply(f, at, until)
-        ended = interface.applied(None if moved is None else list(map(float, moved)), at, f, until)
+        x_a = None if moved is None else list(map(float, moved))
+        ended = interface.applied(x_a, at, f, until)
         work, before = driver.intended_work(), self._core.ledger.total
         self._core.apply(asked, work)
         self._energy += abs(work) + abs(self._core.ledger.total - before - work)
         self._applied = at
-        return held, ended
+        return held, ended, x_a
 
     def change(self, rung: int) -> None:
         """Change the promised level to that of ``rung``."""
@@ -286,23 +339,32 @@ def recompute_in_wall_time(
 
     Args:
         bundle: the device's part of the session.
-        make: makes the device with its hand, at rest; or returns the reason why its motion is unknown.
+        make: makes the device with its hand, at rest; or returns the reason why its motion does not follow. Then the
+            recorded motion is taken, and motion and ledger are not computed.
         rows: what was recorded.
         course: what happened between the rows.
         progress: called now and then with the number of ticks that are done.
     """
     ticks = len(rows.x)
-    out, driver = RecomputedInWallTime.nothing(*rows.x.shape), make()
-    if isinstance(driver, str):
-        out.gaps.append(UncheckedTicks(0, ticks, f"{driver}: its motion, account and ledger are not checked"))
+    out, given = RecomputedInWallTime.nothing(*rows.x.shape), _RecordedMotion(rows)
+    if not there(rows.instants).any():
+        why = "it was in wall time, and the recording has no instants: its motion, account and ledger are not checked"
+        out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
-    state: _WallState | None = _WallState(bundle, driver)
+
+    def begun() -> _WallState:
+        driver = make()
+        return _WallState(bundle, given if isinstance(driver, str) else driver)
+
+    unknown = make()
+    if isinstance(unknown, str):
+        out.motion_gaps.append(UncheckedTicks(0, ticks, f"{unknown}: its motion and its ledger are not checked"))
+    state: _WallState | None = begun()
     nothing, freed = Happening(), 0
     for k in np.flatnonzero(there(rows.x) & there(rows.f) & there(rows.instants)).tolist():
         happened = course.before.get(k, nothing)
         if happened.began and k > 0:
-            again = make()
-            state = None if isinstance(again, str) else _WallState(bundle, again)
+            state = begun()
         if state is not None:
             sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
             may_let_go = rows.let_go is not None and k >= rows.let_go
@@ -320,15 +382,20 @@ def recompute_in_wall_time(
             out.gaps[-1] = replace(out.gaps[-1], end=k)
         if happened.rung is not None:
             state.change(happened.rung)
-        out.x[k], out.sent[k] = state.sample(sampled, may_let_go)
+        given.tick = k
+        x, out.sent[k] = state.sample(sampled, may_let_go)
         if happened.released:
             state.release(happened.released, ended)
         if happened.jumped:
             state.interface.skipped()
-        out.exerted[k], out.ended[k, 0] = state.apply(asked.tolist(), rows.f[k].tolist(), applied)
+        out.exerted[k], out.ended[k, 0], x_a = state.apply(asked.tolist(), rows.f[k].tolist(), applied)
         if k in course.rungs:
             state.change(course.rungs[k])
-        out.account[k], out.ledger[k], out.tolerance[k] = state.interface.account.energy, state.ledger, state.tolerance
+        out.account[k] = state.interface.account.energy
+        if not out.motion_gaps:
+            out.x[k], out.ledger[k], out.tolerance[k] = x, state.ledger, state.tolerance
+            if x_a is not None:
+                out.applied[k] = x_a
         if k % EVERY == 0:
             progress(k)
     return out

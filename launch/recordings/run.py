@@ -428,6 +428,7 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
 
     look(counts, names.FROZEN, "a coupling was frozen")
     look(counts, names.FROZEN_TICKS, "a coupling was frozen")
+    look(counts, names.CHANGING, "a coupling was to change its rung")  # its clutch opens before it does
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:
         figures = run.figures.get(node, ())

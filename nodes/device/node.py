@@ -102,7 +102,7 @@ class DeviceNode:
         f = self._zero.copy()
         row_x = reported_x = self._zero
         row_at = Instant(0)
-        instants = NO_INSTANTS
+        instants, x_a = NO_INSTANTS, None
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         before = epoch  # when the sample before was taken
         interface, sent_tick = self._interface, -1  # the tick for which a motion was sent last
@@ -180,8 +180,8 @@ class DeviceNode:
                 moved = driver.apply(held, at, until)
                 applied = received  # the instant that the driver was given
                 give_way()
-                known = None if moved is None else list(map(float, moved))
-                ended = interface.applied(known, at, held, until)
+                x_a = None if moved is None else list(map(float, moved))
+                ended = interface.applied(x_a, at, held, until)
                 instants = (row_at, at, ended)
             # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
             work = driver.intended_work()
@@ -197,7 +197,7 @@ class DeviceNode:
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
-            account.tick(tick, row_x, held, core, (due, ready, sampled, sent, received, applied), instants)
+            account.tick(tick, row_x, held, core, (due, ready, sampled, sent, received, applied), instants, x_a)
             # after a late tick the next multiple of T, by a division that rounds up
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False

@@ -22,6 +22,7 @@ the details. A processor that the kernel or a hypervisor took during the thread'
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
@@ -175,6 +176,8 @@ class DeviceTelemetry:
         self._speeds = [0.0] * rows
         self._interface_energy = [0.0] * rows
         self._instants: list[Instants] = [NO_INSTANTS] * rows
+        self._unknown: Floats = [math.nan] * m
+        self._applied: list[Floats] = [self._unknown] * rows
         self._filled, self._rows = 0, common.telemetry_first
         self._sampled: Instant | None = None
         self._events = TickEvents()
@@ -189,9 +192,26 @@ class DeviceTelemetry:
         self._longest = from_seconds(longest_period(self._common.period, rung.period_tolerance))
 
     def tick(
-        self, tick: int, x: Floats, f: Floats, core: DeviceCore, times: Times, instants: Instants = NO_INSTANTS
+        self,
+        tick: int,
+        x: Floats,
+        f: Floats,
+        core: DeviceCore,
+        times: Times,
+        instants: Instants = NO_INSTANTS,
+        x_a: Floats | None = None,
     ) -> None:
-        """Keep the row of a tick that was answered; the lists x (m) and f (N) are kept until the next telemetry."""
+        """Keep the row of a tick that was answered; the lists are kept until the next telemetry.
+
+        Args:
+            tick: its number.
+            x: the displacement at its sample, m.
+            f: the force that is exerted, N.
+            core: of the device.
+            times: of the tick.
+            instants: likewise, of a device in wall time.
+            x_a: its displacement when the force was applied, m; None where it is not known.
+        """
         due, _, sampled, _, _, applied = times
         tau = applied - sampled
         self._tau.add(tau / 1e3)
@@ -218,6 +238,7 @@ class DeviceTelemetry:
             if self._before is not None:
                 self._suspended_energy += max(0.0, self._before - energy)
                 self._before = None
+            self._applied[row] = self._unknown if x_a is None else x_a
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -281,6 +302,7 @@ class DeviceTelemetry:
         }
         if self._interface is not None:
             traces[names.INTERFACE] = np.array(self._interface_energy[:rows])[:, None]
+            traces[names.APPLIED] = np.array(self._applied[:rows])
             traces[names.INSTANTS] = np.array(self._instants[:rows], dtype=np.float64)
         control.publish(Telemetry(self.ticks, figures, traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0

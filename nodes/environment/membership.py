@@ -325,6 +325,11 @@ class Members:
             member.early = None
             self._event(member, MembershipEvent.LOST, tick)
 
+    @property
+    def changing(self) -> int:
+        """Number of couplings that are to change their rung, and have not yet."""
+        return sum(member.wanted != member.rung for member in self.all) if self._shifting else 0
+
     def shift(self) -> None:
         """Change the rung of each coupling that is to change and had s = 0 in the last two ticks.
 

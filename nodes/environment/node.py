@@ -426,6 +426,7 @@ class EnvironmentNode:
                 for member in members.all
                 if member.rung
             },
+            **({names.CHANGING: float(members.changing)} if members.changing else {}),
             **names.lateness_counts(lateness),
             **names.lateness_times(lateness),
             **self._figures(),

@@ -33,7 +33,7 @@ from .world import SimulatedSession
 MS = 1_000_000  # ns
 TICKS = 650
 DEVICES = ("dx", "dy", "dz")
-OF_A_DEVICE = ("signal", "exerted", "interface", "ended", "instants", "account", "ledger", "bound")
+OF_A_DEVICE = ("signal", "applied", "exerted", "interface", "ended", "instants", "account", "ledger", "bound")
 
 Told = Mapping[str, Sequence[Telemetry]]
 
@@ -88,6 +88,23 @@ def audited(path: Path, prepared: Prepared, told: Told) -> Audit:
             core.take(encode(Observation(node, message.tick, message.figures, message.traces)), START)
     path.write_bytes(core.cut() + core.end())
     return audit(path, read_run(path), lambda text: None, lambda tick: None)
+
+
+def test_a_device_beyond_its_limits_is_followed(tmp_path: Path) -> None:
+    """Its guard sends a displacement of its own, and lets it exert a part of what it is asked for.
+
+    The couplings change their rungs as well. Their clutches open a hundred ticks before, and the environment says so.
+    """
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", ["devices.dy.limits={displacement: 0.002}"]))
+    told = WatchedSession(prepared, lambda session: None).told
+    assert told["dy"][-1].figures[names.LET_GO] > 0
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    assert {event.kind for of in told["cx"] for event in events_in(of.figures)} == {Kind.BEGAN, Kind.RUNG}
+    assert check_of(done, "environment", "forces").numbers > 0
+    for name, what in (("dy", "exerted"), ("dy", "interface"), ("dy", "ledger"), ("cy", "signal"), ("cy", "agreement")):
+        check = check_of(done, name, what)
+        assert (check.verdict, check.numbers, check.gaps) == (CheckVerdict.HOLDS, TICKS, ()), check
 
 
 def check_of(done: Audit, party: str, name: str) -> Check:
@@ -145,6 +162,7 @@ SAMPLED, APPLIED, ENDED = range(3)
         (names.INTERFACE, 0, 1e-12, {"interface": 0}),
         (names.FORCE, 0, 1e-9, {"exerted": 0, "signal": 1}),
         (names.DISPLACEMENT, 0, 1e-12, {"signal": 0}),
+        (names.APPLIED, 0, 1e-12, {"applied": 0}),
         (names.LEDGER, 0, 1e-9, {"ledger": 0}),
     ],
 )
@@ -164,6 +182,24 @@ def test_a_forged_number_is_found_at_its_tick(
     assert min(ticks.values()) == tick
     # what the couplings received follows from the device's motion, and so may what they recorded
     assert {party for party, _ in ticks} <= {"dx", "cx"}
+
+
+def test_the_account_of_a_device_that_a_person_moved_is_checked(
+    prepared: Prepared, told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its motion is taken from the recording, at s(k) and at a(k); everything else follows from it."""
+    monkeypatch.setattr("manyhands.launch.recordings.audit.hand_of", lambda *_: "a person moved the device")
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name in ("exerted", "interface", "ended"):
+        check = check_of(done, "dx", name)
+        assert (check.verdict, check.gaps) == (CheckVerdict.HOLDS, ())
+    (gap,) = check_of(done, "dx", "signal").gaps
+    assert gap.why == "a person moved the device: its motion and its ledger are not checked"
+    assert check_of(done, "dx", "ledger").verdict is CheckVerdict.UNCHECKED
+    for trace in (names.INTERFACE, names.APPLIED):
+        forged = changed(told, "dx", trace, 0, 120, 1e-6)
+        assert broken(audited(tmp_path / "f.mcap", prepared, forged))["dx", "interface"] == 120
 
 
 def test_a_recording_without_instants_says_so(prepared: Prepared, told: Told, tmp_path: Path) -> None:

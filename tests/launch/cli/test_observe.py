@@ -96,7 +96,7 @@ def test_several_sessions_have_to_be_told_apart() -> None:
         assert "found several running: " in done.stderr
         assert completed("top", "--session", "") == ["s", "t"]
         assert completed("echo", "d/") == []  # of which?
-        topics = ("sample", "force", "ledger", "tau", "interface", "instants", "telemetry")
+        topics = ("sample", "force", "ledger", "tau", "interface", "applied", "instants", "telemetry")
         assert completed("echo", "/t/d/") == [f"/t/d/{name}" for name in topics]
         assert completed("echo", "--session", "t", "d/t") == ["d/tau", "d/telemetry"]
     with running("s", "s"):
