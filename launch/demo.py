@@ -24,12 +24,11 @@ from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
-from manyhands.launch.recordings.curves import Array, Curve, Panel
+from manyhands.launch.recordings.curves import Array, Curve, Panel, backward_difference
 from manyhands.launch.recordings.plots import draw_panel, picture_of_run
 from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.recordings.run import read_run
-from manyhands.launch.recordings.tables import read_recording
+from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.display import say, status
 from manyhands.launch.run.outcome import Outcome, joules
 from manyhands.launch.run.session_run import run_session
@@ -37,7 +36,7 @@ from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.alarms import LEDGER_ROUNDING
-from manyhands.protocol.channels import INTERFACE
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, INTERFACE
 
 _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.2  # inches
 
@@ -72,9 +71,21 @@ def velocities(recording: Recording, title: str) -> Row:
     return Row(recording.time, Panel("velocity", title, "velocity [m/s]", curves))
 
 
-def accounts(path: Path, tank: float) -> Row:
+def velocities_of_run(run: RecordedRun, title: str) -> Row:
+    """The velocity of every port of a recorded run: of a device in wall time, by the instants of its samples."""
+    curves: list[Curve] = []
+    for name, ports in run.recorded.devices.items():
+        v = backward_difference(rows_of(run, name, DISPLACEMENT), run.recorded.period)
+        sampled = rows_of(run, name, INSTANTS)[:, :1] if run.recorded.clock == REALTIME else np.empty((0, 1))
+        if not np.all(np.isnan(sampled)):
+            between = np.diff(sampled, axis=0, prepend=np.nan)
+            v = np.divide(v, between / run.recorded.tick_ns, out=np.full_like(v, np.nan), where=between > 0.0)
+        curves += [Curve(port, column) for port, column in zip(ports, v.T, strict=True)]
+    return Row(run.time, Panel("velocity", title, "velocity [m/s]", tuple(curves)))
+
+
+def accounts(run: RecordedRun, tank: float) -> Row:
     """The interface account of every device of a recorded run, beside its bound; ``tank`` is E_0, J."""
-    run = read_run(path)
     [found] = picture_of_run(run, [INTERFACE]).panels
     curves = tuple(Curve(curve.label, 1e3 * curve.values) for curve in found.curves)
     title = f"the same run: each device's energy account, kept above {joules(0.0 - tank)} whatever is late"
@@ -99,6 +110,9 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     save_picture(figure, path)
 
 
+UNCOUPLED: Final = "uncoupled-in-real-time"
+"""The name of that run's files."""
+
 SETTLED = 1e-3  # a device is at rest when its speed is below this part of its peak speed
 
 
@@ -118,7 +132,7 @@ def run_demo(
             ``example1-limited``.
         out: for results.
         err: for progress.
-        folder: the folder for certificate, recording, plots and report; made if absent.
+        folder: the folder for certificate, recordings, plots and report; made if absent.
         ticks: number of ticks to run.
         clock: "realtime" or "simulated".
         profile: this machine's for ``example1``, in real time.
@@ -153,14 +167,16 @@ def run_demo(
     rows = {}
     if clock == REALTIME:
         with status(err, "running the same session without coupling, in real time"):
-            shaken = _uncoupled(sessions["example1-limited"], ticks)
+            path = folder / f"{UNCOUPLED}.mcap"
+            shaken = _uncoupled(sessions["example1-limited"], ticks, path)
         for fault in shaken.faults:
             say(err, f"error: {fault}")
-        if shaken.code or shaken.recording is None:
+        if shaken.code:
             return shaken.code
-        what = how_it_ended(shaken.recording, shaken.report["nodes"])
+        shaken_run = read_run(path)
+        what = how_it_ended(shaken_run, shaken.report["nodes"])
         say(out, f"without coupling, as seven processes in real time: {what}")
-        rows["uncoupled-in-real-time"] = velocities(shaken.recording, f"without coupling, in real time: {what}")
+        rows[UNCOUPLED] = velocities_of_run(shaken_run, f"without coupling, in real time: {what}")
     with status(err, "simulating without coupling and with a centralised one"):
         uncoupled = _simulated(sessions["example1-uncoupled"], ticks)
         centralised = _simulated(sessions["example1-centralised"], ticks)
@@ -168,16 +184,16 @@ def run_demo(
         rows = {
             "fig5-without-coupling": velocities(uncoupled, "without virtual coupling (Fig. 5)"),
             **rows,
-            "fig6-decentralised": velocities(read_recording(recorded), certified),
+            "fig6-decentralised": velocities_of_run(run := read_run(recorded), certified),
         }
         if "lateness" in outcome.report:
-            rows["accounts"] = accounts(recorded, outcome.report["lateness"]["tank"])
+            rows["accounts"] = accounts(run, outcome.report["lateness"]["tank"])
         rows["fig7-centralised"] = velocities(centralised, "centralised coupling (Fig. 7)")
     with status(err, "drawing"):
         for name, row in rows.items():
             plot([row], folder / f"{name}.png")
         plot([*rows.values()], folder / "velocities.png")
-    say(out, f"plots, certificate, recording and report: {folder}")
+    say(out, f"plots, certificate, recordings and report: {folder}")
     sentence, kept = verdict(outcome.report)
     say(out, sentence)
     return EXIT_OK if kept else EXIT_FAILED
@@ -187,25 +203,25 @@ def _simulated(session: Session, ticks: int) -> Recording:
     return Simulation(prepare(session, uncertified=True)).run(ticks)
 
 
-def _uncoupled(session: Session, ticks: int) -> Outcome:
+def _uncoupled(session: Session, ticks: int, path: Path) -> Outcome:
     """Run a session that nothing certifies; its incidents are what is to be seen, and the demonstration words them."""
     prepared = prepare(session, uncertified=True)
-    return run_session(prepared, Console(quiet=True), clock=REALTIME, reach=IPC, ticks=ticks, keep=True)
+    return run_session(prepared, Console(quiet=True), clock=REALTIME, reach=IPC, ticks=ticks, record=path)
 
 
-def how_it_ended(recording: Recording, nodes: Mapping[str, Mapping[str, Any]]) -> str:
+def how_it_ended(run: RecordedRun, nodes: Mapping[str, Mapping[str, Any]]) -> str:
     """What became of a run whose devices let go beyond their limits, as a part of a sentence.
 
     Args:
-        recording: of the run.
+        run: the run.
         nodes: of its report.
     """
     gone = [name for name, node in nodes.items() if node.get("let_go")]
-    peak = np.nanmax(np.abs(recording.velocity), initial=0.0)
     if not gone:
+        peak = max(node.get("peak_speed", 0.0) for node in nodes.values())
         return f"within {DISPLACEMENT_LIMIT:g} m and {SPEED_LIMIT:g} m/s to the end, up to {peak:.2g} m/s"
-    forced = np.flatnonzero(np.any(np.nan_to_num(recording.f_v) != 0.0, axis=1))
-    end = recording.period * (int(forced[-1]) + 1 if forced.size else 0)
+    forced = [np.flatnonzero(np.any(np.nan_to_num(rows_of(run, name, FORCE)), axis=1)) for name in gone]
+    end = run.recorded.period * (run.first + 1 + max((int(ticks[-1]) for ticks in forced if ticks.size), default=-1))
     return (
         f"{', '.join(gone)} exceeded {DISPLACEMENT_LIMIT:g} m or {SPEED_LIMIT:g} m/s and let go; no force after "
         f"{end:.1f} s"

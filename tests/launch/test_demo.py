@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from manyhands.launch.demo import LIMITED, how_it_ended, verdict
+from manyhands.launch.demo import LIMITED, how_it_ended, velocities_of_run, verdict
 from manyhands.launch.files import load_named
-from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
+from manyhands.protocol.channels import TOPICS
+from manyhands.protocol.messages import Role
+
+from ..support.small_recordings import RECORDED
 
 PROMISE = {"tau": 0.0007, "period_tolerance": 0.25, "enforced": True, "tank": 0.005}
 
@@ -58,17 +63,38 @@ def test_without_devices_in_wall_time_nothing_is_reported_of_lateness() -> None:
     assert (sentence, kept) == ("all 2 promises were kept, and every device came to rest", True)
 
 
-def moved(f_v: list[list[float]], x: list[list[float]]) -> Recording:
-    return Recording("s", "c", 0.1, ("dx", "dy"), np.array(x), np.array(f_v))
+def recorded_run(f_v: list[list[float]], **instants: list[float]) -> RecordedRun:
+    """A run of two devices with these forces, whose positions are 0, 0.1 and 0.4 m; T is 0.1 s."""
+    about = replace(RECORDED, clock="realtime", period=0.1, roles=dict.fromkeys(("dx", "dy"), Role.DEVICE),
+                    ports={"dx": ("x",), "dy": ("y",)}, masses=())  # fmt: skip
+    topics = {topic.name: topic for topic in TOPICS[Role.DEVICE]}
+    traces = {}
+    for name, f in zip(("dx", "dy"), f_v, strict=True):
+        x = np.array([[0.0], [0.1], [0.4]])[: len(f)]
+        traces[name, "sample"] = RecordedTrace(topics["sample"], (name,), x)
+        traces[name, "force"] = RecordedTrace(topics["force"], (name,), np.array(f)[:, None])
+    for name, at in instants.items():
+        ns = np.array([[sampled, sampled, sampled] for sampled in at]) * 1e9
+        traces[name, "instants"] = RecordedTrace(topics["instants"], ("sampled", "applied", "ended"), ns)
+    return RecordedRun(about, traces)
 
 
 def test_how_a_run_without_coupling_ended() -> None:
-    x = [[0.0, 0.0], [0.1, np.nan], [0.3, -0.1]]
-    forced = moved([[0.0, 1.0], [np.nan, -2.0], [0.0, 0.0]], x)
-    ended = how_it_ended(forced, {"dx": {"let_go": 1}, "dy": {"let_go": 2}, "cx": {}})
+    run = recorded_run([[0.0, np.nan, 0.0], [1.0, -2.0, 0.0]])
+    ended = how_it_ended(run, {"dx": {"let_go": 1}, "dy": {"let_go": 2}, "cx": {}})
     assert ended == "dx, dy exceeded 0.2 m or 3 m/s and let go; no force after 0.2 s"
-    assert how_it_ended(forced, {"dx": {"let_go": 0}, "cx": {}}) == "within 0.2 m and 3 m/s to the end, up to 2 m/s"
-    assert how_it_ended(moved([[0.0, 0.0]], [[0.0, 0.0]]), {"dx": {"let_go": 1}}).endswith("no force after 0.0 s")
+    within = how_it_ended(run, {"dx": {"let_go": 0, "peak_speed": 2.0}, "cx": {}})
+    assert within == "within 0.2 m and 3 m/s to the end, up to 2 m/s"
+    assert how_it_ended(recorded_run([[0.0], [0.0]]), {"dx": {"let_go": 1}}).endswith("no force after 0.0 s")
+
+
+def test_velocities_are_those_between_the_instants_of_the_samples() -> None:
+    forces = [[0.0] * 3, [0.0] * 3]
+    x, y = velocities_of_run(recorded_run(forces, dx=[0.0, 0.1, 0.4], dy=[0.0, 0.1, 0.1]), "title").panel.curves
+    np.testing.assert_allclose(x.values, [np.nan, 1.0, 1.0])  # the second period was three times as long
+    np.testing.assert_allclose(y.values, [np.nan, 1.0, np.nan])
+    x, _ = velocities_of_run(recorded_run(forces), "title").panel.curves  # in own time every period is T
+    np.testing.assert_allclose(x.values, [0.0, 1.0, 3.0])
 
 
 def test_the_session_without_coupling_has_the_limits_that_the_picture_names() -> None:
