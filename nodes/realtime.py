@@ -15,9 +15,9 @@ thread in any case, so a priority of the loop alone gains nothing (docs/decision
 process has more than :data:`FEW_LINKS` links, both threads have the loop's priority: ZeroMQ's thread then works only
 while the loop waits or yields, and moves the frames of all links at once. One above, it would take the processor for
 every single frame. The process asks for SCHED_FIFO when frames have gone over the links: ZeroMQ's thread then runs. A
-thread that is still starting is left as it is. Children and later threads do not inherit it. A loop that never waits does not keep its processor for
-ever: RLIMIT_RTTIME ends a process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting once
-(SIGXCPU).
+thread that is still starting is left as it is. Children and later threads do not inherit it. A loop that never waits
+does not keep its processor for ever: RLIMIT_RTTIME ends a process of which a thread has computed for
+:data:`RUNAWAY_TIME` without waiting once (SIGXCPU).
 """
 
 from __future__ import annotations
