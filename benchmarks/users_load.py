@@ -143,7 +143,8 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
                 _say(hub, Start(epoch, 0))
                 load = _Load(links, from_seconds(prepared.session.period))
                 used, own, began = proc.cpu_seconds([process.pid]), time.process_time(), time.monotonic()
-                granted = realtime.prepare(realtime.RealtimeWishes(memory=False))  # as couplings are, where permitted
+                # where permitted as couplings are; with many links as the environment is, or it could not play so many
+                granted = realtime.prepare(realtime.RealtimeWishes(memory=False, links=users))
                 try:
                     load.run(epoch, round(seconds / prepared.session.period), clock, hub)
                 finally:

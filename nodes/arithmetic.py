@@ -64,11 +64,11 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
     return product
 
 
-def solve(A: Rows, b: Floats, least: float) -> Floats | None:
+def solve(A: Rows | NDArray[np.float64], b: Floats, least: float) -> Floats | None:
     """A^{-1} b of a square matrix A; None where A is nearly singular.
 
     Args:
-        A: n x n.
+        A: n x n; rows up to :data:`FEW` unknowns, an array beyond.
         b: n numbers.
         least: a pivot must be greater than this; beyond :data:`FEW` unknowns 1/||A^{-1}||_1 takes its place.
     """

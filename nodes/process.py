@@ -269,7 +269,8 @@ def _prepare(leader: HostedNode) -> Granted | None:
     """
     if leader.common.clock == SIMULATED:
         return None
-    granted = prepare(RealtimeWishes(priority=FIFO_PRIORITY if leader.common.transport == "ipc" else 0))
+    priority = FIFO_PRIORITY if leader.common.transport == "ipc" else 0
+    granted = prepare(RealtimeWishes(priority=priority, links=len(leader.common.peers)))
     for name, grant in granted.grants().items():
         leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.answer)
     return granted

@@ -11,11 +11,13 @@ locked, for under MCL_FUTURE every allocation beyond the limit fails.
 
 **SCHED_FIFO** is for a process that is pinned to one processor. It is set for the loop's thread and for ZeroMQ's, which
 is one above, so that a frame leaves when it is sent and not when the loop waits next. The loop waits for ZeroMQ's
-thread in any case, so a priority of the loop alone gains nothing (docs/decisions/0017-timing.md has figures). So the
-process asks for it when frames have gone over the links: ZeroMQ's thread then runs. A thread that is still starting is
-left as it is. Children and later threads do not inherit it. A loop that never waits does not keep its processor for
-ever: RLIMIT_RTTIME ends a process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting once
-(SIGXCPU).
+thread in any case, so a priority of the loop alone gains nothing (docs/decisions/0017-timing.md has figures). Where a
+process has more than :data:`FEW_LINKS` links, both threads have the loop's priority: ZeroMQ's thread then works only
+while the loop waits or yields, and moves the frames of all links at once. One above, it would take the processor for
+every single frame. The process asks for SCHED_FIFO when frames have gone over the links: ZeroMQ's thread then runs. A
+thread that is still starting is left as it is. Children and later threads do not inherit it. A loop that never waits
+does not keep its processor for ever: RLIMIT_RTTIME ends a process of which a thread has computed for
+:data:`RUNAWAY_TIME` without waiting once (SIGXCPU).
 """
 
 from __future__ import annotations
@@ -194,6 +196,7 @@ def _status(key: str) -> str:
 
 FIFO_PRIORITY: Final = 10  # of 1 ... 99; interrupt threads of a PREEMPT_RT kernel have 50
 RUNAWAY_TIME: Final = from_seconds(0.5)  # hundreds of ticks; a loop waits several times in each
+FEW_LINKS: Final = 4  # with more, it costs less to move all their frames at once than to send each without delay
 RESERVE: Final = 64 * 2**20  # bytes that a loop may still map: thread stacks, arenas, telemetry
 
 
@@ -204,12 +207,14 @@ class RealtimeWishes:
     Attributes:
         memory: whether its memory is to be locked.
         priority: of SCHED_FIFO, 1 ... 99; 0 for ordinary scheduling.
+        links: the number of the loop's links; beyond :data:`FEW_LINKS` their frames are moved together.
         reserve: bytes that the process may still map after :func:`prepare`.
         runaway: how long a thread may compute under SCHED_FIFO without waiting, ns.
     """
 
     memory: bool = True
     priority: int = FIFO_PRIORITY
+    links: int = 1
     reserve: int = RESERVE
     runaway: Duration = RUNAWAY_TIME
 
@@ -340,7 +345,10 @@ def _raise(wishes: RealtimeWishes, system: System, pinned: bool) -> tuple[Grant,
     if priority < 1:
         text = f"found RLIMIT_RTPRIO {limit} and no CAP_SYS_NICE; raise rtprio to {wishes.priority} in limits.conf"
         return Grant(False, text), None
-    wanted = Scheduling(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority, wishes.runaway // 1000, min(1, priority - 1))
+    below = min(1, priority - 1)
+    if wishes.links > FEW_LINKS:
+        priority, below = priority - below, 0
+    wanted = Scheduling(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority, wishes.runaway // 1000, below)
     try:
         threads = system.schedule(wanted)
     except OSError as error:

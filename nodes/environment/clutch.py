@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
+from operator import sub
 from types import MappingProxyType
 from typing import Final, TypeAlias
 
@@ -198,15 +199,22 @@ class Clutch:
             self.reference = self._x_e
             self.handle(ClutchEvent.REFERRED)
             return
-        offset = _difference(self._x_e, self._x_c)
-        goal = 0.0 if self.phase is ClutchPhase.LEAVING else self._goal(offset, _difference(p, self._p), f_e)
+        leaving, x_e, x_c, ramp, most = self.phase is ClutchPhase.LEAVING, self._x_e, self._x_c, self._ramp, self._most
+        offset, before = _difference(x_e, x_c), self._at
+        goal = 0.0 if leaving else self._goal(offset, _difference(p, self._p), f_e)
         self._p = p
-        self._at = min(self._at + max(-1.0, min(1.0, goal - self._at)), self._most)
-        self.ratio = ratio = math.sin(0.5 * math.pi * self._at / self._ramp) ** 2
-        self.reference = [e + ratio * (to - c) for e, to, c in zip(self._x_e, p, self._x_c, strict=True)]
-        if self._at == 0.0 and self.phase is ClutchPhase.LEAVING:
-            self.handle(ClutchEvent.FALLEN)
-        elif self.phase is ClutchPhase.COUPLED and self._at >= self._ramp - 1.0 and self._most >= self._ramp:
+        by = goal - before
+        at = before + (by if -1.0 <= by <= 1.0 else math.copysign(1.0, by))
+        if at > most:
+            at = most
+        if at != before:
+            self._at, self.ratio = at, math.sin(0.5 * math.pi * at / ramp) ** 2
+        ratio = self.ratio
+        self.reference = [e + ratio * (to - c) for e, to, c in zip(x_e, p, x_c, strict=True)]
+        if leaving:
+            if at == 0.0:
+                self.handle(ClutchEvent.FALLEN)
+        elif at >= ramp - 1.0 and most >= ramp:
             self.ready = dot(offset, offset) <= LET_GO**2 and dot(offset, f_e) <= 0.0
 
     def halt(self) -> None:
@@ -221,9 +229,12 @@ class Clutch:
 
     def _goal(self, offset: Floats, moved: Floats, f_e: Floats) -> float:
         """The goal of j: the ramp's end, or less where a lag behind p's motion ``moved`` (m) shortens the offset."""
-        force, path = math.hypot(*f_e), math.hypot(*moved)
+        path = math.hypot(*moved)
+        if not path > 0.0:
+            return float(self._ramp)
+        force = math.hypot(*f_e)
         towards = dot(offset, moved) + (dot(f_e, moved) * (0.5 * LET_GO / force) if force > 0.0 else 0.0)
-        if not (towards > 0.0 and path > 0.0):
+        if not towards > 0.0:
             return float(self._ramp)
         lag = min(1.0 - SLOWEST, towards / (path * WORK_OFF))
         return self._ramp * 2.0 / math.pi * math.asin(math.sqrt(1.0 - lag))
@@ -423,4 +434,4 @@ def ports_of_blocks(blocks: Blocks | None, m: int) -> list[list[int]]:
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    return [one - other for one, other in zip(a, b, strict=True)]
+    return list(map(sub, a, b))

@@ -31,13 +31,14 @@ a model or E under a controller (:mod:`manyhands.nodes.environment.enforced`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import mul
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats, LinearMap, Rows, dot, linear_map, solve
+from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, solve
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
@@ -120,10 +121,13 @@ class EnvironmentCore:
         self._storage, self._bound_in = storage, BOUND_TICKS
         self._begins = budgets is not None
         self._unsettled = self.clutches.unsettled
-        self._group: list[Clutch] = []  # the clutches that the next three matrices belong to
+        self._group: list[Clutch] = []  # the clutches that the rest belongs to
+        self._J: list[int] = []  # their ports
+        self._slacks: Floats = []  # 1 - s^2 of this tick, by port of J
         self._f_J: LinearMap = list  # from (eta, r)
         self._deflections: list[LinearMap] = []  # D_V f, by clutch of the group
-        self._F_D: Rows = []  # F_JJ D_V at J
+        self._deflection: LinearMap = list  # the same for all of J
+        self._F_D = np.zeros((0, 0))  # F_JJ D_V at J
 
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m; ignores p of frozen blocks."""
@@ -209,13 +213,16 @@ class EnvironmentCore:
         clutches = self.clutches
         self._f = f = clutches.choose(p, self._f, self._x_e, lambda: self._solve(p), self._supply)
         f_c = f.copy()
-        self._concluded = []
-        for clutch, deflection in zip(self._group, self._deflections, strict=True):
-            forces = [clutch.ratio * f[port] for port in clutch.ports]
-            x_e = clutch.conclude(deflection(forces))
-            for port, force, at in zip(clutch.ports, forces, x_e, strict=True):
-                f_c[port] = force
-                self._concluded.append((port, at))
+        ratios = [clutch.ratio for clutch in self._group for _ in clutch.ports]
+        forces = [ratio * f[port] for ratio, port in zip(ratios, self._J, strict=True)]
+        x_e: Floats = []
+        deflected = self._deflection(forces)
+        for clutch in self._group:
+            at = len(x_e)
+            x_e += clutch.conclude(deflected[at : at + len(clutch.ports)])
+        for port, force in zip(self._J, forces, strict=True):
+            f_c[port] = force
+        self._concluded = list(zip(self._J, x_e, strict=True))
         clutches.conclude()
         return f_c
 
@@ -236,13 +243,11 @@ class EnvironmentCore:
                 f_J = self._at_clutches(p)
                 if f_J is not None:
                     break
-        at = 0
-        for clutch, deflection in zip(self._group, self._deflections, strict=True):
-            slack, size = 1.0 - clutch.ratio * clutch.ratio, len(clutch.ports)
-            if slack > 0.0 and f_J is not None:
-                for port, by in zip(clutch.ports, deflection(f_J[at : at + size]), strict=True):
-                    self._known[n + port] -= slack * by
-            at += size
+        if f_J:
+            known = self._known
+            for port, slack, by in zip(self._J, self._slacks, self._deflection(f_J), strict=True):
+                if slack > 0.0:
+                    known[n + port] -= slack * by
         return self._force(self._known)
 
     def _at_clutches(self, p: Floats) -> Floats | None:
@@ -253,30 +258,56 @@ class EnvironmentCore:
         if self._group != self._unsettled:
             self._regroup()
         self._known = known = self._eta + p
-        slacks: Floats = []
-        for clutch in self._unsettled:
-            slacks += [1.0 - clutch.ratio * clutch.ratio] * len(clutch.ports)
-            for port, at in zip(clutch.ports, clutch.reference, strict=True):
-                known[self._n + port] = at
+        references = [at for clutch in self._group for at in clutch.reference]
+        for port, at in zip(self._J, references, strict=True):
+            known[self._n + port] = at
+        self._slacks = slacks = [1.0 - clutch.ratio * clutch.ratio for clutch in self._group for _ in clutch.ports]
         if not any(slacks):
             return []
-        A = [[slack * entry for slack, entry in zip(slacks, row, strict=True)] for row in self._F_D]
+        A, size = _weighted(self._F_D, slacks)
         # pivots are compared with 1 + ||F W||, for ||I + F W|| would cancel with them at a single port; with all
         # blocks frozen the loop is open, and the equations always have a solution
-        size = max(sum(map(abs, row)) for row in A)
-        for i, row in enumerate(A):
-            row[i] += 1.0
         open_ = len(slacks) == self._m and all(slack == 1.0 for slack in slacks)
         return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / _SINGULAR)
 
     def _regroup(self) -> None:
         """Make the matrices of the group J, the blocks that are not settled."""
         self._group = self._unsettled.copy()
-        J = [port for clutch in self._group for port in clutch.ports]
+        self._J = J = [port for clutch in self._group for port in clutch.ports]
         self._f_J = linear_map(self._step[J])
         F_J = self._step[np.ix_(J, [self._n + port for port in J])]
-        self._F_D = (F_J @ self._D_V[np.ix_(J, J)]).tolist()
+        self._F_D = F_J @ self._D_V[np.ix_(J, J)]
         self._deflections = [linear_map(self._D_V[np.ix_(clutch.ports, clutch.ports)]) for clutch in self._group]
+        self._deflection = self._deflection_of_group()
+
+    def _deflection_of_group(self) -> LinearMap:
+        """D_V f at all of J, clutch by clutch."""
+        if len(self._J) == len(self._group):  # one port each
+            diagonal = self._D_V[self._J, self._J].tolist()
+            return lambda f: list(map(mul, diagonal, f))
+        deflections, sizes = self._deflections, [len(clutch.ports) for clutch in self._group]
+
+        def by_clutch(f: Floats) -> Floats:
+            image: Floats = []
+            for deflection, size in zip(deflections, sizes, strict=True):
+                image += deflection(f[len(image) : len(image) + size])
+            return image
+
+        return by_clutch
+
+
+def _weighted(matrix: Vector, weights: Floats) -> tuple[Rows | Vector, float]:
+    """I + M W for W = diag(``weights``), and the norm of M W: its greatest sum of absolute values by row."""
+    if len(weights) > FEW:
+        product = matrix * np.array(weights)
+        size = float(np.abs(product).sum(axis=1).max())
+        product.flat[:: len(weights) + 1] += 1.0
+        return product, size
+    rows = [list(map(mul, weights, row)) for row in matrix.tolist()]
+    size = max(sum(map(abs, row)) for row in rows)
+    for i, row in enumerate(rows):
+        row[i] += 1.0
+    return rows, size
 
 
 def _closed(E: StateSpace, D_V: Vector) -> Vector:
