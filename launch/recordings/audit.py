@@ -192,8 +192,7 @@ def account_bounded(node: str, account: Array, tank: float | None) -> Check:
 def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Check:
     """The instants of a device in wall time are in order: a_(k-1) <= s_k <= a_k, and the force before ended by a_k.
 
-    The delay tau is measured apart from them, and is at least a_k - s_k. After free periods it counts from their last
-    sample.
+    The delay tau that was recorded is a_k - s_k. After free periods it counts from their last sample instead.
     """
     sampled, applied, ended = instants.T
     rows = np.flatnonzero(there(instants))
@@ -201,14 +200,13 @@ def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Che
     free = np.zeros(len(instants), dtype=np.bool_)
     free[[k for k, happened in course.before.items() if happened.released or happened.unknown]] = True
     tau = np.rint(1e3 * rows_of(run, node, names.TAU)[:, 0])
-    latest = np.where(free | np.isnan(tau), np.inf, sampled + tau)
-    expected[:, 1] = np.minimum(np.maximum(applied, sampled), latest)
+    expected[:, 1] = np.where(free | np.isnan(tau), np.maximum(applied, sampled), sampled + tau)
     expected[:, 2] = np.minimum(ended, applied)
     begun = {k for k, happened in course.before.items() if happened.began}
     for last, k in pairwise(rows.tolist()):
         if k not in begun:
             expected[k, 0] = max(sampled[k], applied[last])
-    what = "samples and forces are in the order of time, and a force acts within its delay tau"
+    what = "samples and forces are in the order of time, and tau is the time between them"
     return compare("instants", node, what, ("sampled", "applied", "ended"), instants, expected)
 
 

@@ -155,9 +155,9 @@ SAMPLED, APPLIED, ENDED = range(3)
     ("trace", "column", "by", "found"),
     [
         (names.INSTANTS, SAMPLED, 1000.0, {"signal": 0}),
-        (names.INSTANTS, SAMPLED, -1.0, {"signal": 0}),
+        (names.INSTANTS, SAMPLED, -1.0, {"signal": 0, "instants": 0}),
         (names.INSTANTS, APPLIED, 1000.0, {"interface": 0, "signal": 1}),
-        (names.INSTANTS, APPLIED, -1.0, {"interface": 0}),
+        (names.INSTANTS, APPLIED, -1.0, {"interface": 0, "instants": 0}),
         (names.INSTANTS, ENDED, -1.0, {"ended": 0}),
         (names.INTERFACE, 0, 1e-12, {"interface": 0}),
         (names.FORCE, 0, 1e-9, {"exerted": 0, "signal": 1}),
