@@ -330,7 +330,7 @@ class Recovery:
 
     def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns, with its time since tick 0."""
-        self.incidents.add(f"at {(now - self.start.epoch) / 1e9:.1f} s: {sentence}")
+        self.incidents.add(f"at {max(0, now - self.start.epoch) / 1e9:.1f} s: {sentence}")
 
     def _drop(self, node: str, future: NodeState, alive: bool, now: int) -> list[Instruction]:
         """Take ``node`` out of the session, and inform the peers that were linked to it."""

@@ -229,7 +229,7 @@ def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     report = Report(4, {}, {}, {})
     assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
     assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
-    assert c.incidents.sentences == ("at -0.0 s: dx left after 4 ticks",)
+    assert c.incidents.sentences == ("at 0.0 s: dx left after 4 ticks",)
     assert (c.left, c.reports) == ({"dx": report}, {})  # the session does not wait for the others, too
     c.receive("cx", Offer("dx", "ipc://cx-dx.1"), 0)
     assert c.receive("dx", hello("dx"), 0) == [Send("dx", Welcome()), Send("dx", Connect({"cx": "ipc://cx-dx.1"}))]
@@ -311,7 +311,7 @@ class Test_nodes_that_are_started_elsewhere:
             Send("cx", Absent("dx")),
         ]
         assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
-        assert c.incidents.sentences == ("at -0.0 s: dx failed: dx: broken",)
+        assert c.incidents.sentences == ("at 0.0 s: dx failed: dx: broken",)
 
     def test_its_fault_ends_a_session_that_is_to_stay_together(self) -> None:
         c = running("dx", restarts=3, together=True)

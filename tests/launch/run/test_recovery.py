@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.launch.plan.topology import LinkPlan, Topology
-from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.conductor import EPOCH_DELAY_NS, Conductor
 from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, RestartBudget
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
 from manyhands.protocol.clock import from_seconds
@@ -83,8 +83,8 @@ class Test_whoever_dies:
         assert s.conductor.faults == []
         assert s.conductor.ignored == 0
         assert s.conductor.incidents.sentences == (
-            f"at -0.0 s: {victim} was killed by SIGKILL while running",
-            f"at -0.0 s: {victim} is back",
+            f"at 0.0 s: {victim} was killed by SIGKILL while running",
+            f"at 0.0 s: {victim} is back",
         )
         assert s.conductor.incidents.restarts == {victim: 1}
         for node, process in before.items():  # the others stay, and hear of those alone that they are linked to
@@ -164,7 +164,7 @@ class Test_the_order:
             Send("dx", Return("cx", "ipc:///cx-dx.anew")),
         ]
         (first, *rest) = c.receive("cx", Ready(), 0)
-        assert first == Send("cx", Start(20_000_000, TICKS, 1))
+        assert first == Send("cx", Start(EPOCH_DELAY_NS, TICKS, 1))
         assert rest == []
 
     def test_of_a_coupling_and_its_device(self) -> None:
@@ -484,7 +484,7 @@ class Test_nodes_that_are_started_elsewhere:
         assert c.receive("cx", Offer("dx", "tcp://anew"), 0) == []  # the supervisor does not start it
         told = c.receive("dx", hello_of(GRAPH, "dx", {}), 0)
         assert told == [Send("dx", Welcome()), Send("dx", Connect({"cx": "tcp://anew"}))]
-        assert c.receive("dx", Ready(), 0) == [Send("dx", Start(20_000_000, TICKS, 1))]
+        assert c.receive("dx", Ready(), 0) == [Send("dx", Start(EPOCH_DELAY_NS, TICKS, 1))]
         assert c.faults == []
 
     def test_it_may_be_back_before_there_is_a_place_for_it(self) -> None:
