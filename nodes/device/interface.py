@@ -30,7 +30,7 @@ controller chooses w so that B stays above what the force may still cost until i
 with h the time left, and v within the device's limit of speed.
 
 Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
-which goes as soon as the account can pay for it. A force that is longer in force than B pays for ends by itself.
+which is made up slowly, as far as the account pays for it. A force that lasts longer than B pays for ends by itself.
 """
 
 from __future__ import annotations
