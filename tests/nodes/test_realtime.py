@@ -108,31 +108,32 @@ def test_memory_is_locked_only_where_the_limit_leaves_room(
         assert f"expected at least {memory_needed(RealtimeWishes(), system) // MIB} MiB" in granted.answer
 
 
-@given(
-    st.integers(0, 99),
-    st.integers(0, 99),
-    st.booleans(),
-    st.sets(st.integers(0, 7), min_size=1),
-    st.integers(1, 2 * FEW_LINKS),
-)
+@given(st.integers(0, 99), st.integers(0, 99), st.booleans(), st.sets(st.integers(0, 7), min_size=1))
 def test_priority_is_within_wish_and_limit_and_for_pinned_processes(
-    wish: int, limit: int, capable: bool, processors: set[int], links: int
+    wish: int, limit: int, capable: bool, processors: set[int]
 ) -> None:
     system = Answers({CAP_SYS_NICE} if capable else set(), priority_limit=limit, processors=processors)
-    granted = prepare(RealtimeWishes(memory=False, priority=wish, links=links, runaway=Duration(7_000_000)), system)
+    granted = prepare(RealtimeWishes(memory=False, priority=wish, runaway=Duration(7_000_000)), system)
     assert granted.fifo.granted is (wish > 0 and len(processors) == 1 and (capable or limit > 0))
     assert may_raise(system) is (capable or limit > 0)
     if granted.fifo.granted:
         assert system.now.policy == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        most = wish if capable else min(wish, limit)
-        assert system.now.priority - system.now.below == max(1, most - 1)  # the loop's, however many links it has
-        assert system.now.priority == (most if links <= FEW_LINKS else max(1, most - 1))
+        assert system.now.priority == (wish if capable else min(wish, limit))
+        assert system.now.below == (system.now.priority > 1)
         assert system.now.runaway == 7_000  # us
     else:
         assert system.now == ORDINARY
         assert granted.before is None
     restore(granted, system)
     assert system.now == ORDINARY
+
+
+@pytest.mark.parametrize(("links", "zeromq"), [(1, 10), (FEW_LINKS, 10), (FEW_LINKS + 1, 9), (32, 9)])
+def test_zeromqs_thread_comes_down_to_a_loop_with_many_links(links: int, zeromq: int) -> None:
+    system = Answers({CAP_SYS_NICE})
+    assert prepare(RealtimeWishes(memory=False, links=links), system).fifo.granted
+    assert system.now.priority == zeromq
+    assert system.now.priority - system.now.below == 9  # the loop's
 
 
 def test_refusals_of_the_kernel_are_reported_and_undone() -> None:

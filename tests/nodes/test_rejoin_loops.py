@@ -268,4 +268,4 @@ class Test_in_real_time:
             reports = stage.end()
         assert reports["dx"].counts["stale"] >= 1
         assert reports["dx"].counts["released"] >= 20
-        assert reports["dx"].figures["ledger_min"] >= ROUNDING
+        assert reports["dx"].figures["ledger_margin"] >= ROUNDING

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.environment import core as core_module
 from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK_OFF, Clutch, ClutchEvent, ClutchPhase
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import EnergyBudget
@@ -262,6 +263,26 @@ def test_without_events_nothing_differs_by_a_bit(blocks: list[list[int]]) -> Non
     assert world.core.ledger is not None
     assert plain.ledger is not None
     assert world.core.ledger.total == plain.ledger.total
+
+
+@pytest.mark.parametrize("blocks", [[[0], [1], [2], [3], [4], [5]], [[1, 0], [2], [4, 3], [5]]])
+def test_equations_as_arrays_and_in_python_agree_to_the_last_bit(
+    blocks: list[list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forces(few: int) -> np.ndarray:
+        monkeypatch.setattr(core_module, "FEW", few)
+        world, found = ClutchedLoop(11, blocks), []
+        for k in range(120):
+            if k == 10:
+                for block in range(len(blocks)):
+                    world.core.clutches.freeze(block)
+                    world.core.clutches.engage(block)
+            found.append(react(world.core, np.sin(0.1 * k + np.arange(6.0)) * 1e-3))
+            world.core.settle()
+        assert world.core.ill_posed == 0
+        return np.array(found)
+
+    np.testing.assert_array_equal(forces(few=1), forces(few=6))
 
 
 def test_all_may_be_frozen_and_come_back() -> None:
