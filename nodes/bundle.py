@@ -408,6 +408,11 @@ class DeviceBundle:
         if any(not a < b for a, b in pairwise(taus)):
             raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
 
+    @property
+    def allowed(self) -> float:
+        """How far the device's ledger may fall below 0, J: in wall time by its tank, where it has one."""
+        return self.tank or 0.0 if self.time == WALL else 0.0
+
     @cached_property
     def promises(self) -> tuple[DevicePromise, ...]:
         """The promise at each rung, computed once."""

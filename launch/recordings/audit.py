@@ -516,7 +516,8 @@ class _AuditRun:
         out += self._environment(blocks)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [figures_agree(self._run, name) for name in ledgers]
-        out += [bounded(self._run, name, self._allowed(name)) for name in ledgers]
+        allowed = {name: device.allowed for name, device in devices.items()}
+        out += [bounded(self._run, name, allowed.get(name, 0.0)) for name in ledgers]
         for name, device in devices.items():
             out += limits_kept(self._run, name, device, courses[name])
             taus = {0: device.rungs[0].tau} | {
@@ -657,11 +658,6 @@ class _AuditRun:
                 source=EXACT if not again.tolerance.any() else FREE_SUMS,
             ),
         ]
-
-    def _allowed(self, name: str) -> float:
-        """How far the ledger of a node may fall below 0, J: that of a device in wall time, by its tank."""
-        bundle = self._bundles[name]
-        return bundle.tank or 0.0 if isinstance(bundle, DeviceBundle) and bundle.time == WALL else 0.0
 
     def _course(self, name: str, bundle: DeviceBundle | CouplingBundle) -> Course:
         """What happened to a device or a coupling between its rows."""

@@ -21,16 +21,24 @@ once more. :data:`ROUNDING` of them are allowed.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.recordings.events import Course, Happening
-from manyhands.launch.recordings.findings import EVERY, Progress, Recomputed, UncheckedTicks, no_progress
+from manyhands.launch.recordings.findings import (
+    EVERY,
+    Progress,
+    Recomputed,
+    UncheckedTicks,
+    find_again,
+    lose,
+    no_progress,
+)
+from manyhands.launch.recordings.replay import GivenMotion
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
@@ -118,11 +126,11 @@ def recompute_device(
             why = why or f"it ran free for {freed} periods, more than are computed"
         if why and state is not None:
             state = None
-            out.gaps.append(UncheckedTicks(k, len(x), f"{why}: from there on it is not checked"))
+            lose(out.gaps, k, len(x), why)
         if state is None:
             continue
-        if happened.began and out.gaps and out.gaps[-1].end > k:
-            out.gaps[-1] = replace(out.gaps[-1], end=k)
+        if happened.began:
+            find_again(out.gaps, k)
         if happened.rung is not None:
             state.change(happened.rung)
         for _ in range(happened.released):
@@ -199,51 +207,6 @@ class RecomputedInWallTime:
         return cls(x, applied, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
 
 
-class _RecordedMotion:
-    """A :class:`manyhands.nodes.device.drivers.Driver` that is where the recording has it, at s(k) and at a(k).
-
-    Attributes:
-        tick: the row that is played.
-    """
-
-    def __init__(self, rows: WallRows) -> None:
-        """Play ``rows``."""
-        self._rows, self.tick = rows, 0
-
-    @property
-    def axes(self) -> int:
-        """Number of axes."""
-        return int(self._rows.x.shape[1])
-
-    def sample(self, tick: int, at: Instant) -> Floats:
-        """The displacement x at s(k), m."""
-        row: Floats = self._rows.x[self.tick].tolist()
-        return row
-
-    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats | None:
-        """The displacement x at a(k), m; None where the device could not measure it."""
-        row: Floats = self._rows.applied[self.tick].tolist()
-        return row if all(map(math.isfinite, row)) else None
-
-    def release(self, at: Instant) -> Floats | None:
-        """There is no force to release."""
-        return None
-
-    def idle(self, due: Instant) -> None:
-        """There is no deferred work."""
-
-    def intended_work(self) -> float:
-        """Zero: the work of a person is unknown."""
-        return 0.0
-
-    def figures(self) -> Mapping[str, float]:
-        """No figures."""
-        return {}
-
-    def close(self) -> None:
-        """There is nothing to close."""
-
-
 class _WallState:
     """A device in wall time with its hand, its guard and its interface, between two rows."""
 
@@ -263,15 +226,16 @@ class _WallState:
         """Periods of the grid between the last force and the instant ``applied``, ns."""
         return 0 if self._applied is None else (applied - self._applied) // self._period
 
-    def sample(self, at: Instant, may_let_go: bool) -> tuple[Floats, Floats]:
+    def sample(self, k: int, at: Instant, may_let_go: bool) -> tuple[Floats, Floats]:
         """The displacement at ``at``, m, and that which the couplings received.
 
         Args:
+            k: the row.
             at: s(k).
             may_let_go: whether the device may have let go so far; if it never did, its guard changes nothing.
         """
         driver, interface = self._driver, self.interface
-        x = list(map(float, driver.sample(0, at)))
+        x = list(map(float, driver.sample(k, at)))
         periods = max(1, -((self._sampled - at + self._period // 2) // self._period))
         self._sampled = at
         if may_let_go:
@@ -279,9 +243,8 @@ class _WallState:
         else:
             self._guard.breach(x, periods)
             goal = x
-        until = interface.until
         sent = interface.send(x, goal, at)
-        if interface.until is not until:
+        if interface.shortened:
             driver.apply(interface.exerted, at, interface.until)
         self._core.sample(sent, interface.speed)
         return x, sent
@@ -346,25 +309,24 @@ def recompute_in_wall_time(
         progress: called now and then with the number of ticks that are done.
     """
     ticks = len(rows.x)
-    out, given = RecomputedInWallTime.nothing(*rows.x.shape), _RecordedMotion(rows)
+    out, given = RecomputedInWallTime.nothing(*rows.x.shape), GivenMotion(rows.x, rows.applied)
     if not there(rows.instants).any():
         why = "it was in wall time, and the recording has no instants: its motion, account and ledger are not checked"
         out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
 
-    def begun() -> _WallState:
-        driver = make()
+    def begun(driver: Driver | str) -> _WallState:
         return _WallState(bundle, given if isinstance(driver, str) else driver)
 
-    unknown = make()
-    if isinstance(unknown, str):
-        out.motion_gaps.append(UncheckedTicks(0, ticks, f"{unknown}: its motion and its ledger are not checked"))
-    state: _WallState | None = begun()
+    first = make()
+    if isinstance(first, str):
+        out.motion_gaps.append(UncheckedTicks(0, ticks, f"{first}: its motion and its ledger are not checked"))
+    state: _WallState | None = begun(first)
     nothing, freed = Happening(), 0
     for k in np.flatnonzero(there(rows.x) & there(rows.f) & there(rows.instants)).tolist():
         happened = course.before.get(k, nothing)
         if happened.began and k > 0:
-            state = begun()
+            state = begun(make())
         if state is not None:
             sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
             may_let_go = rows.let_go is not None and k >= rows.let_go
@@ -375,15 +337,14 @@ def recompute_in_wall_time(
             why = happened.unknown or _unknown(happened.released, may_let_go, freed, asked)
             if why:
                 state = None
-                out.gaps.append(UncheckedTicks(k, ticks, f"{why}: from there on it is not checked"))
+                lose(out.gaps, k, ticks, why)
         if state is None:
             continue
-        if happened.began and out.gaps and out.gaps[-1].end > k:
-            out.gaps[-1] = replace(out.gaps[-1], end=k)
+        if happened.began:
+            find_again(out.gaps, k)
         if happened.rung is not None:
             state.change(happened.rung)
-        given.tick = k
-        x, out.sent[k] = state.sample(sampled, may_let_go)
+        x, out.sent[k] = state.sample(k, sampled, may_let_go)
         if happened.released:
             state.release(happened.released, ended)
         if happened.jumped:

@@ -6,7 +6,7 @@ A check claims no more than it has compared: ticks that could not be recomputed 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final
 
@@ -202,6 +202,17 @@ class Recomputed:
     def nothing(cls, ticks: int, ports: int) -> Recomputed:
         """All NaN, before anything is computed."""
         return cls(np.full((ticks, ports), np.nan), np.full((ticks, 1), np.nan))
+
+
+def lose(gaps: list[UncheckedTicks], tick: int, ticks: int, why: str) -> None:
+    """Note that a party cannot be computed from ``tick`` on, of ``ticks``, for the reason ``why``."""
+    gaps.append(UncheckedTicks(tick, ticks, f"{why}: from there on it is not checked"))
+
+
+def find_again(gaps: list[UncheckedTicks], tick: int) -> None:
+    """Note that a new process begins at ``tick``, so that the last gap, if it goes on, ends there."""
+    if gaps and gaps[-1].end > tick:
+        gaps[-1] = replace(gaps[-1], end=tick)
 
 
 def no_progress(_tick: int) -> None:

@@ -9,6 +9,7 @@ session that lost a process cannot be replayed, since the tick of its death is n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,9 +58,14 @@ class GivenMotion:
         ticks: number of ticks that were recorded without a gap.
     """
 
-    def __init__(self, x: NDArray[np.float64]) -> None:
-        """The motion ``x``: ticks x axes, m."""
-        self._x, self._tick = x, 0
+    def __init__(self, x: NDArray[np.float64], applied: NDArray[np.float64] | None = None) -> None:
+        """Move as ``x`` at the samples, and as ``applied`` when a force is applied.
+
+        Args:
+            x: ticks x axes, m.
+            applied: likewise; NaN in ticks in which it is not known. None for ``x``.
+        """
+        self._x, self._applied, self._tick = x, x if applied is None else applied, 0
         holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
         self.ticks = int(holes[0]) if len(holes) else len(x)
 
@@ -74,13 +80,13 @@ class GivenMotion:
         row: list[float] = self._x[tick].tolist()
         return row
 
-    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> list[float]:
-        """The force has no effect; returns the position at the last sample, m."""
-        row: list[float] = self._x[self._tick].tolist()
-        return row
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> list[float] | None:
+        """The force has no effect; returns the position at which it is applied, m, or None where it is not known."""
+        row: list[float] = self._applied[self._tick].tolist()
+        return row if all(map(math.isfinite, row)) else None
 
-    def release(self, at: Instant) -> list[float]:
-        """There is no force to release; returns the position at the last sample, m."""
+    def release(self, at: Instant) -> list[float] | None:
+        """There is no force to release; returns the position as :meth:`apply`."""
         return self.apply((), at)
 
     def idle(self, due: Instant) -> None:

@@ -15,7 +15,7 @@ passive hand take in r^T d, of which the device burns at least d^T Delta_D d / h
 the couplings have been given e(k) less than the device took in. At delays and periods that the certificate covers,
 e(k) >= f^T K f / 2 >= 0. Beyond, e falls by the energy that lateness has put into the loop.
 
-**The bound.** The controller keeps e(k) >= -E_0 for every sequence of delays, by two means: how far x' follows x, and
+**The bound.** The interface keeps e(k) >= -E_0 for every sequence of delays, by two means: how far x' follows x, and
 how strongly and for how long a force acts. The proofs are in docs/decisions/0030-lateness-in-joules.md. They rest on
 one inequality. Whatever the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
 
@@ -23,7 +23,7 @@ one inequality. Whatever the couplings answer to a motion w, a tick adds to e - 
     a = 1/2 - share kappa,    b = kappa a,
 
 with the c of the certificate's device. So B = E_0 + e - f^T K f / 2 is known before the answer, and the
-controller chooses w so that B stays above what the force may still cost until it is replaced or ends,
+interface chooses w so that B stays above what the force may still cost until it is replaced or ends,
 
     R = h p(r),    p(r) = max over v of r^T v - v^T Delta_D v  <=  r^T Delta_D^-1 r / 4,
 
@@ -197,10 +197,10 @@ class InterfaceAccount:
 
 
 CALM: Final = 0.02
-"""Part by which the delay that the controller expects follows the delay of each tick: it takes some 50 ticks."""
+"""Part by which the delay that the interface expects follows the delay of each tick: it takes some 50 ticks."""
 
 LONGEST: Final = 2.0
-"""The longest delay that the controller expects, in periods: a single long one would make it hold back too much."""
+"""The longest delay that the interface expects, in periods: a single long one would make it hold back too much."""
 
 RECOVERY: Final = 0.3
 """s; the time constant with which an offset is made up. What is sent burns energy as a moving device does, so that a
@@ -226,6 +226,7 @@ class DeviceInterface:
         kept_back: the energy that the changed motions kept from being lost, J.
         offset: the greatest offset so far between the device and the motion sent, of any axis, m.
         speed: the device's mean speed between the last two samples that were sent, m/s.
+        shortened: whether the last :meth:`send` has brought :attr:`until` nearer, which the driver must be given.
     """
 
     def __init__(
@@ -261,7 +262,7 @@ class DeviceInterface:
         self._goal = self._sent
         self._x: Floats = self._sent  # of the sample
         self._at: Instant | None = None  # likewise
-        self.speed = 0.0
+        self.speed, self.shortened = 0.0, False
         self._since = Instant(0)  # since when the present force is exerted
         self._exact = True  # whether the device knew where it was then
         self._sample: tuple[Floats, Instant, Floats, float] | None = None  # sent, and not booked yet
@@ -296,6 +297,7 @@ class DeviceInterface:
             at: the instant of the sample.
         """
         self._settle()
+        self.shortened = False
         account, before, last = self.account, self._sent, self._at
         if last is not None and at > last:
             self.speed = math.dist(x, self._x) / ((at - last) * _NS)
@@ -331,6 +333,7 @@ class DeviceInterface:
         account.received(kept, gain)
         self._book()
         if self._power > 0.0 and self.tank < left * self._power:
+            self.shortened = True
             account.until = Instant(at + int(max(0.0, 1e9 * self.tank / self._power)))
         return self._sent
 

@@ -57,13 +57,12 @@ class DeviceNode:
         common = bundle.common
         self._common, self._driver = common, driver
         self._rungs, self._promises = bundle.rungs, bundle.promises
-        allowed = bundle.tank if bundle.tank is not None and bundle.time == WALL else 0.0
-        self._core = DeviceCore(*bundle.promises[0], common.period, allowed)
+        self._core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed)
         self._guard = Guard(bundle.limits, common.period, common.ports)
         self._realtime: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(common)
-        self._fresh = self._timeouts.stale or Duration(0)  # how long a force stays fresh; 0 where nothing is late
-        self._suspension = Duration(max(SUSPENSION, self._fresh))
+        self._stale = self._timeouts.stale or Duration(0)  # after this wait a force is stale; 0 where nothing is late
+        self._suspension = Duration(max(SUSPENSION, self._stale))
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
@@ -123,14 +122,13 @@ class DeviceNode:
             let_go = guard.let_go
             goal = guard.report(x, max(1, -((before - sampled + period // 2) // period)))
             before = sampled
-            fresh = sent_tick != tick
+            first = sent_tick != tick  # the first sample of the tick
             if interface is None:
                 row_x, reported_x = x, goal
-            elif fresh:
+            elif first:
                 row_x, row_at, sent_tick = x, at, tick
-                until = interface.until
                 reported_x = interface.send(x, goal, at)
-                if interface.until is not until:
+                if interface.shortened:
                     driver.apply(interface.exerted, at, interface.until)
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
@@ -149,10 +147,10 @@ class DeviceNode:
             if life.stopping:
                 return
             received = clock.now()
-            # no wait is longer than until the force is stale, and no work or scheduler takes so long
-            idle = max(sampled - max(due, ready), sent - sampled, received - sent - self._fresh)
-            if self._fresh and idle > self._suspension:
-                account.suspend(Duration(idle))
+            if self._stale:  # no wait is longer than until a force is stale, and no work or scheduler takes so long
+                missed = max(sampled - max(due, ready), sent - sampled, received - sent - self._stale)
+                if missed > self._suspension:
+                    account.suspend(Duration(missed))
             if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
                 driver.release(Instant(received - epoch))
                 work = driver.intended_work()
@@ -160,7 +158,7 @@ class DeviceNode:
                     core.sample(x)
                     core.apply(self._zero, work)
                 else:  # the couplings were given nothing in this period, and know of no motion since the one sent
-                    intended, since = (since + work, 0.0) if fresh else (intended, since + work)
+                    intended, since = (since + work, 0.0) if first else (intended, since + work)
                 driver.idle(Instant((slot + 1) * period))
                 account.release(tick)
                 slot += 1
@@ -189,7 +187,7 @@ class DeviceNode:
                 core.sample(x)
                 core.apply(held, work)
             else:
-                intended, since = (since + work, 0.0) if fresh else (intended, since + work)
+                intended, since = (since + work, 0.0) if first else (intended, since + work)
                 core.sample(reported_x, interface.speed)
                 core.apply(wanted, intended)
             for peer_link in peer_links:

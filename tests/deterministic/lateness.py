@@ -22,7 +22,7 @@ import multiprocessing
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,7 +36,7 @@ from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle, Envir
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.interface import interface_of
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -183,14 +183,11 @@ class Late:
     """One device in wall time, with the instants of its loop."""
 
     def __init__(self, bundle: DeviceBundle, tank: float | None) -> None:
-        rung, T = bundle.rungs[0], bundle.common.period
+        T = bundle.common.period
         self.driver, self.period = driver_of(bundle), from_seconds(T)
         self.guard = Guard(bundle.limits, T, bundle.common.ports)
         self.stale = Duration(STALE_TICKS * self.period)
-        self.interface = DeviceInterface(
-            bundle.osp, rung.share, rung.tau, rung.period_tolerance, T, bundle.limits.speed,
-            Duration(self.stale + self.period), tank,
-        )  # fmt: skip
+        self.interface = interface_of(replace(bundle, tank=tank))
         self.slot, self.turn, self.now, self.fastest = 0, 0, 0, 0.0
         self.x: list[float] = []
         self.sent: list[float] = []
@@ -201,9 +198,8 @@ class Late:
         self.x = list(map(float, self.driver.sample(self.turn, self.sampled)))
         self.turn += 1
         goal = self.guard.report(self.x, max(1, round((self.now - before) / self.period)))
-        until = self.interface.until
         self.sent = self.interface.send(self.x, goal, self.sampled)
-        if self.interface.until is not until:
+        if self.interface.shortened:
             self.driver.apply(self.interface.exerted, self.sampled, self.interface.until)
         self.fastest = max(self.fastest, self.interface.speed)
         return self.sent
