@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, account_bounded, audit
+from manyhands.launch.recordings.audit import Audit, audit
+from manyhands.launch.recordings.checks import account_bounded
 from manyhands.launch.recordings.findings import Check, CheckVerdict
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.states import SessionPhase

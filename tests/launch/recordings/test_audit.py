@@ -16,9 +16,10 @@ from manyhands.launch.cli import app
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit, bounded, period_assumed
+from manyhands.launch.recordings.audit import Audit, audit
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
+from manyhands.launch.recordings.checks import bounded, period_assumed
 from manyhands.launch.recordings.events import Course, course_of
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
