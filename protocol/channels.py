@@ -216,7 +216,7 @@ def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False) -> t
     Args:
         role: of the node.
         masses: of the environment; without them its topic of masses is left out.
-        wall: whether there may be devices in wall time, whose topics are left out otherwise.
+        wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
     """
     return tuple(
         topic

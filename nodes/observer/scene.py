@@ -40,11 +40,19 @@ class AboutError(Exception):
 
 @dataclass(frozen=True)
 class NodeAbout:
-    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if any."""
+    """A node.
+
+    Attributes:
+        role: of the node.
+        ports: in the order of its traces.
+        process: the node whose process it shares; None for a process of its own.
+        wall: whether it is a device in wall time, which reports more topics than one in its own.
+    """
 
     role: Role
     ports: tuple[str, ...]
     process: str | None = None
+    wall: bool = False
 
 
 @dataclass(frozen=True)
@@ -179,7 +187,9 @@ _SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
 def _about(data: Any) -> About:
     certificate = data["certificate"]
     nodes = {
-        _text(name): NodeAbout(Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]))
+        _text(name): NodeAbout(
+            Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]), _flag(node["wall"])
+        )
         for name, node in data["nodes"].items()
     }
     about = About(

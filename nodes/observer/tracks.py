@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.scene import About
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, Columns, Topic, topics_of
 from manyhands.protocol.messages import Observation, Role
@@ -226,7 +225,7 @@ class Tracks:
 
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
-        for topic in topics_of(node.role, tuple(about.masses), about.clock == REALTIME):
+        for topic in topics_of(node.role, tuple(about.masses), node.wall):
             if (topic.trace == LEDGER and about.certificate is None) or topic.columns is Columns.INSTANTS:
                 continue
             yield TrackKey(name, topic)
