@@ -21,6 +21,7 @@ from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
 from manyhands.nodes.device.telemetry import longest_period
+from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Che
         if k not in begun:
             expected[k, 0] = max(sampled[k], applied[last])
     what = "samples and forces are in the order of time, and tau is the time between them"
-    return compare("instants", node, what, ("sampled", "applied", "ended"), instants, expected)
+    return compare("instants", node, what, INSTANT_NAMES, instants, expected)
 
 
 def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Course) -> list[Check]:
