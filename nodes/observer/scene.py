@@ -424,6 +424,17 @@ class Scene:
         late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
 
+    def covered_tau(self, device: str) -> float:
+        """The delay (s) that the certificate covers for a device now: that of its couplings' rung."""
+        certificate = self.about.certificate
+        if certificate is None:
+            return 0.0
+        taus = (certificate.tau, *certificate.ladder)
+        ends = {end for link in self.about.links if device in link.ends for end in link.ends}
+        couplings = [self.nodes[end] for end in ends if end in self.nodes and self.nodes[end].role is Role.COUPLING]
+        rungs = (coupling.figures.get(names.RUNG, 0.0) for coupling in couplings)
+        return min((taus[round(rung)] for rung in rungs if 0.0 <= rung <= len(taus) - 1), default=certificate.tau)
+
     @property
     def health(self) -> Health:
         """The session's health: that of its worst node, and at least FROZEN if any coupling is."""
