@@ -213,17 +213,22 @@ class _AuditRun:
         out += self._environment(blocks)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [figures_agree(self._run, name) for name in ledgers]
-        allowed = {name: device.allowed for name, device in devices.items()}
-        out += [bounded(self._run, name, allowed.get(name, 0.0)) for name in ledgers]
+        out += [bounded(self._run, name) for name in ledgers if name not in devices]
         for name, device in devices.items():
-            out += limits_kept(self._run, name, device, courses[name])
-            taus = {0: device.rungs[0].tau} | {
-                tick + 1: device.rungs[rung].tau for tick, rung in courses[name].in_force
-            }
-            tolerance = device.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
-            out += [delay_assumed(self._run, name, taus), period_assumed(self._run, name, tolerance)]
+            assumed = self._assumed(name, device, courses[name])
+            found = [check for check in (*out, *assumed) if check.party == name]
+            within = all(check.verdict is not CheckVerdict.ASSUMPTION for check in found) and not courses[name].released
+            promised = device.time != WALL or device.tank is not None or within
+            out.append(bounded(self._run, name, device.allowed, promised))
+            out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
+
+    def _assumed(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
+        """What the certificate assumes of a device's delays and periods."""
+        taus = {0: bundle.rungs[0].tau} | {tick + 1: bundle.rungs[rung].tau for tick, rung in course.in_force}
+        tolerance = bundle.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
+        return [delay_assumed(self._run, name, taus), period_assumed(self._run, name, tolerance)]
 
     def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array) -> None:
         """Replace x and f of a device that has let go by the x that it sent its couplings and the forces it was asked

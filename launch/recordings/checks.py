@@ -71,13 +71,15 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, reported)
 
 
-def bounded(run: RecordedRun, node: str, allowed: float = 0.0) -> Check:
+def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = True) -> Check:
     """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
 
     Args:
         run: the recording.
         node: its name.
         allowed: how far the ledger may fall below 0, J: of a device in wall time, its tank.
+        promised: whether the node promised that bound. A device in wall time without a tank did not, if an assumption
+            of the certificate did not hold: then lateness may have put in what is missing.
 
     Returns:
         The check; nothing was checked where no ledger was kept.
@@ -88,10 +90,14 @@ def bounded(run: RecordedRun, node: str, allowed: float = 0.0) -> Check:
     tolerance = LEDGER_ROUNDING * work
     bound = f"-{allowed:g} J, its tank" if allowed else "0"
     what = f"its ledger never fell below {bound}: it kept its promise"
+    if not promised:
+        what = "its ledger is never below 0, as within the certificate; what lateness puts in is not enforced"
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     wrong = trace < -allowed - tolerance
     first = first_of(wrong, ("E",), trace, np.full_like(trace, 0.0 - allowed))
-    verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
+    verdict = CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
+    if first is not None:
+        verdict = CheckVerdict.BROKEN if promised else CheckVerdict.ASSUMPTION
     remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
     return Check(
         "bound",

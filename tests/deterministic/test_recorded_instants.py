@@ -135,6 +135,21 @@ def test_an_honest_recording_in_real_time_holds_to_the_end(prepared: Prepared, t
         assert check_of(done, coupling, "signal").numbers > 0.9 * check_of(done, coupling, "ledger").numbers
 
 
+def test_lateness_that_is_counted_alone_breaks_nobodys_promise(tmp_path: Path) -> None:
+    wishes = ["design.tau=0", "design.ladder=[]", "design.objective=stiffest", "faults.breach=warn",
+              "faults.lateness=count"]  # fmt: skip
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", wishes))
+    told = WatchedSession(prepared, faults).told
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name in DEVICES:
+        assert min(message.figures[names.LEDGER_MIN] for message in told[name]) < 0.0
+        for what in ("bound", "account"):
+            assert check_of(done, name, what).verdict is CheckVerdict.ASSUMPTION
+    for name in ("cx", "cy", "cz", "environment"):
+        assert check_of(done, name, "bound").verdict is CheckVerdict.HOLDS
+
+
 def changed(told: Told, node: str, trace: str, column: int, tick: int, by: float) -> Told:
     """The telemetry with one number changed."""
     out = {name: list(messages) for name, messages in told.items()}

@@ -421,6 +421,9 @@ def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:
     assert check.verdict is CheckVerdict.BROKEN
     assert check.first is not None
     assert (check.first.tick, check.first.recorded) == (AT, -1e-9)
+    assumed = bounded(run, "dx", promised=False)
+    assert (assumed.verdict, assumed.holds, assumed.first) == (CheckVerdict.ASSUMPTION, True, check.first)
+    assert assumed.what.endswith("what lateness puts in is not enforced")
     run.traces["dx", "ledger"].values[:] = np.nan
     assert bounded(run, "dx").verdict is CheckVerdict.UNCHECKED
 
