@@ -20,7 +20,6 @@ from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Unc
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
-from manyhands.nodes.device.telemetry import longest_period
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]
@@ -237,11 +236,12 @@ def period_assumed(run: RecordedRun, node: str, period_tolerance: float) -> Chec
     """
     figures = run.figures.get(node, ())
     counts = [one[names.PERIOD_BREACHES] for _, one in figures if names.PERIOD_BREACHES in one]
-    what = f"samples are at most {longest_period(1.0, period_tolerance):g} T apart, as the device counted"
+    most = f"{1.0 + period_tolerance:g} T"
+    what = f"samples are at most {most} apart, or more after an early force, as the device counted"
     if not counts:
         return Check("period", node, what, CheckVerdict.UNCHECKED)
-    most = max(counts)
-    remark = f"not in {most:.0f} ticks" if most else ""
+    breaches = max(counts)
+    remark = f"not in {breaches:.0f} ticks" if breaches else ""
     return Check(
-        "period", node, what, CheckVerdict.ASSUMPTION if most else CheckVerdict.HOLDS, len(counts), remark=remark
+        "period", node, what, CheckVerdict.ASSUMPTION if breaches else CheckVerdict.HOLDS, len(counts), remark=remark
     )
