@@ -50,7 +50,7 @@ from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Rec
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
-from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, rows_of, there
+from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, grown_in, rows_of, there
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED, WALL, CouplingBundle, DeviceBundle, EnvironmentBundle
@@ -296,7 +296,8 @@ class _AuditRun:
         instants, account = rows_of(run, name, names.INSTANTS), rows_of(run, name, names.INTERFACE)
         let_go = changed_after(figures, names.LET_GO)
         applied = rows_of(run, name, names.APPLIED)
-        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go)
+        stopped = grown_in(figures, names.SUSPENDED, run.ticks)
+        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go, stopped)
         again = recompute_in_wall_time(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
         )

@@ -45,6 +45,7 @@ from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import interface_of
+from manyhands.nodes.device.wall_time import LONGEST_GAP
 from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]
@@ -161,6 +162,7 @@ class WallRows:
         instants: s(k), a(k), and when the force before had ended, ticks x 3, ns since tick 0.
         applied: x at the instants a(k), ticks x axes, m; NaN where the device could not measure it.
         let_go: the tick from which on the device may have let go; None if it never did.
+        stopped: by tick, whether its process may not have run for a while.
     """
 
     x: Array
@@ -169,6 +171,7 @@ class WallRows:
     instants: Array
     applied: Array
     let_go: int | None
+    stopped: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +225,15 @@ class _WallState:
         self._energy = 0.0  # all that was exchanged so far, J
         self._released = 0
 
-    def periods_to(self, applied: int) -> int:
-        """Periods of the grid between the last force and the instant ``applied``, ns."""
-        return 0 if self._applied is None else (applied - self._applied) // self._period
+    def periods_to(self, sampled: Instant, applied: Instant, free: bool) -> int:
+        """Periods that the driver integrates from the last force to the next, with the sample of its tick in between.
+
+        ``free`` is whether the loop sampled in between. A gap is integrated up to LONGEST_GAP otherwise.
+        """
+        if self._applied is None:
+            return 0
+        before, after = sampled - self._applied, applied - sampled
+        return (min(before, LONGEST_GAP) + (after if free else min(after, LONGEST_GAP))) // self._period
 
     def sample(self, k: int, at: Instant, may_let_go: bool) -> tuple[Floats, Floats]:
         """The displacement at ``at``, m, and that which the couplings received.
@@ -249,13 +258,14 @@ class _WallState:
         self._core.sample(sent, interface.speed)
         return x, sent
 
-    def release(self, periods: int, at: Instant) -> None:
-        """Run free for so many periods; the force had ended at ``at``."""
+    def release(self, periods: int, at: Instant, applied: Instant) -> None:
+        """Run free for so many periods, until ``applied``; the force had ended at ``at``."""
         self._released += periods
         until = self.interface.until
         if until is None or at < until:
-            self._driver.release(at)
             self.interface.released(at)
+        for instant in range(at, applied, LONGEST_GAP):  # the loop sampled in every period, so its driver saw no gap
+            self._driver.release(Instant(instant))
 
     def apply(self, asked: Floats, f: Floats, at: Instant) -> tuple[Floats, Instant, Floats | None]:
         """Take the couplings' answer, N, and exert f, N, from ``at`` on.
@@ -330,11 +340,12 @@ def recompute_in_wall_time(
         if state is not None:
             sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
             may_let_go = rows.let_go is not None and k >= rows.let_go
-            freed += max(0, state.periods_to(applied) - 1)
+            freed += max(0, state.periods_to(sampled, applied, happened.released > 0) - 1)
             asked = rows.asked[k]
             if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
                 asked = np.where(rows.f[k] == 0.0, 0.0, asked)
-            why = happened.unknown or _unknown(happened.released, may_let_go, freed, asked)
+            stopped = bool(rows.stopped[k]) and applied - sampled > LONGEST_GAP
+            why = happened.unknown or _unknown(happened.released, may_let_go, stopped, freed, asked)
             if why:
                 state = None
                 lose(out.gaps, k, ticks, why)
@@ -346,7 +357,7 @@ def recompute_in_wall_time(
             state.change(happened.rung)
         x, out.sent[k] = state.sample(k, sampled, may_let_go)
         if happened.released:
-            state.release(happened.released, ended)
+            state.release(happened.released, ended, applied)
         if happened.jumped:
             state.interface.skipped()
         out.exerted[k], out.ended[k, 0], x_a = state.apply(asked.tolist(), rows.f[k].tolist(), applied)
@@ -362,12 +373,14 @@ def recompute_in_wall_time(
     return out
 
 
-def _unknown(released: int, may_let_go: bool, freed: int, asked: Array) -> str:
+def _unknown(released: int, may_let_go: bool, stopped: bool, freed: int, asked: Array) -> str:
     """Why a device in wall time cannot be followed; empty where it can."""
     if not np.isfinite(asked).all():
         return "the force that a coupling handed on is not recorded"
     if released and may_let_go:
         return "it was beyond its limits and ran free, and the samples of free periods are not recorded"
+    if released and stopped:
+        return "its process did not run for a while and ran free, and the samples of free periods are not recorded"
     if freed > MOST_FREE:
         return f"it ran free for {freed} periods, more than are computed"
     return ""

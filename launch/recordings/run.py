@@ -413,6 +413,16 @@ def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | No
     return None
 
 
+def grown_in(figures: Figures, name: str, ticks: int) -> NDArray[np.bool_]:
+    """By tick, whether a count has grown between the telemetry messages around it; a new process counts from 0."""
+    out, begin, before = np.zeros(ticks, dtype=np.bool_), 0, 0.0
+    for tick, values in figures:
+        count = values.get(name, 0.0)
+        out[begin:tick] = count > before
+        begin, before = tick, count
+    return out
+
+
 def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
 

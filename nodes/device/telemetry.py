@@ -303,8 +303,8 @@ class DeviceTelemetry:
         interface = self._interface
         if interface is None:
             return {}
-        suspended = {names.SUSPENDED_ENERGY: self._suspended_energy} if self.suspended else {}
-        return suspended | {
+        suspended = {names.SUSPENDED: float(self.suspended), names.SUSPENDED_ENERGY: self._suspended_energy}
+        return (suspended if self.suspended else {}) | {
             names.INTERFACE: interface.account.energy,
             names.INTERFACE_LEAST: interface.account.least,
             names.INTERFACE_TICKS: float(interface.ticks),

@@ -150,6 +150,37 @@ def test_lateness_that_is_counted_alone_breaks_nobodys_promise(tmp_path: Path) -
         assert check_of(done, name, "bound").verdict is CheckVerdict.HOLDS
 
 
+@pytest.mark.parametrize("among_free_periods", [False, True])
+def test_gaps_that_are_not_integrated_are_followed(
+    among_free_periods: bool, prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An hour here is 60 ms, and what is integrated of it 8 ms; free periods without a stop are longer than that."""
+    for module in ("nodes.device.wall_time", "launch.recordings.audit_device"):
+        monkeypatch.setattr(f"manyhands.{module}.LONGEST_GAP", 8 * MS)
+
+    def stops(session: SimulatedSession) -> None:
+        session.scheduler.after(200 * MS, lambda: session.stop("environment", 34 * MS))
+        session.scheduler.after(300 * MS, lambda: session.stop("dx", 60 * MS))
+        session.scheduler.after(int(400.4 * MS), lambda: session.stop("dy", 60 * MS))
+
+        if among_free_periods:
+            session.scheduler.after(500 * MS, lambda: session.stop("environment", 34 * MS))
+            session.scheduler.after(515 * MS, lambda: session.stop("dx", 60 * MS))
+
+    told = WatchedSession(prepared, stops).told
+    assert all(told[name][-1].figures[names.RELEASED] > 8.0 for name in DEVICES)
+    stopped = [told[name][-1].figures.get(names.SUSPENDED) for name in DEVICES]
+    assert stopped == [1.0 + among_free_periods, 1.0, None]
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name in DEVICES[among_free_periods:]:
+        for check in (check_of(done, name, what) for what in OF_A_DEVICE):
+            assert (check.verdict, check.gaps) == (CheckVerdict.HOLDS, ()), check
+    if among_free_periods:
+        (gap,) = check_of(done, "dx", "interface").gaps
+        assert gap.why.startswith("its process did not run for a while and ran free")
+
+
 def changed(told: Told, node: str, trace: str, column: int, tick: int, by: float) -> Told:
     """The telemetry with one number changed."""
     out = {name: list(messages) for name, messages in told.items()}
