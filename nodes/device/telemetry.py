@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
-from typing import Final
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.tick import NO_INSTANTS, Instants
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.nodes.telemetry import Distribution
@@ -107,12 +107,6 @@ class LatenessCounter:
 
 Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
 """The instants of a tick: due, ready, sampled, sent, received and applied, as in :func:`cause`."""
-
-
-Instants = tuple[Instant, Instant, Instant]
-"""The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
-
-NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
 
 
 class DeviceTelemetry:
