@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,8 +24,8 @@ from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
-from manyhands.launch.recordings.curves import Array, Curve, Panel, backward_difference
-from manyhands.launch.recordings.plots import draw_panel, picture_of_run
+from manyhands.launch.recordings.curves import Array, Curve, Panel
+from manyhands.launch.recordings.plots import VELOCITY, draw_panel, picture_of_run
 from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
@@ -36,7 +36,7 @@ from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.alarms import LEDGER_ROUNDING
-from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, INTERFACE
+from manyhands.protocol.channels import FORCE, INTERFACE
 
 _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.2  # inches
 
@@ -72,16 +72,9 @@ def velocities(recording: Recording, title: str) -> Row:
 
 
 def velocities_of_run(run: RecordedRun, title: str) -> Row:
-    """The velocity of every port of a recorded run: of a device in wall time, by the instants of its samples."""
-    curves: list[Curve] = []
-    for name, ports in run.recorded.devices.items():
-        v = backward_difference(rows_of(run, name, DISPLACEMENT), run.recorded.period)
-        sampled = rows_of(run, name, INSTANTS)[:, :1] if run.recorded.clock == REALTIME else np.empty((0, 1))
-        if not np.all(np.isnan(sampled)):
-            between = np.diff(sampled, axis=0, prepend=np.nan)
-            v = np.divide(v, between / run.recorded.tick_ns, out=np.full_like(v, np.nan), where=between > 0.0)
-        curves += [Curve(port, column) for port, column in zip(ports, v.T, strict=True)]
-    return Row(run.time, Panel("velocity", title, "velocity [m/s]", tuple(curves)))
+    """The velocity of every port of a recorded run."""
+    [found] = picture_of_run(run, [VELOCITY]).panels
+    return Row(run.time, replace(found, title=title))
 
 
 def accounts(run: RecordedRun, tank: float) -> Row:

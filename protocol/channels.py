@@ -136,6 +136,9 @@ INTERFACE: Final = "interface"
 INSTANTS: Final = "instants"
 APPLIED: Final = "x_a"
 
+INSTANT_NAMES: Final = ("sampled", "applied", "ended")
+"""The columns of the trace of instants: when x was sampled, when f was applied, and when the force before had ended."""
+
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
 
@@ -178,7 +181,7 @@ class Topic:
             Columns.PORTS: ports,
             Columns.MASSES: masses,
             Columns.ONE: (self.symbol,),
-            Columns.INSTANTS: ("sampled", "applied", "ended"),
+            Columns.INSTANTS: INSTANT_NAMES,
         }[self.columns]
 
 
@@ -216,7 +219,7 @@ def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False) -> t
     Args:
         role: of the node.
         masses: of the environment; without them its topic of masses is left out.
-        wall: whether there may be devices in wall time, whose topics are left out otherwise.
+        wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
     """
     return tuple(
         topic

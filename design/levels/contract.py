@@ -46,6 +46,29 @@ class DeviceShare:
         """The a = 2 kappa share <= 1 that is share Delta_D in units of Lambda = Delta_D / (2 kappa)."""
         return 2.0 * self.kappa * self.share
 
+    @property
+    def weight(self) -> float:
+        """What a motion costs at the worst answer: m = share + a^2/(b - c), a = 1/2 - share kappa, b = kappa a.
+
+        F_t of :mod:`manyhands.design.levels.device` is, for g- = 0 and the worst g, sigma^2/lambda - m sigma^2.
+        """
+        a = 0.5 - self.share * self.kappa
+        room = self.kappa * a - self.c
+        return self.share + (a * a / room if room > 0.0 else 0.0)
+
+    def longest_period(self, t: float) -> float:
+        """The longest period, in units of T, of a tick whose force acts t T after its sample: F_t >= 0 up to
+
+            lambda = 1/m - t^2/(4 c - t).
+
+        Within the delay and the period that a certificate states it is at least that period. An earlier force leaves
+        room for a later sample.
+        """
+        if t <= 0.0:
+            return 1.0 / self.weight
+        room = 4.0 * self.c - t
+        return 1.0 / self.weight - t * t / room if room > 0.0 else 0.0
+
 
 def loop_gain(kappa: float, period: float, Delta_D: Matrix) -> Matrix:
     """K = kappa T Delta_D^{-1} of the loop transformation, m/N; kappa = 1/2 is (8).

@@ -208,7 +208,7 @@ def replay(file: McapPath, as_json: Json = False) -> None:
         from rich.progress import Progress
 
         from manyhands.launch.design_report import print_json, progress_on
-        from manyhands.launch.recordings.audit import prepared_of
+        from manyhands.launch.recordings.prepared import prepared_of
         from manyhands.launch.recordings.printing import print_damage, print_replayed
         from manyhands.launch.recordings.replay import replay as replayed
         from manyhands.launch.recordings.replay import require_simulated

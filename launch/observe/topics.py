@@ -22,7 +22,6 @@ import numpy as np
 
 from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.scene import About
 from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name, topics_of
@@ -67,7 +66,7 @@ def named_topics(about: About) -> dict[str, Named]:
     for name, node in about.nodes.items():
         found += [
             Named(about.session, name, topic.name, topic, topic.columns_of(node.ports, masses))
-            for topic in topics_of(node.role, masses, about.clock == REALTIME)
+            for topic in topics_of(node.role, masses, node.wall)
             if about.certificate is not None or topic.trace != LEDGER
         ]
         found.append(Named(about.session, name, TELEMETRY, None))

@@ -37,8 +37,7 @@ from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     OWN,
-    REALTIME,
-    SIMULATED,
+    WALL,
     BrowserHand,
     Bundle,
     Common,
@@ -162,8 +161,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     for name in session.devices:
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
-        source, time = _source(session, name), OWN if run.clock == SIMULATED else session.devices[name].time
-        bundles[name] = DeviceBundle(commons[name], osp, of_devices, source, limits, time, tank)
+        time = WALL if session.in_wall_time(name, run.clock) else OWN
+        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits, time, tank)
     for index, name in enumerate(prepared.loop.partition.names):
         own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
         limits = limits_at(session, commons[name].ports)
@@ -271,7 +270,7 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
             other = link.connector if binds else link.binder
             address = run.reach.address(graph, index) if binds else ""
             peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
-    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name, run.clock == REALTIME))
+    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name, run.clock))
     return Common(
         session=prepared.session.name,
         name=name,
@@ -297,12 +296,13 @@ def mass_names(session: Session) -> tuple[str, ...]:
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
 
 
-def _columns(session: Session, graph: Topology, name: str, wall: bool) -> int:
+def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     """The number of columns in all traces of a node; 0 for an observer."""
     if name not in graph.nodes:
         return 0
     ports, masses = graph.ports[name], mass_names(session)
-    return sum(len(topic.columns_of(ports, masses)) for topic in topics_of(graph.nodes[name], masses, wall))
+    topics = topics_of(graph.nodes[name], masses, session.in_wall_time(name, clock))
+    return sum(len(topic.columns_of(ports, masses)) for topic in topics)
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

@@ -44,7 +44,8 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.interface import interface_of
+from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.nodes.device.wall_time import LONGEST_GAP
 from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]
@@ -161,6 +162,7 @@ class WallRows:
         instants: s(k), a(k), and when the force before had ended, ticks x 3, ns since tick 0.
         applied: x at the instants a(k), ticks x axes, m; NaN where the device could not measure it.
         let_go: the tick from which on the device may have let go; None if it never did.
+        stopped: by tick, whether its process may not have run for a while.
     """
 
     x: Array
@@ -169,6 +171,7 @@ class WallRows:
     instants: Array
     applied: Array
     let_go: int | None
+    stopped: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,83 +210,61 @@ class RecomputedInWallTime:
         return cls(x, applied, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
 
 
+class _FollowedGuard(Guard):
+    """A device's guard, of which the samples of free periods are not known.
+
+    Attributes:
+        may_let_go: whether the device may have let go so far; if it never did, its guard changes nothing.
+    """
+
+    may_let_go = False
+
+    def report(self, x: Floats, periods: int = 1) -> Floats:
+        """What the guard makes of x, m; x itself if the device never let go."""
+        if self.may_let_go:
+            return super().report(x, periods)
+        self.breach(x, periods)
+        return x
+
+
 class _WallState:
-    """A device in wall time with its hand, its guard and its interface, between two rows."""
+    """A device in wall time between two rows, with what its recording does not fix to the last bit."""
 
     def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
         """Device and hand begin at rest, at the first sample."""
-        common = bundle.common
-        self._bundle, self._driver, self._period = bundle, driver, from_seconds(common.period)
-        self._guard = Guard(bundle.limits, common.period, common.ports)
-        self._core = DeviceCore(*bundle.promises[0], common.period)
-        self.interface = interface_of(bundle)
-        self._sampled = Instant(0)
+        self._period = from_seconds(bundle.common.period)
+        self.guard = _FollowedGuard(bundle.limits, bundle.common.period, bundle.common.ports)
+        self.tick = WallTimeTick(bundle, driver, self.guard)
         self._applied: Instant | None = None
         self._energy = 0.0  # all that was exchanged so far, J
         self._released = 0
 
-    def periods_to(self, applied: int) -> int:
-        """Periods of the grid between the last force and the instant ``applied``, ns."""
-        return 0 if self._applied is None else (applied - self._applied) // self._period
+    def periods_to(self, sampled: Instant, applied: Instant, free: bool) -> int:
+        """Periods that the driver integrates from the last force to the next, with the sample of its tick in between.
 
-    def sample(self, k: int, at: Instant, may_let_go: bool) -> tuple[Floats, Floats]:
-        """The displacement at ``at``, m, and that which the couplings received.
-
-        Args:
-            k: the row.
-            at: s(k).
-            may_let_go: whether the device may have let go so far; if it never did, its guard changes nothing.
+        ``free`` is whether the loop sampled in between. A gap is integrated up to LONGEST_GAP otherwise.
         """
-        driver, interface = self._driver, self.interface
-        x = list(map(float, driver.sample(k, at)))
-        periods = max(1, -((self._sampled - at + self._period // 2) // self._period))
-        self._sampled = at
-        if may_let_go:
-            goal = self._guard.report(x, periods)
-        else:
-            self._guard.breach(x, periods)
-            goal = x
-        sent = interface.send(x, goal, at)
-        if interface.shortened:
-            driver.apply(interface.exerted, at, interface.until)
-        self._core.sample(sent, interface.speed)
-        return x, sent
+        if self._applied is None:
+            return 0
+        before, after = sampled - self._applied, applied - sampled
+        return (min(before, LONGEST_GAP) + (after if free else min(after, LONGEST_GAP))) // self._period
 
-    def release(self, periods: int, at: Instant) -> None:
-        """Run free for so many periods; the force had ended at ``at``."""
+    def release(self, periods: int, at: Instant, applied: Instant) -> None:
+        """Run free for so many periods, until ``applied``; the force had ended at ``at``."""
         self._released += periods
-        until = self.interface.until
-        if until is None or at < until:
-            self._driver.release(at)
-            self.interface.released(at)
+        self.tick.release(at)
+        for instant in range(at + LONGEST_GAP, applied, LONGEST_GAP):  # the loop sampled, so its driver saw no gap
+            self.tick.driver.release(Instant(instant))
 
-    def apply(self, asked: Floats, f: Floats, at: Instant) -> tuple[Floats, Instant, Floats | None]:
-        """Take the couplings' answer, N, and exert f, N, from ``at`` on.
-
-        Returns:
-            What the interface would exert, N, when the force before had ended, and the displacement at ``at``, m.
-        """
-        driver, interface = self._driver, self.interface
-        held, until = interface.force(asked, self._guard.clip(asked), at)
-        moved = driver.apply(f, at, until)
-        x_a = None if moved is None else list(map(float, moved))
-        ended = interface.applied(x_a, at, f, until)
-        work, before = driver.intended_work(), self._core.ledger.total
-        self._core.apply(asked, work)
-        self._energy += abs(work) + abs(self._core.ledger.total - before - work)
+    def exert(self, asked: Floats, recorded: Floats, at: Instant) -> Floats:
+        """Take the couplings' answer, N, and exert what was recorded, N, from ``at`` on; returns what follows, N."""
+        tick, ledger = self.tick, self.tick.core.ledger
+        held = tick.exert(asked, at, recorded)
+        before = ledger.total
+        tick.book()
+        self._energy += abs(tick.work) + abs(ledger.total - before - tick.work)
         self._applied = at
-        return held, ended, x_a
-
-    def change(self, rung: int) -> None:
-        """Change the promised level to that of ``rung``."""
-        of = self._bundle.rungs[rung]
-        self._core.change(*self._bundle.promises[rung])
-        self.interface.change(of.share, of.tau, of.period_tolerance)
-
-    @property
-    def ledger(self) -> float:
-        """The ledger's total, J."""
-        return self._core.ledger.total
+        return held
 
     @property
     def tolerance(self) -> float:
@@ -330,11 +311,12 @@ def recompute_in_wall_time(
         if state is not None:
             sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
             may_let_go = rows.let_go is not None and k >= rows.let_go
-            freed += max(0, state.periods_to(applied) - 1)
+            freed += max(0, state.periods_to(sampled, applied, happened.released > 0) - 1)
             asked = rows.asked[k]
             if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
                 asked = np.where(rows.f[k] == 0.0, 0.0, asked)
-            why = happened.unknown or _unknown(happened.released, may_let_go, freed, asked)
+            stopped = bool(rows.stopped[k]) and applied - sampled > LONGEST_GAP
+            why = happened.unknown or _unknown(happened.released, may_let_go, stopped, freed, asked)
             if why:
                 state = None
                 lose(out.gaps, k, ticks, why)
@@ -343,31 +325,35 @@ def recompute_in_wall_time(
         if happened.began:
             find_again(out.gaps, k)
         if happened.rung is not None:
-            state.change(happened.rung)
-        x, out.sent[k] = state.sample(k, sampled, may_let_go)
+            state.tick.change(happened.rung)
+        state.guard.may_let_go = may_let_go
+        out.sent[k] = state.tick.sample(k, sampled)
         if happened.released:
-            state.release(happened.released, ended)
+            state.release(happened.released, ended, applied)
         if happened.jumped:
-            state.interface.skipped()
-        out.exerted[k], out.ended[k, 0], x_a = state.apply(asked.tolist(), rows.f[k].tolist(), applied)
+            state.tick.skipped()
+        out.exerted[k] = state.exert(asked.tolist(), rows.f[k].tolist(), applied)
+        tick = state.tick
         if k in course.rungs:
-            state.change(course.rungs[k])
-        out.account[k] = state.interface.account.energy
+            tick.change(course.rungs[k])
+        out.ended[k, 0], out.account[k] = tick.instants[-1], tick.interface.account.energy
         if not out.motion_gaps:
-            out.x[k], out.ledger[k], out.tolerance[k] = x, state.ledger, state.tolerance
-            if x_a is not None:
-                out.applied[k] = x_a
+            out.x[k], out.ledger[k], out.tolerance[k] = tick.x, tick.core.ledger.total, state.tolerance
+            if tick.x_a is not None:
+                out.applied[k] = tick.x_a
         if k % EVERY == 0:
             progress(k)
     return out
 
 
-def _unknown(released: int, may_let_go: bool, freed: int, asked: Array) -> str:
+def _unknown(released: int, may_let_go: bool, stopped: bool, freed: int, asked: Array) -> str:
     """Why a device in wall time cannot be followed; empty where it can."""
     if not np.isfinite(asked).all():
         return "the force that a coupling handed on is not recorded"
     if released and may_let_go:
         return "it was beyond its limits and ran free, and the samples of free periods are not recorded"
+    if released and stopped:
+        return "its process did not run for a while and ran free, and the samples of free periods are not recorded"
     if freed > MOST_FREE:
         return f"it ran free for {freed} periods, more than are computed"
     return ""

@@ -56,9 +56,20 @@ class Panel:
         return Panel(self.name, self.title, self.axis, curves, self.zero)
 
 
-def backward_difference(x: Array, period: float) -> Array:
-    """(x(k) - x(k-1))/T along the first axis, x(-1) being zero; NaN beside every NaN of x."""
-    return np.diff(x, axis=0, prepend=np.zeros((1, *x.shape[1:]))) / period
+def backward_difference(x: Array, period: float, sampled: Array | None = None) -> Array:
+    """(x(k) - x(k-1))/T along the first axis, x(-1) being zero; NaN beside every NaN of x.
+
+    Args:
+        x: ticks x columns.
+        period: T, s.
+        sampled: the instants s(k) of a device in wall time, ticks x 1, ns; None for a device with a sample every T.
+            With them, the result is (x(k) - x(k-1))/(s(k) - s(k-1)), and NaN in the first tick.
+    """
+    step = np.diff(x, axis=0, prepend=np.zeros((1, *x.shape[1:])))
+    if sampled is None:
+        return step / period
+    between = np.diff(sampled, axis=0, prepend=np.nan)
+    return np.divide(step, 1e-9 * between, out=np.full_like(step, np.nan), where=between > 0.0)
 
 
 def thinned(values: Array, columns: int = COLUMNS) -> NDArray[np.intp]:

@@ -57,6 +57,11 @@ class Course:
     ticks: int
 
     @property
+    def released(self) -> bool:
+        """Whether the node was without a force in some period."""
+        return any(happening.released for happening in self.before.values())
+
+    @property
     def in_force(self) -> list[tuple[int, int]]:
         """The rungs in force after rung 0, each with its first tick, in order; a new process begins at rung 0."""
         begun = [(k, 0) for k, happening in self.before.items() if happening.began and k > 0]

@@ -1,7 +1,8 @@
 """Pictures of recordings: panels of curves over one time axis, the delays as a histogram, incidents as numbered marks.
 
 A :class:`Picture` states what is shown, and holds no drawing. Its quantities follow from the table of topics
-(:mod:`manyhands.protocol.channels`) and from what the file holds; velocities are computed from positions. :func:`draw`
+(:mod:`manyhands.protocol.channels`) and from what the file holds; velocities are computed from positions, and from the
+instants of their samples where these are recorded. :func:`draw`
 is the way from a recording's file to its picture's, with progress.
 
 Matplotlib is used without a screen and without its global state; SVG keeps text as text. Texts come from files of any
@@ -38,7 +39,7 @@ from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
-from manyhands.protocol.channels import INTERFACE, LEDGER, TAU, TOPICS
+from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 
 VELOCITY: Final = "velocity"
@@ -58,6 +59,8 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Titles by quantity, in the order in which they are shown."""
+
+_INSTANTS: Final = next(topic.name for topic in TOPICS[Role.DEVICE] if topic.trace == INSTANTS)
 
 QUANTITIES: Final = tuple(_TITLES)
 SHOWN: Final = ("sample", VELOCITY, "force", "ledger", "tau", "interface")
@@ -257,7 +260,10 @@ def _panels(traces: Mapping[tuple[str, str], RecordedTrace], period: float, tick
             labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) else trace.columns
             values = _of_length(trace.values, ticks)
             if name == VELOCITY:
-                values = backward_difference(values, period)
+                instants = traces.get((node, _INSTANTS))
+                values = backward_difference(
+                    values, period, None if instants is None else _of_length(instants.values[:, :1], ticks)
+                )
             curves += [Curve(label, column) for label, column in zip(labels, values.T, strict=True)]
         axis = f"velocity [{topic.unit}/s]" if name == VELOCITY else f"{topic.symbol} [{topic.unit}]"
         panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace in (LEDGER, INTERFACE)))

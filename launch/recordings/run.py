@@ -182,7 +182,8 @@ class RecordedRun:
     Attributes:
         recorded: the session.
         traces: by node and topic name, in the table's order, all of the same length. A topic without any record is all
-            NaN; a ledger without any record is absent, since not every node keeps one.
+            NaN. Without any record, a ledger is absent, since not every node keeps one, and so is a topic that only
+            devices in wall time have.
         figures: by node, tick and figures of each telemetry message.
         conditions: the session's conditions, each with the latest tick at that time.
         attachments: contents by name, of the session file and the certificate.
@@ -234,7 +235,7 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
     traces = {
         key: RecordedTrace(gatherer.topic, gatherer.columns, gatherer.rows(span)[0])
         for key, gatherer in reading.gatherers.items()
-        if gatherer.count or gatherer.topic.trace != LEDGER
+        if gatherer.count or not (gatherer.topic.trace == LEDGER or gatherer.topic.wall)
     }
     cut = None if reading.why is None else cut_at(reading.why, span.stop)
     return RecordedRun(
@@ -410,6 +411,16 @@ def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | No
             return begin
         begin = tick
     return None
+
+
+def grown_in(figures: Figures, name: str, ticks: int) -> NDArray[np.bool_]:
+    """By tick, whether a count has grown between the telemetry messages around it; a new process counts from 0."""
+    out, begin, before = np.zeros(ticks, dtype=np.bool_), 0, 0.0
+    for tick, values in figures:
+        count = values.get(name, 0.0)
+        out[begin:tick] = count > before
+        begin, before = tick, count
+    return out
 
 
 def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:

@@ -1,9 +1,9 @@
 """What follows when a device measures that its loop differs from the certified one: pure.
 
 A certificate assumes that a force acts at most tau after its sample, and that samples are at most (1 + rho) T apart,
-with rho the period tolerance. Each device counts the ticks in which that did not hold. :class:`BreachPolicy` turns
-these counts into a decision: a notice, a softer coupling, or the session's end. :class:`Assumptions` feeds it with the
-telemetry of one run.
+with rho the period tolerance, or more after an early force. Each device counts the ticks in which that did not hold.
+:class:`BreachPolicy` turns these counts into a decision: a notice, a softer coupling, or the session's end.
+:class:`Assumptions` feeds it with the telemetry of one run.
 
 Every machine is late now and then, and a design takes a quantile of the delays (:mod:`manyhands.launch.doctor.profile`
 covers 99.5 %). So a single late tick has no consequence. A *burst*, more than :data:`SHARE` of the ticks of
@@ -41,7 +41,6 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.device.telemetry import longest_period
 from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.05
@@ -234,7 +233,7 @@ class BreachPolicy:
             period_tolerance: rho; the certificate allows periods up to (1 + rho) T.
         """
         self._policy, self._chains, self._tau, self._period = policy, chains, tau, period
-        self._ladder, self._longest_period = ladder, longest_period(period, period_tolerance)
+        self._ladder, self._longest_period = ladder, period * (1.0 + period_tolerance)
         self._rungs = rungs
         self._late: dict[Breach, dict[str, _LateTicks]] = {breach: {} for breach in Breach}
         self._named: dict[Breach, list[str]] = {breach: [] for breach in Breach}  # devices that a notice names
@@ -374,7 +373,7 @@ class BreachPolicy:
                 if breach is Breach.DELAY:
                     found, allowed = f"a delay of {_ms(measured)}", _ms(self._tau)
                 else:
-                    found, allowed = "a period", f"at most {_ms(self._longest_period)}"
+                    found, allowed = "a period", f"at most {_ms(self._longest_period)}, more after an early force"
                 what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
@@ -423,8 +422,9 @@ class BreachPolicy:
         late = self._late[breach]
         if breach is Breach.PERIOD:
             who = ", ".join(f"{name} in {_part(late[name])} of its ticks" for name in named)
-            text = f"samples came more than {_ms(self._longest_period)} after the one before: {who} so far; the "
-            return [Notice(Cause.PERIOD, f"{text}certificate is about shorter periods; {self._next}")]
+            covered = f"{_ms(self._longest_period)}, more after an early force"
+            text = f"samples came later after the one before than the certificate covers ({covered}): {who} so far"
+            return [Notice(Cause.PERIOD, f"{text}; {self._next}")]
         delays = (f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named)
         text = f"forces came later than the certificate covers ({_ms(self._tau)}): {', '.join(delays)} so far"
         return [Notice(Cause.DELAY, f"{text}{self._reaction()}; {self._next}")]

@@ -74,7 +74,13 @@ def describe(
         ticks=ticks,
         started=time.time(),
         nodes={
-            name: NodeAbout(role, graph.ports[name], graph.carriers.get(name)) for name, role in graph.nodes.items()
+            name: NodeAbout(
+                role,
+                graph.ports[name],
+                graph.carriers.get(name),
+                session.in_wall_time(name, clock),
+            )
+            for name, role in graph.nodes.items()
         },
         links=tuple(LinkAbout((link.connector, link.binder), link.ports) for link in graph.links),
         masses=masses,

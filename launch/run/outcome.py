@@ -17,7 +17,6 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME, WALL
 from manyhands.nodes.telemetry import PERCENTILES
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Report, Role, Telemetry
@@ -183,7 +182,7 @@ def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
         clock: "realtime" or "simulated".
     """
     certificate, session = prepared.certificate, prepared.session
-    late = clock == REALTIME and any(device.time == WALL for device in session.devices.values())
+    late = any(session.in_wall_time(name, clock) for name in session.devices)
     if certificate is None or not late:
         return None
     return {

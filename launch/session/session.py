@@ -68,6 +68,7 @@ from manyhands.launch.session.limits import (
 from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.motion import motion_problems, with_own_names
 from manyhands.launch.session.yaml import apply_overrides, read_tree
+from manyhands.nodes.bundle import REALTIME, WALL
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 
@@ -354,6 +355,10 @@ class Session(SessionModel):
     def ports_of(self, device: str) -> tuple[str, ...]:
         """The ports of a device, in the order of its axes."""
         return self.devices[device].ports(device)
+
+    def in_wall_time(self, node: str, clock: str) -> bool:
+        """Whether a node is a device in wall time under ``clock``: under the simulated one every device has its own."""
+        return clock == REALTIME and node in self.devices and self.devices[node].time == WALL
 
     def osp_level(self, device: str) -> Array:
         """Delta_D of a device, m_i x m_i, in N·s/m: the lower end, where the session gives an interval."""

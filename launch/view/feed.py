@@ -22,7 +22,7 @@ from manyhands.launch.observe.sessions import Running
 from manyhands.launch.run.display import energy_line
 from manyhands.launch.view.pointer import Holding
 from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.alarms import Alarms, covered_tau
+from manyhands.nodes.observer.alarms import Alarms
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.protocol.clock import Clock, Duration, Instant
@@ -120,7 +120,7 @@ class Feed:
         for name, node in scene.nodes.items():
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
             if node.role is Role.DEVICE and scene.about.certificate is not None:
-                out[name]["covered"] = covered_tau(scene, name)
+                out[name]["covered"] = scene.covered_tau(name)
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}

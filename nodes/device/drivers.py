@@ -181,6 +181,10 @@ class WallTimeTrace(WallTimeDriver):
     def _seen(self, state: Floats, f: Floats, begin: int, end: int) -> Floats:
         return self._at(end)
 
+    def _left(self, state: Floats, f: Floats, begin: int, end: int) -> tuple[Floats, float]:
+        after = self._at(end)  # the motion knows its place at every instant
+        return after, self._work_over(state, after, f, begin, end)
+
     def _work_over(self, before: Floats, after: Floats, f: Floats, begin: int, end: int) -> float:
         moved = [now - last for now, last in zip(after, before, strict=True)]
         return dot(moved, self._level(moved)) / seconds(Duration(end - begin)) - dot(f, moved)

@@ -92,11 +92,7 @@ class InterfaceAccount:
 
     def change(self, promise: DeviceShare) -> None:
         """Promise a different level from now on; call this only where the last two forces are zero."""
-        share, kappa, c = promise.share, promise.kappa, promise.c
-        a = 0.5 - share * kappa
-        room = kappa * a - c
-        self._share, self._kappa = share, kappa
-        self.weight = share + (a * a / room if room > 0.0 else 0.0)
+        self._share, self._kappa, self.weight = promise.share, promise.kappa, promise.weight
 
     @property
     def energy(self) -> float:

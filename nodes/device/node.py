@@ -8,10 +8,9 @@ A device whose force is stale lets go and runs free: in every period it samples,
 force. It sends its x(k) again in every period until a coupling answers, or sends a zero force of a later tick, with
 which the device goes on.
 
-A device in wall time feels lateness. Between it and its couplings stands its interface
-(:mod:`manyhands.nodes.device.interface`). The interface keeps account of the energy that lateness puts in, and bounds
-it. What was sent for a tick stays as it is until the tick is answered, so that the account knows what the couplings
-received.
+What the device itself does in a tick, from driver to ledger, is in :mod:`manyhands.nodes.device.tick`. A device in wall
+time feels lateness. Between it and its couplings stands its interface (:mod:`manyhands.nodes.device.interface`), which
+keeps account of the energy that lateness puts in, and bounds it.
 
 The guard (:mod:`manyhands.nodes.device.core`) checks a sample before it is sent, and clips the force last before the
 driver. A device beyond its limits of displacement or speed lets go. It takes hold again once it is back within them.
@@ -22,11 +21,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
-from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.interface import interface_of
-from manyhands.nodes.device.telemetry import NO_INSTANTS, DeviceTelemetry
+from manyhands.nodes.device.telemetry import DeviceTelemetry
+from manyhands.nodes.device.tick import tick_of
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.log import LogEvent
 from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
@@ -46,6 +44,7 @@ class DeviceNode:
     """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links.
 
     Attributes:
+        device: the device with its driver, its limits and its accounts.
         peer_links: the links to the couplings, once every handshake is done.
     """
 
@@ -55,10 +54,8 @@ class DeviceNode:
         ``clock`` measures waiting times; by default it is the realtime clock.
         """
         common = bundle.common
-        self._common, self._driver = common, driver
-        self._rungs, self._promises = bundle.rungs, bundle.promises
-        self._core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed)
-        self._guard = Guard(bundle.limits, common.period, common.ports)
+        self._common, self._rungs = common, bundle.rungs
+        self.device = tick_of(bundle, driver)
         self._realtime: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(common)
         self._stale = self._timeouts.stale or Duration(0)  # after this wait a force is stale; 0 where nothing is late
@@ -66,8 +63,7 @@ class DeviceNode:
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
-        self._interface = interface_of(bundle) if bundle.time == WALL else None
-        self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self._interface)
+        self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self.device.interface)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -90,22 +86,18 @@ class DeviceNode:
         try:
             self._run(start, life, control)
         finally:
-            self._driver.release(self._now())
-        self._account.publish_rest(control, self._core, self._guard, self.peer_links)
+            self.device.driver.release(self._now())
+        self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
-        clock, driver, core, guard, period = self._clock, self._driver, self._core, self._guard, self._period
+        clock, device, period = self._clock, self.device, self._period
+        driver, core, guard, in_wall_time = device.driver, device.core, device.guard, device.interface is not None
         account, peer_links = self._account, self.peer_links
         self._life, give_way = life, way_giver()
         epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
-        row_x = reported_x = self._zero
-        row_at = Instant(0)
-        instants, x_a = NO_INSTANTS, None
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
-        before = epoch  # when the sample before was taken
-        interface, sent_tick = self._interface, -1  # the tick for which a motion was sent last
-        intended = since = 0.0  # the work of the hand's intention up to that motion, for the ledger, and since, J
+        sent_tick = -1  # the tick of the last sample
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
@@ -116,25 +108,14 @@ class DeviceNode:
             ready = clock.now()
             clock.sleep_until(due)
             sampled = clock.now()
-            # a copy: a driver may fill the same list or array every time
-            at = Instant(sampled - epoch)
-            x = list(map(float, driver.sample(turns, at)))
             let_go = guard.let_go
-            goal = guard.report(x, max(1, -((before - sampled + period // 2) // period)))
-            before = sampled
-            first = sent_tick != tick  # the first sample of the tick
-            if interface is None:
-                row_x, reported_x = x, goal
-            elif first:
-                row_x, row_at, sent_tick = x, at, tick
-                reported_x = interface.send(x, goal, at)
-                if interface.shortened:
-                    driver.apply(interface.exerted, at, interface.until)
+            x = device.sample(turns, Instant(sampled - epoch), sent_tick != tick)
+            sent_tick = tick
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             for peer_link in peer_links:
                 if peer_link.tick != tick:
-                    peer_link.send(Sample, tick, sampled, reported_x)
+                    peer_link.send(Sample, tick, sampled, x)
             sent = clock.now()
             turns += 1
             answered: int | None = tick
@@ -142,7 +123,7 @@ class DeviceNode:
                 # a device that runs free waits once, to the end of the period
                 result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if result is not Received.SIGNAL:
-                    answered = self._await_forces(peer_link, result, f, reported_x, tick, sampled, life, control)
+                    answered = self._await_forces(peer_link, result, f, x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
@@ -152,13 +133,7 @@ class DeviceNode:
                 if missed > self._suspension:
                     account.suspend(Duration(missed))
             if answered is None:  # no force in time: the tick is not counted, and comes again in the next period
-                driver.release(Instant(received - epoch))
-                work = driver.intended_work()
-                if interface is None:
-                    core.sample(x)
-                    core.apply(self._zero, work)
-                else:  # the couplings were given nothing in this period, and know of no motion since the one sent
-                    intended, since = (since + work, 0.0) if first else (intended, since + work)
+                device.free(Instant(received - epoch))
                 driver.idle(Instant((slot + 1) * period))
                 account.release(tick)
                 slot += 1
@@ -166,36 +141,17 @@ class DeviceNode:
             if answered > tick:
                 self._jump(control)
                 tick = answered
-            at = Instant(received - epoch)
-            wanted = f.copy()  # telemetry keeps it, and f is written again in the next tick
-            held = guard.clip(wanted)
-            if interface is None:
-                driver.apply(held, at)
-                applied = clock.now()
-                give_way()
-            else:
-                held, until = interface.force(wanted, held, at)
-                moved = driver.apply(held, at, until)
-                applied = received  # the instant that the driver was given
-                give_way()
-                x_a = None if moved is None else list(map(float, moved))
-                ended = interface.applied(x_a, at, held, until)
-                instants = (row_at, at, ended)
-            # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
-            work = driver.intended_work()
-            if interface is None:
-                core.sample(x)
-                core.apply(held, work)
-            else:
-                intended, since = (since + work, 0.0) if first else (intended, since + work)
-                core.sample(reported_x, interface.speed)
-                core.apply(wanted, intended)
+            held = device.exert(f.copy(), Instant(received - epoch))  # f is written again in the next tick
+            applied = received if in_wall_time else clock.now()  # in wall time the instant that the driver was given
+            give_way()
+            device.book()
             for peer_link in peer_links:
                 peer_link.settle(tick)
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
-            account.tick(tick, row_x, held, core, (due, ready, sampled, sent, received, applied), instants, x_a)
+            times = (due, ready, sampled, sent, received, applied)
+            account.tick(tick, device.x, held, core, times, device.instants, device.x_a)
             # after a late tick the next multiple of T, by a division that rounds up
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
@@ -204,7 +160,7 @@ class DeviceNode:
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
-        return self._account.report(self._core, self._guard, self.peer_links, self._rung)
+        return self._account.report(self.device.core, self.device.guard, self.peer_links, self._rung)
 
     def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
@@ -223,7 +179,7 @@ class DeviceNode:
 
     def close(self) -> None:
         """Release the driver's files and sockets."""
-        self._driver.close()
+        self.device.driver.close()
 
     def _await_forces(
         self,
@@ -293,10 +249,7 @@ class DeviceNode:
     def _let_go(self) -> None:
         """Exert no force: the last one is stale, and no force is safer than an old one."""
         if not self._free:
-            now = self._now()
-            self._driver.release(now)
-            if self._interface is not None:
-                self._interface.released(now)
+            self.device.release(self._now())
             self._account.stale += 1
         self._free = True
 
@@ -309,15 +262,11 @@ class DeviceNode:
 
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
-        if self._interface is not None:
-            self._interface.skipped()
-        self._account.jump(control, self._core, self._guard, self.peer_links)
+        self.device.skipped()
+        self._account.jump(control, self.device.core, self.device.guard, self.peer_links)
 
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""
         self._rung = self._next_rung
-        rung = self._rungs[self._rung]
-        self._core.change(*self._promises[self._rung])
-        if self._interface is not None:
-            self._interface.change(rung.share, rung.tau, rung.period_tolerance)
-        self._account.change_rung(tick, self._rung, rung)
+        self.device.change(self._rung)
+        self._account.change_rung(tick, self._rung, self._rungs[self._rung])

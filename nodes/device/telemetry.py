@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
-from typing import Final
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.tick import NO_INSTANTS, Instants
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.nodes.telemetry import Distribution
@@ -105,31 +105,8 @@ class LatenessCounter:
         return {f"late_{name.value}": count for name, count in self.counts.items()}
 
 
-PERIOD_TOLERANCE = 0.25
-"""Part of T by which a period may be longer without counting as a breach, where the certificate covers no more.
-
-A shorter period is no breach: the certificate covers it, because the device then dissipates more than in a whole one.
-"""
-
-
-def longest_period(T: float, period_tolerance: float) -> float:
-    """The longest time between two samples that counts as no breach, s.
-
-    Args:
-        T: the period, s.
-        period_tolerance: rho of the certificate, which covers periods up to (1 + rho) T.
-    """
-    return T * (1.0 + max(period_tolerance, PERIOD_TOLERANCE))
-
-
 Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
 """The instants of a tick: due, ready, sampled, sent, received and applied, as in :func:`cause`."""
-
-
-Instants = tuple[Instant, Instant, Instant]
-"""The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
-
-NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
 
 
 class DeviceTelemetry:
@@ -154,7 +131,7 @@ class DeviceTelemetry:
 
         Args:
             common: the device's bundle.
-            rung: the rung in force, with the delay and the longest period that it covers.
+            rung: the rung in force, with the delays and periods that it covers.
             driver_figures: returns the driver's own figures for each telemetry.
             interface: of a device in wall time; None for one in its own.
         """
@@ -167,7 +144,7 @@ class DeviceTelemetry:
         self._assume(rung)
         self._lateness = LatenessCounter(period)
         self._tau, self._true_period = Distribution(), Distribution()
-        self._tau_worst = 0
+        self._tau_worst = self._tau_before = 0
         m, rows = len(common.ports), common.telemetry_ticks
         self._trace_x: list[Floats] = [[0.0] * m] * rows
         self._trace_f: list[Floats] = [[0.0] * m] * rows
@@ -188,8 +165,17 @@ class DeviceTelemetry:
         self._assume(rung)
 
     def _assume(self, rung: DeviceRung) -> None:
-        self._assumed_tau = from_seconds(rung.tau)
-        self._longest = from_seconds(longest_period(self._common.period, rung.period_tolerance))
+        self._assumed_tau, self._share = from_seconds(rung.tau), rung.share
+        self._longest = from_seconds(self._common.period * (1.0 + rung.period_tolerance))
+
+    def _covers(self, between: Duration) -> bool:
+        """Whether the certificate covers a period beyond the rung's longest, after the delay of the force in it.
+
+        It covers the longest period after the longest delay, and a longer one after a shorter delay. Every shorter
+        period is covered, because the device then dissipates more.
+        """
+        period = self._period
+        return between <= period * self._share.longest_period(min(self._tau_before, self._assumed_tau) / period)
 
     def tick(
         self,
@@ -220,11 +206,11 @@ class DeviceTelemetry:
         if tau > self._tau_worst:
             self._tau_worst = tau
         if self._sampled is not None:
-            between = sampled - self._sampled
+            between = Duration(sampled - self._sampled)
             self._true_period.add(between / 1e3)
-            if between > self._longest:
+            if between > self._longest and not self._covers(between):
                 self._period_breaches += 1
-        self._sampled = sampled
+        self._sampled, self._tau_before = sampled, tau
         if applied > due + self._period:
             self._late += 1
             self._lateness.judge(*times)
@@ -311,8 +297,8 @@ class DeviceTelemetry:
         interface = self._interface
         if interface is None:
             return {}
-        suspended = {names.SUSPENDED_ENERGY: self._suspended_energy} if self.suspended else {}
-        return suspended | {
+        suspended = {names.SUSPENDED: float(self.suspended), names.SUSPENDED_ENERGY: self._suspended_energy}
+        return (suspended if self.suspended else {}) | {
             names.INTERFACE: interface.account.energy,
             names.INTERFACE_LEAST: interface.account.least,
             names.INTERFACE_TICKS: float(interface.ticks),

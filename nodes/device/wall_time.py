@@ -10,16 +10,24 @@ Here ``until`` is that watchdog.
 :meth:`WallTimeDriver.idle` integrates ahead, to the grid point at which the next sample is due, so that only the
 lateness of the wake-up is left to integrate when the sample is taken. The present moment is kept. A force that comes
 earlier than expected starts from there, so no result depends on whether ``idle`` was called.
+
+A process that was stopped for an hour does not integrate an hour's periods when it goes on: see :data:`LONGEST_GAP`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from manyhands.nodes.arithmetic import Floats
 from manyhands.protocol.clock import Instant, from_seconds
+
+LONGEST_GAP: Final = from_seconds(10.0)
+"""The longest time between two calls that is integrated, ns: 0.1 s of work at 1 kHz. Only a process that did not run
+has a longer one. Its first part is integrated, in which the device loses its force and comes to rest; then the device
+stands still until the present period. Time that stands still does no work and burns nothing, so that the ledger stays
+right."""
 
 
 class Moment(NamedTuple):
@@ -143,8 +151,22 @@ class WallTimeDriver(ABC):
     def _begun(self, at: Instant) -> Instant:
         """The instant for which a call at ``at`` counts."""
         self._settle()
-        self._last = at = max(at, self._last) if self._present is not None else at
+        if self._present is not None:
+            if at - self._last > LONGEST_GAP:
+                self._leave_out(at)
+            at = max(at, self._last)
+        self._last = at
         return at
+
+    def _leave_out(self, at: int) -> None:
+        """Integrate the first part of a gap that ends at ``at``; be at the last grid point after it, and changed no
+        more.
+        """
+        end, now = self._last + LONGEST_GAP, at - at % self._period
+        if end < now:
+            at, state, force, until, work = self._finished(self._cut(self._resumed(end), end), end)
+            state, more = self._left(state, force, end, now)
+            self._present = Moment(now, state, force, until, work + more)
 
     def _resumed(self, at: int) -> Moment:
         """The latest known moment that is not after ``at``."""
@@ -186,6 +208,10 @@ class WallTimeDriver(ABC):
             return moment
         after = self._advance(state, force, at, to)
         return Moment(to, after, force, until, work + self._work_over(state, after, force, at, to))
+
+    def _left(self, state: Floats, f: Floats, begin: int, end: int) -> tuple[Floats, float]:
+        """The state at ``end`` where the time from ``begin`` on, ns, is left out, and the work of the intention, J."""
+        return state, 0.0
 
     @abstractmethod
     def _begin(self, at: int) -> tuple[Floats, float]:

@@ -2,7 +2,8 @@
 
 An alarm is raised when its cause is first seen, and cleared when the cause has been absent for a while. So a cause that
 comes and goes with every telemetry message is one alarm and not ten a second. The sentences of the session (notices,
-incidents, faults) report what has happened, so they are never cleared.
+incidents, faults) report what has happened, so they are never cleared. Whether delays are worth an alarm is decided in
+one place, for the notices (:mod:`manyhands.launch.run.breaches`): every machine has a late tick now and then.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from typing import Final
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.observer.scene import Health, NodeScene, Scene
 from manyhands.protocol.clock import Instant, from_seconds
-from manyhands.protocol.messages import Role
 
 HOLD: Final = from_seconds(2.0)
 """How long a cause must be absent before its alarm is cleared."""
@@ -93,7 +93,6 @@ def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
         yield from _of_node(node)
         yield from _ledger(node)
         yield from _account(node, scene)
-        yield from _tau(node, scene)
     if scene.frozen:
         yield AlarmCause(
             "frozen",
@@ -153,37 +152,6 @@ def _account(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
         text = f"{lateness} of faults.tank; it is counted and not bounded"
         advice = "Let the device bound it (faults: {lateness: enforce}), or design for a longer tau (design.tau: auto)."
     yield AlarmCause(f"{node.name} account", AlarmLevel.FAULT, text, advice)
-
-
-def covered_tau(scene: Scene, device: str) -> float:
-    """The delay (s) that the certificate covers for a device now: that of its couplings' rung."""
-    certificate = scene.about.certificate
-    if certificate is None:
-        return 0.0
-    taus = (certificate.tau, *certificate.ladder)
-    couplings = [
-        scene.nodes[end]
-        for link in scene.about.links
-        if device in link.ends
-        for end in link.ends
-        if end in scene.nodes and scene.nodes[end].role is Role.COUPLING
-    ]
-    rungs = (round(coupling.figures.get(names.RUNG, 0.0)) for coupling in couplings)
-    return min((taus[max(0, min(rung, len(taus) - 1))] for rung in rungs), default=certificate.tau)
-
-
-def _tau(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
-    certificate = scene.about.certificate
-    if node.role is not Role.DEVICE or certificate is None or scene.about.clock != "realtime":
-        return
-    worst, covered = node.figures.get(names.TAU_WORST, 0.0), covered_tau(scene, node.name) * 1e6
-    if worst > covered:
-        yield AlarmCause(
-            f"{node.name} tau",
-            AlarmLevel.WARNING,
-            f"{node.name}: its force came later than the {covered:.4g} us that the certificate covers",
-            "Run manyhands doctor; design for a longer tau, or with a ladder and faults: breach: soften.",
-        )
 
 
 def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:

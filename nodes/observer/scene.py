@@ -40,11 +40,19 @@ class AboutError(Exception):
 
 @dataclass(frozen=True)
 class NodeAbout:
-    """A node: its role, its ports in the order of its traces, and the node whose process it shares, if any."""
+    """A node.
+
+    Attributes:
+        role: of the node.
+        ports: in the order of its traces.
+        process: the node whose process it shares; None for a process of its own.
+        wall: whether it is a device in wall time, which reports more topics than one in its own.
+    """
 
     role: Role
     ports: tuple[str, ...]
     process: str | None = None
+    wall: bool = False
 
 
 @dataclass(frozen=True)
@@ -179,7 +187,9 @@ _SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
 def _about(data: Any) -> About:
     certificate = data["certificate"]
     nodes = {
-        _text(name): NodeAbout(Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]))
+        _text(name): NodeAbout(
+            Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]), _flag(node["wall"])
+        )
         for name, node in data["nodes"].items()
     }
     about = About(
@@ -413,6 +423,17 @@ class Scene:
         worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
         late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
         return {name: lateness for name, lateness in late if lateness.frozen}
+
+    def covered_tau(self, device: str) -> float:
+        """The delay (s) that the certificate covers for a device now: that of its couplings' rung."""
+        certificate = self.about.certificate
+        if certificate is None:
+            return 0.0
+        taus = (certificate.tau, *certificate.ladder)
+        ends = {end for link in self.about.links if device in link.ends for end in link.ends}
+        couplings = [self.nodes[end] for end in ends if end in self.nodes and self.nodes[end].role is Role.COUPLING]
+        rungs = (coupling.figures.get(names.RUNG, 0.0) for coupling in couplings)
+        return min((taus[round(rung)] for rung in rungs if 0.0 <= rung <= len(taus) - 1), default=certificate.tau)
 
     @property
     def health(self) -> Health:

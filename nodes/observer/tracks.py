@@ -1,7 +1,7 @@
 """The last seconds of every trace of a session, decimated, in bounded memory: pure.
 
 Every trace of the table of topics is a track, except for the instants of ticks. So is each device's velocity: the
-difference of its displacement from tick to tick, taken before decimation.
+difference of its displacement from sample to sample, taken before decimation.
 
 A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session are
 aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
@@ -17,9 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.scene import About
-from manyhands.protocol.channels import DISPLACEMENT, LEDGER, Columns, Topic, topics_of
+from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, LEDGER, Columns, Topic, topics_of
 from manyhands.protocol.messages import Observation, Role
 
 Floats = NDArray[np.float64]
@@ -117,7 +116,8 @@ BUCKETS: Final = 1000
 """Number of buckets in those seconds: about the width of a picture in pixels."""
 
 VELOCITY: Final = Topic("velocity", "v", "v", "m/s", Columns.PORTS)
-"""A topic that no node reports: the difference of a device's displacement over a period, divided by it."""
+"""A topic that no node reports: the difference of a device's displacements, divided by the time between their samples.
+"""
 
 
 class Track:
@@ -188,7 +188,7 @@ class Tracks:
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
         self._decimators = {key: Decimator(self.size, len(columns)) for key, columns in self.columns.items()}
-        self._last: dict[str, tuple[int, Floats]] = {}  # each device's latest tick, and its displacement then
+        self._last: dict[str, tuple[int, Floats, Floats]] = {}  # each device's latest tick, with x and s then
         self.unfit = 0
 
     def take(self, observation: Observation) -> None:
@@ -206,7 +206,7 @@ class Tracks:
                 continue
             self._add(key, first, values)
             if key.topic.trace == DISPLACEMENT:
-                self._add(TrackKey(key.node, VELOCITY), first, self._velocity(key.node, first, values))
+                self._add(TrackKey(key.node, VELOCITY), first, self._velocity(key.node, first, values, observation))
 
     def items(self) -> Iterator[tuple[TrackKey, Track]]:
         """Every track, in the order of the session's nodes and of the table."""
@@ -216,17 +216,27 @@ class Tracks:
         for piece in self._decimators[key].take(first, values):
             self._tracks[key].add(piece)
 
-    def _velocity(self, node: str, first: int, x: Floats) -> Floats:
-        """v(k) = (x(k) - x(k-1)) / T, m/s; NaN where the tick before is not known."""
-        tick, before = self._last.get(node, (-1, x[:1]))
-        known = before if tick == first - 1 and first else np.full_like(before, np.nan)
-        self._last[node] = first + len(x) - 1, x[-1:]
-        return np.diff(x, axis=0, prepend=known) / self._about.period
+    def _velocity(self, node: str, first: int, x: Floats, observation: Observation) -> Floats:
+        """v(k) = (x(k) - x(k-1)) / (s(k) - s(k-1)), m/s; NaN where the tick before is not known.
+
+        A device in wall time reports its samples' instants s(k); for any other they are kT.
+        """
+        instants = observation.traces.get(INSTANTS)
+        if instants is None or instants.shape != (len(x), len(INSTANT_NAMES)):
+            s = self._about.period * np.arange(first, first + len(x), dtype=np.float64)[:, None]
+        else:
+            s = 1e-9 * instants[:, :1]
+        tick, *before = self._last.get(node, (-1, x[:1], s[:1]))
+        self._last[node] = first + len(x) - 1, x[-1:], s[-1:]
+        if tick != first - 1 or not first:
+            before = [np.full_like(x[:1], np.nan), np.full_like(s[:1], np.nan)]
+        moved, passed = (np.diff(values, axis=0, prepend=last) for values, last in zip((x, s), before, strict=True))
+        return np.divide(moved, passed, out=np.full_like(moved, np.nan), where=passed > 0.0)
 
 
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
-        for topic in topics_of(node.role, tuple(about.masses), about.clock == REALTIME):
+        for topic in topics_of(node.role, tuple(about.masses), node.wall):
             if (topic.trace == LEDGER and about.certificate is None) or topic.columns is Columns.INSTANTS:
                 continue
             yield TrackKey(name, topic)

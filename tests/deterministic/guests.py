@@ -167,8 +167,8 @@ class Guest:
         if self.strategy.motion is Motion.HAND:
             return
         most = (1e300,) * len(bundle.common.ports)
-        node._guard = Guard(Limits(most, most, most), bundle.common.period, bundle.common.ports)
-        node._driver = self.driver(bundle, scheduler)
+        node.device.guard = Guard(Limits(most, most, most), bundle.common.period, bundle.common.ports)
+        node.device.driver = self.driver(bundle, scheduler)
 
     def driver(self, bundle: DeviceBundle, scheduler: Scheduler) -> Driver:
         """The driver of its device."""

@@ -34,9 +34,8 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.interface import interface_of
+from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -183,37 +182,25 @@ class Late:
     """One device in wall time, with the instants of its loop."""
 
     def __init__(self, bundle: DeviceBundle, tank: float | None) -> None:
-        T = bundle.common.period
-        self.driver, self.period = driver_of(bundle), from_seconds(T)
-        self.guard = Guard(bundle.limits, T, bundle.common.ports)
+        self.tick = WallTimeTick(replace(bundle, tank=tank), driver_of(bundle))
+        self.period = from_seconds(bundle.common.period)
         self.stale = Duration(STALE_TICKS * self.period)
-        self.interface = interface_of(replace(bundle, tank=tank))
-        self.slot, self.turn, self.now, self.fastest = 0, 0, 0, 0.0
-        self.x: list[float] = []
-        self.sent: list[float] = []
+        self.slot, self.turn, self.now, self.sampled, self.fastest = 0, 0, 0, 0, 0.0
 
     def sample(self, at: int) -> list[float]:
-        before, self.now = self.now, max(self.now, at)
-        self.sampled = Instant(self.now)
-        self.x = list(map(float, self.driver.sample(self.turn, self.sampled)))
+        self.now = self.sampled = max(self.now, at)
+        sent = self.tick.sample(self.turn, Instant(self.now))
         self.turn += 1
-        goal = self.guard.report(self.x, max(1, round((self.now - before) / self.period)))
-        self.sent = self.interface.send(self.x, goal, self.sampled)
-        if self.interface.shortened:
-            self.driver.apply(self.interface.exerted, self.sampled, self.interface.until)
-        self.fastest = max(self.fastest, self.interface.speed)
-        return self.sent
+        self.fastest = max(self.fastest, self.tick.interface.speed)
+        return sent
 
     def answer(self, f: list[float], at: int) -> None:
         if at - self.sampled > self.stale:
-            released = Instant(self.sampled + self.stale)
-            self.driver.release(released)
-            self.interface.released(released)
+            self.tick.release(Instant(self.sampled + self.stale))
         self.now = at
-        held, until = self.interface.force(f, self.guard.clip(f.copy()), Instant(at))
-        x = list(map(float, self.driver.apply(held, Instant(at), until)))
-        self.interface.applied(x, Instant(at), held, until)
-        self.driver.idle(Instant((at // self.period + 1) * self.period))
+        self.tick.exert(f, Instant(at))
+        self.tick.book()
+        self.tick.driver.idle(Instant((at // self.period + 1) * self.period))
 
 
 def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Course:
@@ -262,10 +249,10 @@ def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Cours
         if any(device.fastest > SPEED for device, _ in devices):
             break
     return Course(
-        min(device.interface.account.least for device, _ in devices),
+        min(device.tick.interface.account.least for device, _ in devices),
         max(device.fastest for device, _ in devices),
-        sum(device.interface.ticks for device, _ in devices),
-        max(abs(to - at) for device, _ in devices for to, at in zip(device.x, device.sent, strict=True)),
+        sum(device.tick.interface.ticks for device, _ in devices),
+        max(abs(to - at) for device, _ in devices for to, at in zip(device.tick.x, device.tick.sent, strict=True)),
     )
 
 

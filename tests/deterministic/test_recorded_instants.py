@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, account_bounded, audit
+from manyhands.launch.recordings.audit import Audit, audit
+from manyhands.launch.recordings.checks import account_bounded
 from manyhands.launch.recordings.findings import Check, CheckVerdict
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.states import SessionPhase
@@ -132,6 +133,52 @@ def test_an_honest_recording_in_real_time_holds_to_the_end(prepared: Prepared, t
     assert min(told[name][-1].figures[names.INTERFACE_TICKS] for name in ("dx", "dy")) > 10
     for coupling in ("cx", "cy"):  # cz has rows while dz is gone
         assert check_of(done, coupling, "signal").numbers > 0.9 * check_of(done, coupling, "ledger").numbers
+
+
+def test_lateness_that_is_counted_alone_breaks_nobodys_promise(tmp_path: Path) -> None:
+    wishes = ["design.tau=0", "design.ladder=[]", "design.objective=stiffest", "faults.breach=warn",
+              "faults.lateness=count"]  # fmt: skip
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", wishes))
+    told = WatchedSession(prepared, faults).told
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name in DEVICES:
+        assert min(message.figures[names.LEDGER_MIN] for message in told[name]) < 0.0
+        for what in ("bound", "account"):
+            assert check_of(done, name, what).verdict is CheckVerdict.ASSUMPTION
+    for name in ("cx", "cy", "cz", "environment"):
+        assert check_of(done, name, "bound").verdict is CheckVerdict.HOLDS
+
+
+@pytest.mark.parametrize("among_free_periods", [False, True])
+def test_gaps_that_are_not_integrated_are_followed(
+    among_free_periods: bool, prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An hour here is 60 ms, and what is integrated of it 8 ms; free periods without a stop are longer than that."""
+    for module in ("nodes.device.wall_time", "launch.recordings.audit_device"):
+        monkeypatch.setattr(f"manyhands.{module}.LONGEST_GAP", 8 * MS)
+
+    def stops(session: SimulatedSession) -> None:
+        session.scheduler.after(200 * MS, lambda: session.stop("environment", 34 * MS))
+        session.scheduler.after(300 * MS, lambda: session.stop("dx", 60 * MS))
+        session.scheduler.after(int(400.4 * MS), lambda: session.stop("dy", 60 * MS))
+
+        if among_free_periods:
+            session.scheduler.after(500 * MS, lambda: session.stop("environment", 34 * MS))
+            session.scheduler.after(515 * MS, lambda: session.stop("dx", 60 * MS))
+
+    told = WatchedSession(prepared, stops).told
+    assert all(told[name][-1].figures[names.RELEASED] > 8.0 for name in DEVICES)
+    stopped = [told[name][-1].figures.get(names.SUSPENDED) for name in DEVICES]
+    assert stopped == [1.0 + among_free_periods, 1.0, None]
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    for name in DEVICES[among_free_periods:]:
+        for check in (check_of(done, name, what) for what in OF_A_DEVICE):
+            assert (check.verdict, check.gaps) == (CheckVerdict.HOLDS, ()), check
+    if among_free_periods:
+        (gap,) = check_of(done, "dx", "interface").gaps
+        assert gap.why.startswith("its process did not run for a while and ran free")
 
 
 def changed(told: Told, node: str, trace: str, column: int, tick: int, by: float) -> Told:

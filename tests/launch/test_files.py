@@ -111,7 +111,7 @@ BY_OTHER_MEANS = {
     "nodes/log.py": "logs are continued; never through a link",
     "nodes/recorder/mcap.py": "a recording takes its place when it has its beginning, and grows",
     "launch/run/processes.py": "in the run's own directory, mode 0700",
-    "launch/recordings/audit.py": "likewise",
+    "launch/recordings/prepared.py": "in a temporary folder, mode 0700",
     "nodes/observer/node.py": "/dev/null",
 }
 

@@ -204,7 +204,7 @@ def test_a_device_beyond_its_limits_lets_go_and_hides_its_position(
     report = node.report()
     assert (report.ticks, report.counts["let_go"]) == (3, 1)
     assert values_at(coupling, 3) == [[0.0], [pytest.approx(told)], [pytest.approx(told)]]
-    assert node._guard.why.startswith(sentence)
+    assert node.device.guard.why.startswith(sentence)
 
 
 def test_a_device_whose_coupling_floods_it_fails_and_lets_go(

@@ -16,7 +16,7 @@ MS = 1_000_000
 PORTS = ("d.x", "d.y")
 ABOUT = About(
     session="s", id="i", pid=17, clock="realtime", transport="ipc", period=0.001, ticks=0, started=1.6e9,
-    nodes={"d": NodeAbout(Role.DEVICE, PORTS), "cx": NodeAbout(Role.COUPLING, ("d.x",)),
+    nodes={"d": NodeAbout(Role.DEVICE, PORTS, wall=True), "cx": NodeAbout(Role.COUPLING, ("d.x",)),
            "cy": NodeAbout(Role.COUPLING, ("d.y",)), "environment": NodeAbout(Role.ENVIRONMENT, PORTS)},
     links=(LinkAbout(("cx", "environment"), ("d.x",)), LinkAbout(("cy", "environment"), ("d.y",)),
            LinkAbout(("d", "cx"), ("d.x",)), LinkAbout(("d", "cy"), ("d.y",))),

@@ -23,8 +23,8 @@ ABOUT = About(
     ticks=0,
     started=1.7e9,
     nodes={
-        "left": NodeAbout(Role.DEVICE, ("left",)),
-        "right": NodeAbout(Role.DEVICE, ("right.x", "right.y")),
+        "left": NodeAbout(Role.DEVICE, ("left",), wall=True),
+        "right": NodeAbout(Role.DEVICE, ("right.x", "right.y"), wall=True),
         "vl": NodeAbout(Role.COUPLING, ("left",)),
         "vr": NodeAbout(Role.COUPLING, ("right.x", "right.y")),
         "environment": NodeAbout(Role.ENVIRONMENT, ("left", "right.x", "right.y")),

@@ -12,6 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.device import (
     PIECES,
     Share,
@@ -120,6 +121,29 @@ def test_a_quotient_that_is_rounded_leaves_the_claim_true(T: float, part: float,
     exact = Fraction(tau) / Fraction(T)
     kappa = least_gain(tau / T) + above
     assert pieces_hold(kappa, exact, device_share(kappa, tau / T))
+
+
+@given(st.floats(0.01, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 1.0), st.floats(0.0, 1.0))
+def test_the_longest_period_is_the_last_that_the_form_allows(
+    tau_hat: float, rho: float, above: float, part: float
+) -> None:
+    """One nanosecond in a second longer, and some motion contradicts the form with the certificate's own c."""
+    kappa, t = least_gain(tau_hat, rho) + above, part * tau_hat
+    found = device_share(kappa, tau_hat, period_tolerance=rho)
+    share, c = found.share, found.c
+    most = DeviceShare(kappa, share, c).longest_period(t)
+    assert most >= (1.0 + rho) * (1.0 - 1e-12)
+
+    def least(period: float) -> Fraction:
+        """The determinant of the form's matrix over (sigma, g, g-), whose other minors stay positive."""
+        K, s, w, d, p = (Fraction(number) for number in (kappa, share, c, t, period))
+        x, y, z = 1 / p - s, K / 2 - w - s * K**2, w - d * (p - d) / (4 * p)
+        cross, late = Fraction(1, 2) - s * K, d / (2 * p)
+        assert min(x, y, z) > 0
+        return x * y * z - cross**2 * z - late**2 * y
+
+    assert least(most * (1.0 - 1e-9)) > 0
+    assert least(most * (1.0 + 1e-9)) < 0
 
 
 @given(DELAYS, st.floats(0.0, 1.0))

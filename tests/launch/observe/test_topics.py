@@ -40,6 +40,11 @@ class TestNames:
         assert not [name for name in names if name.endswith(("/ledger", "/masses"))]
         assert "environment/tools" in names
 
+    def test_a_device_in_its_own_time_offers_no_topic_that_stays_empty(self) -> None:
+        own = replace(ABOUT, nodes={**ABOUT.nodes, "d": replace(ABOUT.nodes["d"], wall=False)})
+        gone = named_topics(ABOUT).keys() - named_topics(own).keys()
+        assert gone == {"d/applied", "d/instants", "d/interface"}
+
     @pytest.mark.parametrize("name", ["d/sample", "/s/d/sample"])
     def test_short_and_in_full(self, name: str) -> None:
         found = find_topic(ABOUT, name)

@@ -16,9 +16,10 @@ from manyhands.launch.cli import app
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit, bounded, period_assumed
+from manyhands.launch.recordings.audit import Audit, audit
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
+from manyhands.launch.recordings.checks import bounded, period_assumed
 from manyhands.launch.recordings.events import Course, course_of
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
@@ -420,6 +421,9 @@ def test_a_ledger_below_zero_is_a_broken_promise(recording: Path) -> None:
     assert check.verdict is CheckVerdict.BROKEN
     assert check.first is not None
     assert (check.first.tick, check.first.recorded) == (AT, -1e-9)
+    assumed = bounded(run, "dx", promised=False)
+    assert (assumed.verdict, assumed.holds, assumed.first) == (CheckVerdict.ASSUMPTION, True, check.first)
+    assert assumed.what.endswith("what lateness puts in is not enforced")
     run.traces["dx", "ledger"].values[:] = np.nan
     assert bounded(run, "dx").verdict is CheckVerdict.UNCHECKED
 
@@ -440,8 +444,9 @@ def test_limits_and_assumptions(recording: Path, tmp_path: Path) -> None:
 
 def test_the_period_that_is_assumed_is_the_certificates(recording: Path) -> None:
     run = read_run(recording)
-    assert period_assumed(run, "dx", 0.0).what == "samples are at most 1.25 T apart, as the device counted"
-    assert period_assumed(run, "dx", 0.4).what == "samples are at most 1.4 T apart, as the device counted"
+    for rho, most in ((0.0, "1"), (0.4, "1.4")):
+        text = f"samples are at most {most} T apart, or more after an early force, as the device counted"
+        assert period_assumed(run, "dx", rho).what == text
     assert period_assumed(run, "dx", 0.0).verdict is CheckVerdict.HOLDS
     run.figures["dx"][-1][1]["period_breaches"] = 3.0
     check = period_assumed(run, "dx", 0.0)

@@ -138,6 +138,17 @@ class TestThinning:
         found = backward_difference(np.array([[0.1], [0.3], [np.nan], [0.5], [0.4]]), 0.1)
         np.testing.assert_allclose(found, np.array([[1.0], [2.0], [np.nan], [np.nan], [-1.0]]))
 
+    def test_a_velocity_in_wall_time_is_by_the_instants_of_the_samples(self) -> None:
+        run, device = of_users(2, 40, wall=True), "d-u0"
+        late = 1e9 * PERIOD * np.arange(40.0)
+        late[20:] += 1e9 * PERIOD  # sample 20 came a period late
+        run.traces[device, "instants"].values[:] = late[:, None]
+        (panel,) = picture_of_run(run, ["velocity"]).panels
+        of = {curve.label: curve.values for curve in panel.curves}
+        expected = np.diff(run.traces[device, "sample"].values[:, 0], prepend=np.nan) / PERIOD
+        expected[20] /= 2.0
+        np.testing.assert_allclose(of["u0"], expected)
+
 
 class TestPictures:
     def test_what_is_shown_where_nothing_is_asked_for(self) -> None:

@@ -161,8 +161,8 @@ class Test_a_notice_of_late_ticks:
         m = Measured(Policy.SOFTEN, Rungs())
         m.tell("dx", 0, late_periods=60)
         assert m.notices == {
-            Cause.PERIOD: "samples came more than 1.25 ms after the one before: dx in 60.0% of its ticks so far; the "
-            f"certificate is about shorter periods; {NEXT}"
+            Cause.PERIOD: "samples came later after the one before than the certificate covers (1 ms, more after an "
+            f"early force): dx in 60.0% of its ticks so far; {NEXT}"
         }
 
     def test_a_device_that_came_back_keeps_what_it_had(self) -> None:
@@ -451,7 +451,10 @@ def test_the_period_that_the_certificate_covers_is_named() -> None:
     m = Measured(Policy.WARN, period_tolerance=0.4)
     (notice,) = m.tell("dx", 0, late_periods=60)
     assert isinstance(notice, Notice)
-    assert notice.text.startswith("samples came more than 1.4 ms after the one before: dx in 60.0% of its ticks")
+    assert notice.text.startswith(
+        "samples came later after the one before than the certificate covers (1.4 ms, more after an early force): "
+        "dx in 60.0% of its ticks"
+    )
 
 
 @pytest.mark.parametrize("policy", Policy)
@@ -460,7 +463,8 @@ def test_a_wrong_period_is_no_matter_of_softness(policy: Policy) -> None:
     m.tell("dx", 0)
     m.tell("dx", 0, late_periods=60)
     decisions = m.tell("dx", 0, late_periods=60)
-    text = "dx: a period again and again that the certificate does not cover (it assumes at most 1.25 ms)"
+    text = "dx: a period again and again that the certificate does not cover (it assumes at most 1 ms, more after an "
+    text += "early force)"
     if policy is Policy.STOP:
         assert decisions == [EndSession(f"{text}; the session's faults.breach is stop")]
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.device import device_share
 from manyhands.nodes.bundle import Common, DeviceRung, Limits
 from manyhands.nodes.device.core import DeviceCore, Guard
-from manyhands.nodes.device.telemetry import PERIOD_TOLERANCE, DeviceTelemetry
+from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 
@@ -131,38 +133,38 @@ def test_telemetry_has_percentiles_of_the_true_period_since_the_start(device: Te
 
 
 @pytest.mark.parametrize(
-    ("after", "breaches"),
-    [
-        (MS, 0),
-        (round(MS * (1 + PERIOD_TOLERANCE)), 0),
-        (round(MS * (1 + PERIOD_TOLERANCE)) + 1, 1),
-        (round(MS * (1 - PERIOD_TOLERANCE)) - 1, 0),
-        (TAU, 0),
-    ],
-)
-def test_periods_that_are_too_long_are_counted(device: TelemetryDevice, after: int, breaches: int) -> None:
-    """A shorter one is covered: the device dissipates more in it."""
-    device.tick(0)
-    device.tick(1, after=after)
-    assert device.end()["period_breaches"] == breaches
-
-
-@pytest.mark.parametrize(
     ("rho", "after", "breaches"),
     [
-        (0.1, round(1.25 * MS), 0),
-        (0.1, round(1.25 * MS) + 1, 1),
+        (0.0, MS // 2, 0),
+        (0.0, MS, 0),
+        (0.0, MS + 1, 1),
+        (0.1, round(1.1 * MS), 0),
+        (0.1, round(1.1 * MS) + 1, 1),
         (0.4, round(1.4 * MS), 0),
         (0.4, round(1.4 * MS) + 1, 1),
     ],
 )
-def test_periods_that_the_certificate_covers_are_not_counted(
-    device: TelemetryDevice, rho: float, after: int, breaches: int
-) -> None:
-    device.account.change_rung(0, 1, rung(TAU, rho))
+def test_periods_that_are_too_long_are_counted(device: TelemetryDevice, rho: float, after: int, breaches: int) -> None:
+    """A shorter one is covered: the device dissipates more in it."""
+    device.account.change_rung(0, 1, rung(0, rho))
     device.tick(0)
     device.tick(1, after=after)
     assert device.end()["period_breaches"] == breaches
+
+
+@pytest.mark.parametrize(("delay", "longest"), [(0.0, 1.51), (0.2, 1.44), (0.4, 1.1), (0.5, 1.1)])
+def test_a_longer_period_is_covered_after_an_early_force(device: TelemetryDevice, delay: float, longest: float) -> None:
+    """The delay that counts is that of the force in the period, and not that of the force at its end."""
+    found = device_share(1.16, 0.4, period_tolerance=0.1)
+    promise = DeviceShare(1.16, found.share, found.c)
+    device.account.change_rung(0, 1, DeviceRung(0.4e-3, 0.1, promise))
+    most = math.floor(max(1.1, promise.longest_period(min(delay, 0.4))) * MS)
+    assert most == pytest.approx(longest * MS, rel=0.01)
+    device.tick(0, tau=round(delay * MS))
+    device.tick(1, after=most, tau=round(delay * MS))
+    assert device.end()["period_breaches"] == 0
+    device.tick(2, after=most + 1)
+    assert device.end()["period_breaches"] == 1
 
 
 def test_periods_without_force_or_with_a_jump_are_not_judged(device: TelemetryDevice) -> None:

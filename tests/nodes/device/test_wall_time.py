@@ -18,6 +18,7 @@ from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace
 from manyhands.nodes.device.intent import Constant, intent_from
 from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Plant
+from manyhands.nodes.device.wall_time import LONGEST_GAP
 from manyhands.protocol.clock import Instant
 from tests.support.instants import instant
 from tests.support.small_drivers import Make, browser, carried, dragged, in_wall_time, simulated, trace, waving
@@ -263,6 +264,47 @@ def test_the_hand_follows_the_session_s_time_not_the_samples() -> None:
         if tick % 7 == 1:
             np.testing.assert_allclose(seldom.sample(tick, instant(tick + 0.4)), x, rtol=1e-12, atol=1e-18)
     assert x[0] > 1e-3
+
+
+class Counted:
+    """An intention of 0 N; :attr:`count` is how often it was evaluated."""
+
+    count = 0
+
+    def __call__(self, t: float) -> float:
+        self.count += 1
+        return 0.0
+
+
+@pytest.mark.parametrize("idle", [False, True])
+def test_of_an_hour_in_which_nobody_called_only_the_first_seconds_are_integrated(idle: bool) -> None:
+    force, device = Counted(), held_device([0.2], [1.37], operator(1), [0.0], [0.0])
+    hand = IntentHand(Plant(device, T, parts=True), [force], [Constant(0.0)], T)
+    stopped, went_on = HeldDeviceDriver(hand, T), driver_of(device, [0.0], [0.0])
+    begin, end = instant(3.3), Instant(LONGEST_GAP + instant(3.3))
+    hour = Instant(3600 * 1000 * PERIOD + 400_000)
+    for driver in (stopped, went_on):
+        driver.sample(0, begin)
+        driver.apply([1.0], begin, instant(9.1))
+    if idle:
+        stopped.idle(instant(4))
+    moved = went_on.sample(1, end)[0]
+    assert stopped.sample(1, hour)[0] == moved > 1e-3
+    assert stopped.intended_work() == 0.0
+    assert force.count < LONGEST_GAP / PERIOD + 10
+    assert stopped.apply([1.0], hour) == [moved]
+    later = stopped.sample(2, Instant(hour + PERIOD))[0]
+    assert moved + 1e-7 < later < moved + 1e-5
+
+
+def test_a_recorded_motion_is_where_it_is_after_any_gap() -> None:
+    motion = RecordedMotion(np.eye(1), (0.0, 100.0), ((0.0, 1.0),))
+    driver = WallTimeTrace(motion, T)
+    driver.sample(0, instant(1))
+    driver.apply([0.0], instant(1))
+    assert driver.sample(1, instant(50_000.5)) == pytest.approx([0.500005], rel=1e-12)
+    own = 1.0 * (0.5 - 1e-5) ** 2 / 49.999  # Delta_D dx^2 / t is the least that such a motion costs
+    assert own < driver.intended_work() < 2.0 * own
 
 
 @given(devices(), st.lists(st.tuples(st.integers(1, 3_000_000), st.floats(-20.0, 20.0)), min_size=1, max_size=8))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms, covered_tau
+from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
 
@@ -58,7 +58,6 @@ def test_a_session_that_is_well_has_none() -> None:
             AlarmLevel.FAULT,
             "left: lateness has put 0.25 J into the loop, more than the 0.005 J that its interface has to keep to",
         ),
-        (observed("left", 100, NO_TRACE, tau_worst_us=301.0), AlarmLevel.WARNING, "later than the 300 us"),
         (
             observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
             AlarmLevel.WARNING,
@@ -91,10 +90,10 @@ def test_late_ticks_raise_one() -> None:
     assert "more of its ticks are late" in only(alarms).text
 
 
-def test_a_simulated_clock_and_no_certificate_know_no_delay() -> None:
+def test_a_delay_raises_none_until_the_session_has_a_notice_of_it() -> None:
     slow = observed("left", 100, NO_TRACE, tau_worst_us=1e6)
-    assert looked(slow, about=replace(ABOUT, clock="simulated"))[1].listed() == []
-    assert looked(slow, about=UNCERTIFIED)[1].listed() == []
+    assert looked(slow)[1].listed() == []
+    assert only(looked(slow, conditioned(notices=("forces came later",)))[1]).text == "forces came later"
 
 
 @pytest.mark.parametrize("least", [0.0, -0.005, -0.005 - 1e-12, np.nan])
@@ -113,10 +112,14 @@ def test_an_account_that_is_counted_alone_advises_to_bound_it() -> None:
 
 
 def test_a_softer_coupling_covers_a_longer_delay() -> None:
-    softened = observed("vl", 100, NO_TRACE, rung=1.0)
-    scene, alarms = looked(softened, observed("left", 100, NO_TRACE, tau_worst_us=400.0))
-    assert alarms.listed() == []
-    assert (covered_tau(scene, "left"), covered_tau(scene, "right")) == (0.0005, 0.0003)
+    scene, _ = looked(observed("vl", 100, NO_TRACE, rung=1.0))
+    assert (scene.covered_tau("left"), scene.covered_tau("right")) == (0.0005, 0.0003)
+
+
+@pytest.mark.parametrize("rung", [-1.0, 2.0, np.inf, np.nan])
+def test_a_rung_that_makes_no_sense_covers_what_the_certificate_does(rung: float) -> None:
+    scene, _ = looked(observed("vl", 100, NO_TRACE, rung=rung))
+    assert scene.covered_tau("left") == 0.0003
 
 
 def test_an_alarm_clears_once_its_cause_is_absent_long_enough() -> None:

@@ -95,6 +95,17 @@ def test_velocity_continues_across_pieces_but_not_across_a_gap() -> None:
     assert values[7] == pytest.approx(1.0)
 
 
+def test_velocity_of_a_device_in_wall_time_is_by_the_instants_of_its_samples() -> None:
+    tracks = Tracks(ABOUT, window=0.01, buckets=10)  # a tick a bucket
+    x = np.array([[0.0], [0.001], [0.002], [0.002]])
+    s = np.array([0.2, 1.2, 3.2, 3.2])[:, None] * 1e6  # the third sample came a period late
+    for tick, rows in ((2, slice(0, 2)), (4, slice(2, 4))):
+        tracks.take(Observation("left", tick, {}, {"x": x[rows], "instants": s[rows].repeat(3, axis=1)}))
+    values = track_of(tracks, "left/velocity").since(0).values[:, 0, 0]
+    assert values[1:3].tolist() == pytest.approx([1.0, 0.5])
+    assert np.isnan(values[[0, 3]]).all()
+
+
 def test_a_trace_of_another_shape_is_counted_and_left_out() -> None:
     tracks = Tracks(ABOUT)
     tracks.take(Observation("left", 100, {}, {"x": np.zeros((100, 3))}))

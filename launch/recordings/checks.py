@@ -1,0 +1,247 @@
+"""The checks of a recording's rows that need no state of a party.
+
+The force that a coupling handed on is the force that its devices exerted. A tool is where its coupling's end is. The
+total in a node's figures is the last of its trace. A ledger never falls below where it began, nor an account below its
+tank. No device exceeds its limits. Instants are in the order of time, and delays and periods are as the certificate
+assumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks
+from manyhands.launch.recordings.events import Course
+from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare, first_of
+from manyhands.launch.recordings.run import RecordedRun, rows_of, there
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
+from manyhands.protocol.channels import INSTANT_NAMES
+
+Array = NDArray[np.float64]
+
+_EPSILON = float(np.finfo(np.float64).eps)
+
+LEDGER_ROUNDING = 1e-12
+"""A ledger may be below its bound by this part of all the work in its increments, which is rounding."""
+
+_LIMITS = "no tolerance: the node itself compares with this limit"
+
+
+def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array) -> list[Check]:
+    """For each coupling: the force that it handed on is the force that its devices exerted."""
+    what = "the force that it handed on is the one that its devices exerted"
+    ports = run.recorded.ports
+    return [
+        compare("agreement", name, what, ports[name], blocks.f[:, own], forces[:, own])
+        for name, own in blocks.ports.items()
+    ]
+
+
+def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Array, sign: tuple[int, str]) -> Check:
+    """Tools are at x_e = p + D_V f_v, as long as no clutch has moved."""
+    ends, size = blocks.ends()
+    begin, why = sign
+    ends[begin:] = np.nan
+    ends[blocks.clipped] = np.nan
+    gaps = [UncheckedTicks(begin, len(tools), f"{why}, and a clutch may have moved")] if begin < len(tools) else []
+    tolerance = ROUNDING * _EPSILON * np.where(np.isnan(size), 0.0, size)
+    source = f"{ROUNDING:g} units in the last place of |p| + |D_V| |f_v|, since the order of the sums differs"
+    what = "tools are at p + D_V f_v, as the couplings recorded them"
+    return compare("agreement", party, what, columns, tools, ends, gaps=gaps, tolerance=tolerance, source=source)
+
+
+def figures_agree(run: RecordedRun, node: str) -> Check:
+    """The ledger's total in the figures is the last of the trace before them.
+
+    Figures before a gap, or at a run's end in real time, are not compared: they may count free periods that have no
+    row.
+    """
+    trace = rows_of(run, node, names.LEDGER)
+    reported = np.full_like(trace, np.nan)
+    last = len(reported) if run.recorded.clock == SIMULATED else len(reported) - 1
+    for tick, figures in run.figures.get(node, ()):
+        if 0 < tick <= last and (tick == len(reported) or np.isfinite(trace[tick, 0])):
+            reported[tick - 1] = figures.get(names.LEDGER, np.nan)
+    return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, reported)
+
+
+def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = True) -> Check:
+    """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
+
+    Args:
+        run: the recording.
+        node: its name.
+        allowed: how far the ledger may fall below 0, J: of a device in wall time, its tank.
+        promised: whether the node promised that bound. A device in wall time without a tank did not, if an assumption
+            of the certificate did not hold: then lateness may have put in what is missing.
+
+    Returns:
+        The check; nothing was checked where no ledger was kept.
+    """
+    trace = rows_of(run, node, names.LEDGER)
+    total = trace[np.isfinite(trace)]
+    work = float(np.abs(np.diff(total, prepend=0.0)).sum())
+    tolerance = LEDGER_ROUNDING * work
+    bound = f"-{allowed:g} J, its tank" if allowed else "0"
+    what = f"its ledger never fell below {bound}: it kept its promise"
+    if not promised:
+        what = "its ledger is never below 0, as within the certificate; what lateness puts in is not enforced"
+    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
+    wrong = trace < -allowed - tolerance
+    first = first_of(wrong, ("E",), trace, np.full_like(trace, 0.0 - allowed))
+    verdict = CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
+    if first is not None:
+        verdict = CheckVerdict.BROKEN if promised else CheckVerdict.ASSUMPTION
+    remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
+    return Check(
+        "bound",
+        node,
+        what,
+        verdict,
+        len(total),
+        first,
+        int(wrong.sum()),
+        tolerance=tolerance,
+        source=source,
+        remark=remark,
+    )
+
+
+def account_bounded(node: str, account: Array, tank: float | None) -> Check:
+    """The account e_k of a device in wall time is never below -E_0; where it is counted alone, 0 is an assumption.
+
+    Args:
+        node: the device.
+        account: recorded, ticks x 1, J.
+        tank: E_0, J; None where nothing bounds the account.
+    """
+    known = account[np.isfinite(account)]
+    tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
+    least = 0.0 - (tank or 0.0)
+    wrong = account < least - tolerance
+    first = first_of(wrong, ("e",), account, np.full_like(account, least))
+    if tank is None:
+        what = "its account is never below 0, as within the certificate; nothing bounds it in this session"
+    else:
+        what = f"lateness put in no more than its tank of {1e3 * tank:g} mJ"
+    verdict = CheckVerdict.HOLDS if len(known) else CheckVerdict.UNCHECKED
+    if first is not None:
+        verdict = CheckVerdict.ASSUMPTION if tank is None else CheckVerdict.BROKEN
+    remark = f"least account {1e3 * min(0.0, float(known.min())):.4g} mJ" if len(known) else ""
+    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
+    return Check(
+        "account",
+        node,
+        what,
+        verdict,
+        len(known),
+        first,
+        int(wrong.sum()),
+        tolerance=tolerance,
+        source=source,
+        remark=remark,
+    )
+
+
+def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Check:
+    """The instants of a device in wall time are in order: a_(k-1) <= s_k <= a_k, and the force before ended by a_k.
+
+    The delay tau that was recorded is a_k - s_k. After free periods it counts from their last sample instead.
+    """
+    sampled, applied, ended = instants.T
+    rows = np.flatnonzero(there(instants))
+    expected = instants.copy()
+    free = np.zeros(len(instants), dtype=np.bool_)
+    free[[k for k, happened in course.before.items() if happened.released or happened.unknown]] = True
+    tau = np.rint(1e3 * rows_of(run, node, names.TAU)[:, 0])
+    expected[:, 1] = np.where(free | np.isnan(tau), np.maximum(applied, sampled), sampled + tau)
+    expected[:, 2] = np.minimum(ended, applied)
+    begun = {k for k, happened in course.before.items() if happened.began}
+    for last, k in pairwise(rows.tolist()):
+        if k not in begun:
+            expected[k, 0] = max(sampled[k], applied[last])
+    what = "samples and forces are in the order of time, and tau is the time between them"
+    return compare("instants", node, what, INSTANT_NAMES, instants, expected)
+
+
+def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Course) -> list[Check]:
+    """A device's force is within its limit, and so is its displacement.
+
+    Its speed is checked under the simulated clock alone, where no tick is late. Beyond one of the last two limits the
+    device has let go, and exerts no force. In wall time a row after free periods has the displacement before them, and
+    the force after them; there the displacement is not judged.
+    """
+    x, f, ports = rows_of(run, node, names.DISPLACEMENT), rows_of(run, node, names.FORCE), run.recorded.ports[node]
+    judged = np.ones(len(x), dtype=np.bool_)
+    if bundle.time == WALL:
+        judged[[k for k, happened in course.before.items() if happened.released]] = False
+    found = [
+        ("displacement", np.where(judged[:, None], np.abs(x), np.nan), bundle.limits.displacement, "m"),
+        ("force", np.abs(f), bundle.limits.force, "N"),
+    ]
+    if run.recorded.clock == SIMULATED:
+        step = np.abs(np.diff(x, axis=0, prepend=x[:1]))
+        found.append(("step", step, tuple(run.recorded.period * v for v in bundle.limits.speed), "m"))
+    out = []
+    exerted = np.any(f != 0.0, axis=1, keepdims=True)
+    for name, values, limits, unit in found:
+        most = np.broadcast_to(np.array(limits), values.shape)
+        beyond = (values > most) & exerted
+        first = first_of(beyond, ports, values, most)
+        numbers = int(np.isfinite(values).sum())
+        verdict = (
+            CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
+        )
+        remark = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
+        what = f"its {name} is within its limit" + ("" if name == "force" else ", or it exerts no force")
+        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, remark))
+    return out
+
+
+def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Check:
+    """The certificate assumes that a force acts at most tau after its sample.
+
+    Args:
+        run: the recording.
+        node: a device.
+        tau: the delay that is covered, s, by the tick from which it holds.
+    """
+    trace = rows_of(run, node, names.TAU)
+    covered = np.zeros_like(trace)
+    for begin, most in sorted(tau.items()):
+        covered[begin:] = most * 1e6
+    late = trace > covered
+    ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
+    remark = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""
+    if ticks:
+        remark = f"later in {ticks} of {numbers} ticks; {remark}"
+    first = first_of(late, ("τ",), trace, covered)
+    verdict = CheckVerdict.ASSUMPTION if ticks else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
+    what = "the force acts no later after its sample than the certificate assumes"
+    return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, remark=remark)
+
+
+def period_assumed(run: RecordedRun, node: str, period_tolerance: float) -> Check:
+    """The certificate assumes that samples come every T, or earlier; the device itself has counted the later ones.
+
+    Args:
+        run: the recording.
+        node: a device.
+        period_tolerance: rho of the certificate, which covers periods up to (1 + rho) T.
+    """
+    figures = run.figures.get(node, ())
+    counts = [one[names.PERIOD_BREACHES] for _, one in figures if names.PERIOD_BREACHES in one]
+    most = f"{1.0 + period_tolerance:g} T"
+    what = f"samples are at most {most} apart, or more after an early force, as the device counted"
+    if not counts:
+        return Check("period", node, what, CheckVerdict.UNCHECKED)
+    breaches = max(counts)
+    remark = f"not in {breaches:.0f} ticks" if breaches else ""
+    return Check(
+        "period", node, what, CheckVerdict.ASSUMPTION if breaches else CheckVerdict.HOLDS, len(counts), remark=remark
+    )

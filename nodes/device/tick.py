@@ -1,0 +1,210 @@
+"""A device's tick without links, clocks or telemetry: driver, guard, interface and core, in the order of their calls.
+
+The device's loop, the audit and the campaign of late instants make the same calls. So a recording is computed again as
+the loop computed it, to the last bit. A tick is
+
+    sample ... sample, with a free period after each but the last;   exert;   book.
+
+:meth:`DeviceTick.sample` returns what the couplings receive, and :meth:`DeviceTick.exert` takes their answer. Work that
+nobody waits for is in :meth:`DeviceTick.book`.
+
+A device in its own time (:class:`OwnTimeTick`) makes one period of each sample. For one in wall time
+(:class:`WallTimeTick`) what was sent for a tick stays as it is until the tick is answered, so that its account knows
+what the couplings received. They know of no motion since then, so the work that the hand intended since then counts
+with the next tick.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Final
+
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import WALL, DeviceBundle
+from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.interface import DeviceInterface, interface_of
+from manyhands.protocol.clock import Instant, from_seconds
+
+Instants = tuple[Instant, Instant, Instant]
+"""The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
+
+NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
+
+
+class DeviceTick(ABC):
+    """One device, from its samples to its forces; all instants count from tick 0's.
+
+    Attributes:
+        driver: the device itself.
+        guard: its limits.
+        core: its ledger.
+        interface: of a device in wall time; None for one in its own.
+        x: the displacement of the tick's row, m.
+        sent: the displacement that the couplings receive, m.
+        x_a: the displacement when the force was applied, m; None where it is not known.
+        instants: of the last tick, of a device in wall time.
+    """
+
+    interface: DeviceInterface | None = None
+
+    def __init__(self, bundle: DeviceBundle, driver: Driver, guard: Guard | None = None) -> None:
+        """Begin at rest; ``guard`` is that of the bundle's limits, if it is not given."""
+        common = bundle.common
+        self._rungs, self._promises, self._period = bundle.rungs, bundle.promises, from_seconds(common.period)
+        self._zero: Floats = [0.0] * len(common.ports)
+        self._at = self._row_at = Instant(0)  # of the last sample, and of the row's
+        self._first = True
+        self.driver = driver
+        self.guard = guard or Guard(bundle.limits, common.period, common.ports)
+        self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed)
+        self.x = self.sent = self._zero
+        self.x_a: Floats | None = None
+        self.instants: Instants = NO_INSTANTS
+
+    def sample(self, turn: int, at: Instant, first: bool = True) -> Floats:
+        """Take a sample; returns the displacement that the couplings receive, m.
+
+        In wall time the first sample of a tick is sent, and is the tick's row; in its own time every sample is.
+
+        Args:
+            turn: counts the samples from 0.
+            at: the instant.
+            first: whether it is the first of its tick.
+        """
+        # a copy: a driver may fill the same list or array every time
+        x = list(map(float, self.driver.sample(turn, at)))
+        last, period, interface = self._at, self._period, self.interface
+        goal = self.guard.report(x, max(1, -((last - at + period // 2) // period)))
+        self._at, self._first = at, first
+        if interface is None:
+            self.x, self.sent = x, goal
+        elif first:
+            self.x, self._row_at = x, at
+            self.sent = interface.send(x, goal, at)
+            if interface.shortened:
+                self.driver.apply(interface.exerted, at, interface.until)
+        return self.sent
+
+    @abstractmethod
+    def release(self, at: Instant) -> None:
+        """Exert no force from ``at`` on."""
+
+    @abstractmethod
+    def free(self, at: Instant) -> None:
+        """End a period at ``at`` in which no force came: exert none, and count the intention's work."""
+
+    @abstractmethod
+    def exert(self, asked: Floats, at: Instant) -> Floats:
+        """Take the couplings' answer, N, and exert what limits and account allow of it from ``at`` on; returns that.
+
+        Both lists are kept until the next call.
+        """
+
+    @abstractmethod
+    def book(self) -> None:
+        """Do the accounts of the force that was exerted."""
+
+    def skipped(self) -> None:
+        """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
+        if self.interface is not None:
+            self.interface.skipped()
+
+    def change(self, rung: int) -> None:
+        """Take the level and K of ``rung``; the last two forces are zero, so the ledger stays valid."""
+        of = self._rungs[rung]
+        self.core.change(*self._promises[rung])
+        if self.interface is not None:
+            self.interface.change(of.share, of.tau, of.period_tolerance)
+
+
+class OwnTimeTick(DeviceTick):
+    """A device in its own time: each sample is one period."""
+
+    _held: Floats
+
+    def release(self, at: Instant) -> None:
+        """Exert no force."""
+        self.driver.release(at)
+
+    def free(self, at: Instant) -> None:
+        """Count a period with zero force."""
+        self.driver.release(at)
+        work = self.driver.intended_work()
+        self.core.sample(self.x)
+        self.core.apply(self._zero, work)
+
+    def exert(self, asked: Floats, at: Instant) -> Floats:
+        """Exert what the limits allow."""
+        self._held = held = self.guard.clip(asked)
+        self.driver.apply(held, at)
+        return held
+
+    def book(self) -> None:
+        """Count the period in the ledger."""
+        # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
+        work = self.driver.intended_work()
+        self.core.sample(self.x)
+        self.core.apply(self._held, work)
+
+
+class WallTimeTick(DeviceTick):
+    """A device in wall time, with the interface that keeps account of lateness.
+
+    Attributes:
+        work: the work of the intention that :meth:`book` has counted last, J.
+    """
+
+    interface: DeviceInterface
+
+    def __init__(self, bundle: DeviceBundle, driver: Driver, guard: Guard | None = None) -> None:
+        """Begin at rest; arguments as of :class:`DeviceTick`."""
+        super().__init__(bundle, driver, guard)
+        self.interface = interface_of(bundle)
+        self._asked = self._held = self._zero
+        self._applied = Instant(0)
+        self._moved: Sequence[float] | None = None
+        self._until: Instant | None = None
+        self.work = self._since = 0.0  # of the intention up to the motion sent, and since
+
+    def release(self, at: Instant) -> None:
+        """Exert no force from ``at`` on."""
+        self.driver.release(at)
+        self.interface.released(at)
+
+    def free(self, at: Instant) -> None:
+        """Count the intention's work; the couplings were given nothing in this period."""
+        self.driver.release(at)
+        self._count(self.driver.intended_work())
+
+    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+        """Exert what limits and account allow; where the force was recorded, N, exert that, and return the other."""
+        held, until = self.interface.force(asked, self.guard.clip(asked), at)
+        self._held = exerted = held if recorded is None else recorded
+        self._moved = self.driver.apply(exerted, at, until)
+        self._asked, self._applied, self._until = asked, at, until
+        return held
+
+    def book(self) -> None:
+        """Do the accounts: e(k) from what the driver measured, the ledger from what the couplings know."""
+        moved, interface = self._moved, self.interface
+        self.x_a = None if moved is None else list(map(float, moved))
+        ended = interface.applied(self.x_a, self._applied, self._held, self._until)
+        self.instants = (self._row_at, self._applied, ended)
+        # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
+        self._count(self.driver.intended_work())
+        self.core.sample(self.sent, interface.speed)
+        self.core.apply(self._asked, self.work)
+
+    def _count(self, work: float) -> None:
+        """Count the work of the intention up to the latest sample, J."""
+        if self._first:
+            self.work, self._since = self._since + work, 0.0
+        else:
+            self._since += work
+
+
+def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:
+    """The tick of a device in the time that its bundle names."""
+    return WallTimeTick(bundle, driver) if bundle.time == WALL else OwnTimeTick(bundle, driver)

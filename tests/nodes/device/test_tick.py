@@ -1,0 +1,157 @@
+"""A device's tick, without links: what is sent, what is exerted, and which work of the hand counts with which tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pytest
+
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes.bundle import REALTIME, SIMULATED, DeviceBundle
+from manyhands.nodes.device.core import Guard
+from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, tick_of
+from manyhands.protocol.clock import Instant
+from tests.support.instants import instant
+
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
+
+
+class Scripted:
+    """A driver whose displacement in sample k is k mm, and whose hand has done 2^k mJ since the sample before."""
+
+    def __init__(self) -> None:
+        self.turn = -1
+        self.calls: list[tuple[str, Instant, list[float], Instant | None]] = []
+
+    @property
+    def axes(self) -> int:
+        return 1
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        self.turn = tick
+        return [1e-3 * tick]
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
+        self.calls.append(("apply", at, list(f), until))
+        return [1e-3 * self.turn + 1e-4]
+
+    def release(self, at: Instant) -> Sequence[float]:
+        self.calls.append(("release", at, [0.0], None))
+        return [1e-3 * self.turn]
+
+    def idle(self, due: Instant) -> None:
+        pass
+
+    def intended_work(self) -> float:
+        return 1e-3 * 2.0**self.turn
+
+    def figures(self) -> Mapping[str, float]:
+        return {}
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def bundles() -> dict[str, DeviceBundle]:
+    """A device in wall time, under ``realtime``, and one in its own, under ``simulated``."""
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", ["design.tau=0.0005", "devices.dx.limits={force: 2}"]))
+    out = {}
+    for clock in (REALTIME, SIMULATED):
+        bundle = cut(prepared, RunPlan(clock, None, ""))["dx"]
+        assert isinstance(bundle, DeviceBundle)
+        out[clock] = bundle
+    return out
+
+
+def test_the_time_is_that_of_the_bundle(bundles: dict[str, DeviceBundle]) -> None:
+    assert isinstance(tick_of(bundles[REALTIME], Scripted()), WallTimeTick)
+    own = tick_of(bundles[SIMULATED], Scripted())
+    assert isinstance(own, OwnTimeTick)
+    assert (own.interface, own.instants) == (None, NO_INSTANTS)
+
+
+def test_what_is_sent_in_wall_time_stays_until_it_is_answered(bundles: dict[str, DeviceBundle]) -> None:
+    driver = Scripted()
+    tick = WallTimeTick(bundles[REALTIME], driver)
+    assert tick.sample(1, instant(1.1)) == [1e-3]
+    tick.release(instant(1.6))
+    tick.free(instant(2.0))
+    for turn in (2, 3):
+        assert tick.sample(turn, instant(turn), first=False) == [1e-3]
+    assert tick.exert([3.0], instant(3.4)) == [2.0]  # its limit
+    tick.book()
+    assert (tick.x, tick.x_a) == ([1e-3], [pytest.approx(3.1e-3)])
+    assert tick.instants == (instant(1.1), instant(3.4), instant(1.6))
+    assert [call[:3] for call in driver.calls] == [
+        ("release", instant(1.6), [0.0]),
+        ("release", instant(2.0), [0.0]),
+        ("apply", instant(3.4), [2.0]),
+    ]
+    assert driver.calls[-1][-1] is not None  # the end of the force
+    assert tick.sample(4, instant(4)) == [4e-3]
+
+
+def test_work_after_the_motion_that_was_sent_counts_with_the_next_tick(bundles: dict[str, DeviceBundle]) -> None:
+    tick, counted = WallTimeTick(bundles[REALTIME], Scripted()), []
+    for turn, first, answered in [
+        (0, True, True),
+        (1, True, False),
+        (2, False, False),
+        (3, False, True),
+        (4, True, True),
+    ]:
+        tick.sample(turn, instant(turn), first)
+        if answered:
+            tick.exert([0.1], instant(turn + 0.3))
+            tick.book()
+            counted.append(1e3 * tick.work)
+        else:
+            tick.free(instant(turn + 1))
+    assert counted == pytest.approx([1.0, 2.0, 4.0 + 8.0 + 16.0])
+
+
+def test_in_its_own_time_every_sample_is_a_period_of_the_ledger(bundles: dict[str, DeviceBundle]) -> None:
+    driver = Scripted()
+    tick = OwnTimeTick(bundles[SIMULATED], driver)
+    totals = []
+    for turn in range(3):
+        assert tick.sample(turn, Instant(0), first=turn == 0) == tick.x == [1e-3 * turn]
+        if turn < 2:
+            tick.free(Instant(0))
+        else:
+            assert tick.exert([-3.0], Instant(0)) == [-2.0]
+            tick.book()
+        totals.append(tick.core.ledger.total)
+    (level, K), T = bundles[SIMULATED].promises[0], 1e-3
+    v, g = 1.0, -2.0 * K.item() / T
+    burned = T * level.item() * v * v
+    last = T * (-2.0 * (v + g) - level.item() * (v + g) ** 2)
+    assert totals == pytest.approx([1e-3, 3e-3 - burned, 7e-3 - burned + last])
+    assert tick.instants == NO_INSTANTS
+
+
+def test_a_recorded_force_is_exerted_in_place_of_what_follows(bundles: dict[str, DeviceBundle]) -> None:
+    driver = Scripted()
+    tick = WallTimeTick(bundles[REALTIME], driver)
+    tick.sample(0, instant(0))
+    assert tick.exert([1.0], instant(0.2), [0.5]) == [1.0]
+    tick.book()
+    assert driver.calls[-1][2] == tick.interface.exerted == [0.5]
+    assert tick.interface.account.f == [1.0]
+
+
+def test_another_guard_may_stand_in(bundles: dict[str, DeviceBundle]) -> None:
+    class Deaf(Guard):
+        """It clips nothing."""
+
+        def clip(self, f: list[float]) -> list[float]:
+            return f
+
+    bundle = bundles[REALTIME]
+    tick = WallTimeTick(bundle, Scripted(), Deaf(bundle.limits, 1e-3, ("dx",)))
+    tick.sample(0, instant(0))
+    assert tick.exert([3.0], instant(0.2)) == [3.0]
