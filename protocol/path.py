@@ -234,7 +234,6 @@ class PathEnd:
         except InvalidTag:
             self.refused[Refused.FORGED] += 1
             return None
-        self.state(now)  # a silence that ends here was one
         self._newest, self._heard_at = tick, now
         self.opened += 1
         self._learn(PathEvent.HEARD if heard else PathEvent.DEAF)
