@@ -55,7 +55,7 @@ MOST_PORTS: Final = (MAX_DATAGRAM_BYTES - OVERHEAD - WAVE_HEAD.size - WAVE_TAIL.
 """The most ports of a link whose waves fit into datagrams."""
 
 
-class Refused(StrEnum):
+class NotOpened(StrEnum):
     """The reasons for which a datagram is not opened; where several apply, the first counts."""
 
     NO_DATAGRAM = "no_datagram"  # it has not the form of one
@@ -148,7 +148,7 @@ class PathEnd:
     """One end of a path in one life of its link.
 
     Attributes:
-        refused: datagrams that were not opened, by reason; the keys are all of :class:`Refused`.
+        refused: datagrams that were not opened, by reason; the keys are all of :class:`NotOpened`.
         opened: datagrams that were opened.
         changes: changes of the state so far.
     """
@@ -175,7 +175,7 @@ class PathEnd:
         self._sealed: bytes | None = None  # the latest datagram
         self._sent_at: Instant = Instant(now - max(PROBE, KEEP_ALIVE))  # a first probe is due at once
         self._heard_at = now
-        self.refused: dict[Refused, int] = dict.fromkeys(Refused, 0)
+        self.refused: dict[NotOpened, int] = dict.fromkeys(NotOpened, 0)
         self.opened = self.changes = 0
 
     def state(self, now: Instant) -> PathState:
@@ -218,21 +218,21 @@ class PathEnd:
     def opens(self, datagram: bytes, now: Instant) -> bytes | None:
         """The frame in a datagram of the peer; None for any other datagram, which is counted."""
         if connection_of(datagram) is None:
-            self.refused[Refused.NO_DATAGRAM] += 1
+            self.refused[NotOpened.NO_DATAGRAM] += 1
             return None
         heard, connection, tick = _HEADER.unpack_from(datagram)
         if connection != self._connection:
-            self.refused[Refused.UNKNOWN_PATH] += 1
+            self.refused[NotOpened.UNKNOWN_PATH] += 1
             return None
         if tick <= self._newest:
-            self.refused[Refused.REPLAYED] += 1
+            self.refused[NotOpened.REPLAYED] += 1
             return None
         try:
             frame = self._aead.decrypt(
                 _NONCE.pack(self._receives, tick), datagram[_HEADER.size :], datagram[: _HEADER.size]
             )
         except InvalidTag:
-            self.refused[Refused.FORGED] += 1
+            self.refused[NotOpened.FORGED] += 1
             return None
         self._newest, self._heard_at = tick, now
         self.opened += 1

@@ -30,7 +30,7 @@ from manyhands.protocol.codec import CONNECTION_BYTES, SECRET_BYTES, WAVE_ID, Wa
 from manyhands.protocol.gate import WaveGate
 from manyhands.protocol.limits import MAX_DATAGRAM_BYTES
 from manyhands.protocol.messages import PathKey, Wave
-from manyhands.protocol.path import MOST_PORTS, Direction, PathEnd, PathState, Refused, connection_of
+from manyhands.protocol.path import MOST_PORTS, Direction, NotOpened, PathEnd, PathState, connection_of
 from manyhands.protocol.transport import Link, TransportError
 
 _Address = tuple[Any, ...]  # of the system's calls: host and port, and for IPv6 flow and scope
@@ -53,7 +53,7 @@ class DatagramSocket:
         """Take over a socket; see :meth:`bound` and :meth:`unbound`."""
         self._socket, self._clock = own, clock
         self._paths: dict[bytes, DatagramPath] = {}
-        self.refused: dict[Refused, int] = {Refused.NO_DATAGRAM: 0, Refused.UNKNOWN_PATH: 0}
+        self.refused: dict[NotOpened, int] = {NotOpened.NO_DATAGRAM: 0, NotOpened.UNKNOWN_PATH: 0}
         self.unsent = 0
         own.setblocking(False)
         own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _QUEUE_BYTES)
@@ -167,7 +167,7 @@ class DatagramSocket:
             if path is not None:
                 path._arrived(datagram, source, now)
             else:
-                self.refused[Refused.NO_DATAGRAM if connection is None else Refused.UNKNOWN_PATH] += 1
+                self.refused[NotOpened.NO_DATAGRAM if connection is None else NotOpened.UNKNOWN_PATH] += 1
 
     def dropped_by_kernel(self) -> int:
         """Datagrams that did not reach the process: of strangers, or beyond what the kernel keeps for it."""

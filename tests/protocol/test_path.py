@@ -23,10 +23,10 @@ from manyhands.protocol.path import (
     SILENCE,
     TRANSITIONS,
     Direction,
+    NotOpened,
     PathEnd,
     PathEvent,
     PathState,
-    Refused,
     connection_of,
 )
 
@@ -55,7 +55,7 @@ def sealed(end: PathEnd, tick: int, now: Instant = START) -> bytes:
     return datagram
 
 
-def counted(end: PathEnd) -> dict[Refused, int]:
+def counted(end: PathEnd) -> dict[NotOpened, int]:
     return {reason: count for reason, count in end.refused.items() if count}
 
 
@@ -70,8 +70,8 @@ def test_a_datagram_opens_once_at_the_other_end_alone() -> None:
     assert environment.opens(datagram, START) == frame_of(7)
     assert environment.opens(datagram, START) is None
     assert coupling.opens(datagram, START) is None  # reflected
-    assert counted(environment) == {Refused.REPLAYED: 1}
-    assert counted(coupling) == {Refused.FORGED: 1}
+    assert counted(environment) == {NotOpened.REPLAYED: 1}
+    assert counted(coupling) == {NotOpened.FORGED: 1}
     assert (coupling.opened, environment.opened) == (0, 1)
 
 
@@ -97,13 +97,13 @@ def test_every_byte_counts() -> None:
             changed = datagram[:place] + bytes([datagram[place] ^ bit]) + datagram[place + 1 :]
             assert environment.opens(changed, START) is None
             (reason,) = counted(environment)
-            expected = {Refused.FORGED}
+            expected = {NotOpened.FORGED}
             if place == 0:
-                expected = {Refused.NO_DATAGRAM, Refused.FORGED}
+                expected = {NotOpened.NO_DATAGRAM, NotOpened.FORGED}
             elif place < 9:
-                expected = {Refused.UNKNOWN_PATH}
+                expected = {NotOpened.UNKNOWN_PATH}
             elif place == 9 and bit == 0x80:
-                expected = {Refused.NO_DATAGRAM}
+                expected = {NotOpened.NO_DATAGRAM}
             assert reason in expected
             assert environment.opens(datagram, START) is not None  # a forged n has not moved the window
 
@@ -115,19 +115,19 @@ def test_every_truncation_and_every_longer_one_is_refused() -> None:
         assert environment.opens(datagram[:length], START) is None
     for tail in (b"\x00", datagram, bytes(MAX_DATAGRAM_BYTES)):
         assert environment.opens(datagram + tail, START) is None
-    assert set(counted(environment)) == {Refused.NO_DATAGRAM, Refused.FORGED}
+    assert set(counted(environment)) == {NotOpened.NO_DATAGRAM, NotOpened.FORGED}
     assert environment.opens(datagram, START) is not None
 
 
 @pytest.mark.parametrize(
     ("other", "reason"),
     [
-        (replace(KEY, secret=bytes(32)), Refused.FORGED),  # a user that took the connection of a different one
-        (replace(KEY, connection=bytes(8)), Refused.UNKNOWN_PATH),
-        (PathKey(bytes(8), bytes(32), 7400), Refused.UNKNOWN_PATH),  # an earlier life
+        (replace(KEY, secret=bytes(32)), NotOpened.FORGED),  # a user that took the connection of a different one
+        (replace(KEY, connection=bytes(8)), NotOpened.UNKNOWN_PATH),
+        (PathKey(bytes(8), bytes(32), 7400), NotOpened.UNKNOWN_PATH),  # an earlier life
     ],
 )
-def test_a_datagram_of_any_other_key_is_refused(other: PathKey, reason: Refused) -> None:
+def test_a_datagram_of_any_other_key_is_refused(other: PathKey, reason: NotOpened) -> None:
     _, environment = ends()
     rogue, _ = ends(other)
     assert environment.opens(sealed(rogue, 1), START) is None
@@ -153,7 +153,7 @@ def test_an_exhausted_n_ends_the_path_and_never_wraps() -> None:
         coupling.outgoing(0, frame_of(0), after(1000))
     other, _ = ends()
     assert environment.opens(sealed(other, 0), START) is None
-    assert counted(environment) == {Refused.REPLAYED: 1}
+    assert counted(environment) == {NotOpened.REPLAYED: 1}
 
 
 def test_the_widest_link_fits_and_a_wider_one_is_refused() -> None:

@@ -25,7 +25,7 @@ from manyhands.protocol.messages import (
     Wave,
 )
 from manyhands.protocol.path import TRANSITIONS as PATH_TRANSITIONS
-from manyhands.protocol.path import Direction, PathEnd, Refused
+from manyhands.protocol.path import Direction, NotOpened, PathEnd
 from manyhands.protocol.transport.door import NotAdmitted
 
 from ..support.spec_text import SPEC, table
@@ -158,7 +158,7 @@ def test_what_is_counted_at_a_door() -> None:
 
 
 def test_what_is_refused_at_a_path() -> None:
-    assert [row[0] for row in table("| count at a path | is |")] == list(Refused)
+    assert [row[0] for row in table("| count at a path | is |")] == list(NotOpened)
 
 
 def test_what_becomes_of_a_path() -> None:

@@ -47,7 +47,7 @@ from manyhands.protocol.messages import (
     Role,
     Telemetry,
 )
-from manyhands.protocol.path import Refused
+from manyhands.protocol.path import NotOpened
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.door import NotAdmitted
 from manyhands.protocol.transport.zeromq import HUB_DROPS, ZmqHub, ZmqTransport
@@ -256,7 +256,7 @@ def test_every_attack_is_counted_by_a_count_that_there_is() -> None:
         *NotAdmitted,
         *DROP_REASONS,
         *HUB_DROPS,
-        *Refused,
+        *NotOpened,
         "out_of_turn",
         "telemetry_that_does_not_fit",
     } | {

@@ -20,7 +20,7 @@ from manyhands.protocol.clock import Instant, SimulatedClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import PathKey, Wave
-from manyhands.protocol.path import OVERHEAD, SILENCE, Direction, PathEnd, PathState, Refused
+from manyhands.protocol.path import OVERHEAD, SILENCE, Direction, NotOpened, PathEnd, PathState
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket, filter_of
 from tests.support.datagram_relay import Relay, passed
 from tests.support.memory_transport import MemoryTransport
@@ -130,12 +130,12 @@ def require_unmoved(stage: Stage, quiet: Stage, *, both: bool = True) -> None:
     assert stage.answers() == 0
 
 
-def refused_at(one: DatagramSocket, path: DatagramPath) -> dict[Refused, int]:
+def refused_at(one: DatagramSocket, path: DatagramPath) -> dict[NotOpened, int]:
     """What a socket and one of its paths have refused together."""
-    return {why: count for why in Refused if (count := one.refused.get(why, 0) + path.end.refused[why])}
+    return {why: count for why in NotOpened if (count := one.refused.get(why, 0) + path.end.refused[why])}
 
 
-def counted(path: DatagramPath) -> dict[Refused, int]:
+def counted(path: DatagramPath) -> dict[NotOpened, int]:
     return {reason: count for reason, count in path.end.refused.items() if count}
 
 
@@ -163,50 +163,50 @@ def forger(key: PathKey, sends: Direction = Direction.TO_ENVIRONMENT) -> Callabl
     return forged
 
 
-FORGERIES: dict[str, tuple[Callable[[Stage, int, Direction], bytes], Refused]] = {
+FORGERIES: dict[str, tuple[Callable[[Stage, int, Direction], bytes], NotOpened]] = {
     "another key for the victim's connection": (
         lambda stage, tick, _: forger(replace(stage.victim.environment.key, secret=bytes(32)))(tick + 5),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "the other user's key for the victim's connection": (
         lambda stage, tick, _: forger(replace(stage.victim.environment.key, secret=stage.other.environment.key.secret))(
             tick + 5
         ),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "the receiver's own direction": (
         lambda stage, tick, own: forger(stage.victim.environment.key, own)(tick + 5),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "its latest datagram with a greater n": (
         lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], tick + 5),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "its latest datagram with the greatest n": (
         lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], MAX_COUNT),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "the other user's latest datagram for the victim's connection": (
         lambda stage, tick, _: _with_n(
             stage.other.relay.seen[0][-1], tick + 5, connection=stage.victim.environment.key.connection
         ),
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
-    "a copy": (lambda stage, _tick, _: stage.victim.relay.seen[0][-1], Refused.REPLAYED),
-    "a copy of its first": (lambda stage, _tick, _: stage.victim.relay.seen[0][0], Refused.REPLAYED),
+    "a copy": (lambda stage, _tick, _: stage.victim.relay.seen[0][-1], NotOpened.REPLAYED),
+    "a copy of its first": (lambda stage, _tick, _: stage.victim.relay.seen[0][0], NotOpened.REPLAYED),
     "a copy that breaks off": (
         lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], tick + 5)[:40],
-        Refused.FORGED,
+        NotOpened.FORGED,
     ),
     "a copy with n beyond the protocol": (
         lambda stage, _tick, _: _with_n(stage.victim.relay.seen[0][-1], MAX_COUNT + 1),
-        Refused.NO_DATAGRAM,
+        NotOpened.NO_DATAGRAM,
     ),
     "a long one": (
         lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], tick) + bytes(8000),
-        Refused.NO_DATAGRAM,
+        NotOpened.NO_DATAGRAM,
     ),
-    "a short one": (lambda stage, _tick, _: stage.victim.relay.seen[0][-1][:OVERHEAD], Refused.NO_DATAGRAM),
+    "a short one": (lambda stage, _tick, _: stage.victim.relay.seen[0][-1][:OVERHEAD], NotOpened.NO_DATAGRAM),
 }
 
 
@@ -272,7 +272,7 @@ def test_without_the_kernels_filter_strangers_are_counted(stage: Stage, quiet: S
 
     stage.run(attack=attack)
     require_unmoved(stage, quiet)
-    assert stage.server.refused == {Refused.NO_DATAGRAM: TICKS, Refused.UNKNOWN_PATH: TICKS}
+    assert stage.server.refused == {NotOpened.NO_DATAGRAM: TICKS, NotOpened.UNKNOWN_PATH: TICKS}
 
 
 def test_a_flood_is_read_in_bounded_numbers(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -282,11 +282,11 @@ def test_a_flood_is_read_in_bounded_numbers(stage: Stage, monkeypatch: pytest.Mo
     for _ in range(200):
         stage.strike(forged)
     opened = stage.victim.environment.end.refused
-    before = opened[Refused.FORGED]
+    before = opened[NotOpened.FORGED]
     stage.server.read()
-    assert opened[Refused.FORGED] - before == 64 + 4 * 2
+    assert opened[NotOpened.FORGED] - before == 64 + 4 * 2
     stage.server.read()
-    assert opened[Refused.FORGED] - before == 2 * (64 + 4 * 2)
+    assert opened[NotOpened.FORGED] - before == 2 * (64 + 4 * 2)
 
 
 def test_nothing_is_logged_or_printed_of_a_forged_datagram(
@@ -319,8 +319,8 @@ def test_reordered_doubled_and_held_back(stage: Stage, quiet: Stage) -> None:
         ticks = [wave.tick for wave in heard]
         assert ticks == sorted(set(ticks))
         assert len(ticks) > TICKS / 4
-    assert stage.victim.environment.end.refused[Refused.REPLAYED] > 0
-    assert counted(stage.victim.environment).keys() == {Refused.REPLAYED}
+    assert stage.victim.environment.end.refused[NotOpened.REPLAYED] > 0
+    assert counted(stage.victim.environment).keys() == {NotOpened.REPLAYED}
     require_unmoved(stage, quiet, both=False)
 
 
@@ -402,7 +402,7 @@ def test_a_former_life_opens_nothing(stage: Stage, quiet: Stage) -> None:
         old = [*former.victim.relay.seen[0], *former.victim.relay.seen[1]]
     taken = stage.victim.environment.key.connection
     stage.run(attack=lambda tick: stage.strike(_with_n(old[tick], tick + 5, connection=taken)))
-    assert counted(stage.victim.environment) == {Refused.FORGED: TICKS}
+    assert counted(stage.victim.environment) == {NotOpened.FORGED: TICKS}
     require_unmoved(stage, quiet)
 
 
