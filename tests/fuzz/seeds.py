@@ -128,6 +128,7 @@ def _path() -> Iterator[tuple[str, bytes]]:
     up = (*up, sends(coupling, after=probe), hears(environment, 1))
     yield "up", path(*up, sends(environment), sends(coupling))
     yield "broken", path(*up, sends(environment, after=silence), sends(coupling), hears(environment, 2))
+    yield "deaf", path(*up, sends(coupling, after=silence - 1), hears(environment, 2), sends(environment))
     yield "copy", path(*up, hears(environment, 1), hears(environment, 0))
     yield "reflected", path(*up, hears(coupling, 0), hears(environment, 2))
     yield "overtaken", path(*up, sends(coupling), sends(coupling), hears(environment, 3), hears(environment, 2))
