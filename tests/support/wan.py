@@ -207,7 +207,7 @@ def _join(devices: Sequence[int], wire: Wire, orders: IO[str]) -> None:
         for number, device in enumerate(devices):
             if device in ready:
                 for packet in _read(device):
-                    ways[number].put(packet, wire, now)
+                    ways[number].put(packet, wire, time.monotonic())  # not before it was there to be read
             for packet in ways[number].arrived(now):
                 os.write(devices[1 - number], packet)
         if orders in ready:
