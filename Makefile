@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz flood loop watched soak users chaos faults lateness hostile pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan flood loop watched soak users chaos faults lateness hostile pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -55,6 +55,14 @@ FUZZ_SECONDS ?= 600
 fuzz: $(VENV)/.installed
 	$(BIN)/pip install --quiet 'atheris>=2.3'
 	$(BIN)/python tests/fuzz/run.py $(FUZZ_SECONDS)
+
+# what a datagram costs to seal, open and refuse, and a stranger's flood before the port: a minute
+datagrams: $(VENV)/.installed
+	$(BIN)/python benchmarks/datagrams.py
+
+# the age of the newest wave across a WAN of namespaces, with datagrams and with ZeroMQ alone: three minutes
+wan: $(VENV)/.installed
+	$(BIN)/python -m tests.support.path_ends 20
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed

@@ -27,6 +27,7 @@ from manyhands.protocol.messages import (
     NodeHello,
     Observation,
     Offer,
+    PathKey,
     Probe,
     Reaction,
     Ready,
@@ -42,6 +43,7 @@ from manyhands.protocol.messages import (
     Stop,
     Telemetry,
     Tool,
+    Wave,
     Welcome,
 )
 
@@ -78,6 +80,7 @@ class Channel:
 
 
 _NODES: Final = (Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT)
+_ENDS_OF_A_WAVE_LINK: Final = (Role.COUPLING, Role.ENVIRONMENT)
 _EVERYONE: Final = (*_NODES, Role.SUPERVISOR, Role.OBSERVER)
 
 _TABLE: Final = (
@@ -85,6 +88,9 @@ _TABLE: Final = (
     Channel("tool", (Tool,), (Role.COUPLING,), (Role.ENVIRONMENT,), "p", "m", Rate.EVERY_TICK),
     Channel("reaction", (Reaction,), (Role.ENVIRONMENT,), (Role.COUPLING,), "f_v", "N", Rate.EVERY_TICK),
     Channel("force", (Force,), (Role.COUPLING,), (Role.DEVICE,), "f_v", "N", Rate.EVERY_TICK),
+    # not every tick: the two ends of a wave link have ticks of their own, and send as often as it is worth it
+    Channel("wave", (Wave,), _ENDS_OF_A_WAVE_LINK, _ENDS_OF_A_WAVE_LINK, "U", "√(J·s)", Rate.ONCE),
+    Channel("path", (PathKey,), (Role.ENVIRONMENT,), (Role.COUPLING,), "", "", Rate.ONCE),
     Channel("handshake", (LinkHello, Welcome, Refusal), _NODES, _NODES, "", "", Rate.ONCE),
     Channel(
         "rung",

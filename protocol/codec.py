@@ -10,7 +10,9 @@ accepts exactly the type that it expects (a bool is not an int, an int is not a 
 
 **Signals** take a direct path in both directions, for a tick consists of them. Their first 23 bytes have a fixed
 layout, :data:`USUAL`, which is still plain MessagePack. A frame that a different encoder wrote with shorter integers
-takes the general path.
+takes the general path. So do waves: their fixed layout is
+
+    array of 4 | type id | tick, uint 64 | length of the sums, bin 16 | sums | shipped, float 64
 
 **Heads.** The head of a signal's frame is everything before its values:
 
@@ -61,6 +63,7 @@ from manyhands.protocol.messages import (
     NodeHello,
     Observation,
     Offer,
+    PathKey,
     Probe,
     Reaction,
     Ready,
@@ -80,11 +83,18 @@ from manyhands.protocol.messages import (
     Telemetry,
     Tool,
     Values,
+    Wave,
     Welcome,
     is_presentable,
 )
 
 _WIRE_FLOAT: Final = np.dtype("<f8")
+
+CONNECTION_BYTES: Final = 8
+"""The length of the id of a datagram path, bytes."""
+
+SECRET_BYTES: Final = 32
+"""The length of the key of a datagram path, bytes."""
 
 
 class Unfit(Exception):
@@ -107,6 +117,10 @@ def _describe(value: object) -> str:
     if isinstance(value, (str, bytes, list, dict, tuple)) and len(value) > 40:
         return f"{type(value).__name__} of length {len(value)}"
     return f"{value!r:.120}"
+
+
+def _same(value: object) -> object:
+    return value
 
 
 # --- numbers
@@ -267,6 +281,28 @@ def read_values(data: object) -> Values:
     return values
 
 
+def _pack_sums(value: Any) -> object:
+    if type(value) is not tuple or not all(type(entry) is float for entry in value):
+        raise Unfit(f"found {value!r:.80}; expected a tuple of floats")
+    return struct.pack(f"<{len(value)}d", *value)
+
+
+def _read_sums(value: object) -> tuple[float, ...]:
+    return tuple(read_values(value).tolist())
+
+
+def _raw(size: int) -> Field:
+    """A field of ``size`` bytes, which no message quotes: they may be secret."""
+
+    def read(value: object) -> bytes:
+        if type(value) is not bytes or len(value) != size:
+            found = f"{len(value)} bytes" if isinstance(value, bytes) else type(value).__name__
+            raise Unfit(f"found {found}; expected {size} bytes")
+        return value
+
+    return Field(_same, read)
+
+
 def _pack_trace(value: Any) -> object:
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.ndim != 2:
         raise Unfit(f"found {value!r:.80}; expected a 2-D array of float64")
@@ -285,16 +321,13 @@ def _read_trace(value: object) -> Values:
     return _doubles(data).reshape(rows, columns)
 
 
-def _same(value: object) -> object:
-    return value
-
-
 NAME: Final = Field(_same, _read_name)
 TEXT: Final = Field(_same, _read_text)
 ROLE: Final = _choice(Role)
 REFUSAL_CODE: Final = _choice(RefusalCode)
 COUNT: Final = integer(0, MAX_COUNT)
 PID: Final = integer(1, MAX_PID)
+PORT_NUMBER: Final = integer(1, 65535)
 PORTS: Final = Field(_pack_tuple, _read_ports)
 FEEDTHROUGH: Final = Field(_pack_feedthrough, _read_feedthrough)
 ENDPOINT: Final = Field(_same, _word(MAX_ENDPOINT))
@@ -305,6 +338,10 @@ STATES: Final = _mapping(_same, _read_name)
 ELAPSED: Final = Field(_plain_number, _read_finite)
 RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = Field(pack_values, read_values)
+SUMS: Final = Field(_pack_sums, _read_sums)
+ENERGY: Final = Field(_plain_number, _read_finite)
+CONNECTION: Final = _raw(CONNECTION_BYTES)
+SECRET: Final = _raw(SECRET_BYTES)
 FIGURES: Final = _mapping(_plain_number, _read_number)
 COUNTS: Final = _mapping(_plain_integer, integer(0, MAX_COUNT).read)
 PERCENTILES: Final = _mapping(FIGURES.pack, FIGURES.read)
@@ -321,6 +358,14 @@ BIN16: Final = 0xC5
 LONGEST: Final = 5 + 3 * 9 + 5
 """The length of the longest head, bytes: array 32, three integers of 64 bits with their tags, bin 32."""
 
+FLOAT64: Final = 0xCB
+
+WAVE_HEAD: Final = struct.Struct(">BBBQBH")
+"""array of 4, type id, uint 64, tick, bin 16, length of the sums; the constant bytes are MessagePack's own tags."""
+
+WAVE_TAIL: Final = struct.Struct(">Bd")
+"""float 64, shipped."""
+
 _INTEGERS: Final = {
     tag: struct.Struct(form)
     for tag, form in {
@@ -328,6 +373,7 @@ _INTEGERS: Final = {
     }.items()
 }  # fmt: skip
 _ARRAYS: Final = {0xDC: struct.Struct(">H"), 0xDD: struct.Struct(">I")}
+_FLOATS: Final = {0xCA: struct.Struct(">f"), FLOAT64: struct.Struct(">d")}
 _BINARIES: Final = {0xC4: struct.Struct(">B"), 0xC5: struct.Struct(">H"), 0xC6: struct.Struct(">I")}
 
 
@@ -376,6 +422,35 @@ def read_head(frame: bytes) -> Head | None:
     counts = 0 <= tick <= MAX_COUNT and 0 <= stamp <= MAX_COUNT
     whole = length == len(frame) - at and length % 8 == 0 and 8 <= length <= 8 * MAX_PORTS
     return Head(tick, stamp, at) if entries == 4 and counts and whole else None
+
+
+class RawWave(NamedTuple):
+    """The fields of a wave's frame, of whose numbers none is checked but the tick.
+
+    Attributes:
+        tick: n, from 0 to ``MAX_COUNT``.
+        sums: U, 8 bytes for each of 1 to ``MAX_PORTS`` entries.
+        shipped: G.
+    """
+
+    tick: int
+    sums: bytes
+    shipped: float
+
+
+def read_wave(frame: bytes) -> RawWave | None:
+    """The fields of a wave in any encoding of MessagePack; None if this is no frame of a wave. Never raises."""
+    try:
+        entries, number, at = _start(frame)
+        tick, at = _integer(frame, at)
+        length, at = _tagged(frame, at, _BINARIES)
+        end = at + length
+        shipped, after = _tagged(frame, end, _FLOATS)
+    except (IndexError, KeyError, struct.error):
+        return None
+    whole = after == len(frame) and length % 8 == 0 and 8 <= length <= 8 * MAX_PORTS
+    is_wave = entries == 4 and number == WAVE_ID and type(tick) is int and 0 <= tick <= MAX_COUNT
+    return RawWave(int(tick), frame[at:end], float(shipped)) if is_wave and whole else None
 
 
 def _start(frame: bytes) -> tuple[int, int, int]:
@@ -432,6 +507,7 @@ _SIGNALS: Final[dict[int, type[SignalMessage]]] = {
     18: Reaction,
     19: Force,
 }
+WAVE_ID: Final = 20
 _SIGNAL_IDS: Final[dict[type[Signal], int]] = {kind: number for number, kind in _SIGNALS.items()}
 
 
@@ -456,6 +532,8 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Shift: (14, (NAME, RUNG)),
     Rung: (15, (RUNG,)),
     **{kind: (number, (COUNT, COUNT, VALUES)) for number, kind in _SIGNALS.items()},
+    Wave: (WAVE_ID, (COUNT, SUMS, ENERGY)),
+    PathKey: (21, (CONNECTION, SECRET, PORT_NUMBER)),
     Telemetry: (32, (COUNT, FIGURES, TRACES)),
     Report: (33, (COUNT, FIGURES, COUNTS, PERCENTILES)),
     Fault: (34, (TEXT,)),
@@ -488,6 +566,9 @@ def encode(message: Message) -> bytes:
             and all(map(math.isfinite, values.tolist()))
         ):
             return USUAL.pack(ARRAY_OF_4, number, UINT64, tick, UINT64, stamp, BIN16, values.nbytes) + values.tobytes()
+    if type(message) is Wave:
+        _encode_any(message)  # refuses a field that is not allowed, and names it
+        return WaveWriter(len(message.sums)).frame(message.tick, message.sums, message.shipped)
     return _encode_any(message)
 
 
@@ -524,6 +605,38 @@ class SignalWriter:
         return encode(self.kind(tick, stamp, np.array(values, dtype=np.float64)))  # raises, and names the field
 
 
+class WaveWriter:
+    """Makes the frames of the waves that one end of a wave link sends, without a message for each."""
+
+    __slots__ = ("_layout", "_length", "_values", "_width")
+
+    def __init__(self, width: int) -> None:
+        """Make frames with ``width`` sums, one for each port of the link."""
+        self._width = width
+        self._values = struct.Struct(f"<{width}d")
+        self._length = self._values.size
+        self._layout = struct.Struct(f"{WAVE_HEAD.format}{self._length}s{WAVE_TAIL.format[1:]}")
+
+    def frame(self, tick: int, sums: Sequence[float], shipped: float) -> bytes:
+        """The frame of a wave, as :func:`encode` makes it.
+
+        Raises:
+            ValueError: a field is not as :class:`~manyhands.protocol.messages.Wave` states it.
+        """
+        if (
+            type(tick) is int
+            and 0 <= tick <= MAX_COUNT
+            and 1 <= len(sums) == self._width <= MAX_PORTS
+            and all(map(math.isfinite, sums))
+            and math.isfinite(shipped)
+        ):
+            values = self._values.pack(*sums)
+            return self._layout.pack(ARRAY_OF_4, WAVE_ID, UINT64, tick, BIN16, self._length, values, FLOAT64, shipped)
+        if len(sums) != self._width:
+            raise ValueError(f"Wave.sums: found {len(sums)} sums; expected {self._width}")
+        return _encode_any(Wave(tick, tuple(map(float, sums)), shipped))  # raises, and names the field
+
+
 def decode(frame: bytes, limit: int) -> Received:
     """Read a frame of at most ``limit`` bytes. Never raises, whatever the bytes.
 
@@ -549,6 +662,11 @@ def decode(frame: bytes, limit: int) -> Received:
                 )
             except Unfit:
                 return _decode_any(frame)  # refuses it as well, and names the field
+        if number == WAVE_ID and (raw := read_wave(frame)) is not None and math.isfinite(raw.shipped):
+            try:
+                return Wave(raw.tick, _read_sums(raw.sums), raw.shipped)
+            except Unfit:
+                return _decode_any(frame)
     return _decode_any(frame)
 
 

@@ -11,10 +11,23 @@ import sys
 from dataclasses import dataclass
 from typing import Final
 
-from manyhands.protocol.clock import Clock, Duration, Instant
-from manyhands.protocol.codec import ARRAY_OF_4, BIN16, LAYOUTS, LONGEST, UINT64, USUAL, read_head, type_of
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
+from manyhands.protocol.codec import (
+    ARRAY_OF_4,
+    BIN16,
+    FLOAT64,
+    LAYOUTS,
+    LONGEST,
+    UINT64,
+    USUAL,
+    WAVE_ID,
+    WAVE_TAIL,
+    read_head,
+    read_wave,
+    type_of,
+)
 from manyhands.protocol.limits import MAX_COUNT
-from manyhands.protocol.messages import SignalMessage
+from manyhands.protocol.messages import SignalMessage, Wave
 
 DROP_REASONS: Final = (
     "malformed",  # it begins as no message, breaks off, or is longer than any signal of this link
@@ -38,6 +51,9 @@ A device waits no longer for its force, so an honest signal is late by no more.
 
 DRIFT: Final = 1e-3
 """The relative rate by which a peer's clock may be faster than the receiver's."""
+
+MOST_DELAY: Final = from_seconds(10.0)
+"""How much longer the first wave of a life may have been on its way than a later one, ns."""
 
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
@@ -233,3 +249,104 @@ class Gate:
             return "malformed", 0, 0, 0
         tick, stamp, size = head
         return None if len(frame) == size + self._floats.size else "wrong_width", tick, stamp, size
+
+
+class WaveGate:
+    """Admits the waves of one end of a wave link in one life of the link: the newest only, whatever carried it.
+
+    Ticks rise, and the energy shipped never falls. Ticks also keep to the receiver's clock. With n₀ the tick of the
+    first wave admitted, t the time since then and T the sender's period,
+
+        n <= n₀ + (1 + DRIFT) t / T + MOST_DELAY / T.
+
+    A wave that is lost is none that is missing, so no wave is awaited, and every later one is admitted.
+
+    Attributes:
+        dropped: frames not admitted, by reason; the keys are always all of :data:`DROP_REASONS`. A wave whose energy
+            falls is ``out_of_range``.
+        newest: the latest wave admitted; None before the first.
+    """
+
+    __slots__ = (
+        "_clock",
+        "_first",
+        "_floats",
+        "_layout",
+        "_longest",
+        "_period",
+        "_since",
+        "_start",
+        "dropped",
+        "newest",
+    )
+
+    def __init__(self, width: int, period: Duration | None = None, clock: Clock | None = None) -> None:
+        """Admit waves of ``width`` sums.
+
+        Args:
+            width: the number of ports of the link.
+            period: T of the sender, ns; None where its ticks take no time that a clock shows.
+            clock: the receiver's clock, which a period needs.
+
+        Raises:
+            ValueError: there is a period without a clock.
+        """
+        if period is not None and clock is None:
+            raise ValueError("found a period and no clock; expected the receiver's clock")
+        size = 8 * width
+        self._floats = struct.Struct(f"<{width}d")
+        self._layout = struct.Struct(f">3sQ3s{size}s{WAVE_TAIL.format[1:]}")
+        self._longest = LONGEST + size + WAVE_TAIL.size
+        self._start = (bytes((ARRAY_OF_4, WAVE_ID, UINT64)), struct.pack(">BH", BIN16, size), FLOAT64)
+        self._period, self._clock = period, clock
+        self._first, self._since = 0, Instant(0)
+        self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
+        self.newest: Wave | None = None
+
+    def admitted(self, frame: bytes) -> Wave | None:
+        """The wave in ``frame``, which is newer than all before; None for any other frame, which is counted."""
+        if len(frame) == self._layout.size:
+            start, tick, length, sums, tag, shipped = self._layout.unpack(frame)
+            usual = (start, length, tag) == self._start and tick <= MAX_COUNT
+        else:
+            usual = False
+        if not usual:
+            reason, tick, sums, shipped = self._other(frame)
+            if reason is not None:
+                self.dropped[reason] += 1
+                return None
+        return self._take(tick, self._floats.unpack(sums), shipped)
+
+    def _take(self, tick: int, sums: tuple[float, ...], shipped: float) -> Wave | None:
+        newest = self.newest
+        if newest is not None and tick <= newest.tick:
+            self.dropped["old_tick"] += 1
+            return None
+        clock, period = self._clock, self._period
+        if clock is not None and period is not None:
+            now = clock.now()
+            if newest is None:
+                self._first, self._since = tick, now
+            elif (tick - self._first) * period > (1.0 + DRIFT) * (now - self._since) + MOST_DELAY:
+                self.dropped["future_tick"] += 1
+                return None
+        if not (math.isfinite(shipped) and all(map(math.isfinite, sums))):
+            self.dropped["not_finite"] += 1
+            return None
+        if shipped < (0.0 if newest is None else newest.shipped):
+            self.dropped["out_of_range"] += 1
+            return None
+        self.newest = Wave(tick, sums, shipped)
+        return self.newest
+
+    def _other(self, frame: bytes) -> tuple[str | None, int, bytes, float]:
+        """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, sums, energy."""
+        if len(frame) > self._longest:
+            return "malformed", 0, b"", 0.0
+        number = type_of(frame)
+        if number != WAVE_ID:
+            return "wrong_kind" if number in _TYPES else "malformed", 0, b"", 0.0
+        wave = read_wave(frame)
+        if wave is None:
+            return "malformed", 0, b"", 0.0
+        return None if len(wave.sums) == self._floats.size else "wrong_width", *wave

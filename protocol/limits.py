@@ -50,6 +50,9 @@ MAX_RUNG: Final = 15
 MAX_PID: Final = 2**31 - 1
 """Greatest process id."""
 
+MAX_DATAGRAM_BYTES: Final = 1200
+"""Longest datagram, bytes: with its heads it fits into 1280, the least MTU of IPv6, so that no path cuts it up."""
+
 MAX_SOCKET_PATH: Final = 107
 """Longest path of a Unix-domain socket, bytes: ``sun_path`` holds 108 with its closing zero."""
 

@@ -6,7 +6,7 @@ SPEC.md describes both for other implementations.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, TypeAlias
 
@@ -230,6 +230,37 @@ class Force(Signal):
     """f_v(k) of the device's ports, to be applied and held, N. Coupling to device."""
 
 
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """From either end of a wave link to the other: sums over the link's life, of which the newest counts alone.
+
+    Attributes:
+        tick: n, the sender's tick count, at least 0; it rises from each wave of a life to the next.
+        sums: U = Σ T a, the sum of the outgoing wave a over the sender's ticks of T seconds; one entry for each port of
+            the link, √(J·s), finite.
+        shipped: G, the energy shipped so far, J, finite; it never falls within a life.
+    """
+
+    tick: int
+    sums: tuple[float, ...]
+    shipped: float
+
+
+@dataclass(frozen=True, slots=True)
+class PathKey:
+    """From the environment to a coupling, on their encrypted link: how the two exchange datagrams in this life of it.
+
+    Attributes:
+        connection: the id of the path at the environment's socket, 8 bytes.
+        secret: the key of its datagrams, 32 bytes; it shows in no text.
+        port: the UDP port of the environment's socket, on the host at which the coupling has reached the environment.
+    """
+
+    connection: bytes
+    secret: bytes = field(repr=False)
+    port: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
     """To the supervisor, about ten times a second: a node's figures, and its traces of the latest ticks.
@@ -349,6 +380,8 @@ Message: TypeAlias = (
     | Shift
     | Rung
     | SignalMessage
+    | Wave
+    | PathKey
     | Telemetry
     | Observation
     | Condition

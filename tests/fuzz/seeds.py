@@ -19,6 +19,7 @@ import fuzz_codec
 import fuzz_conductor
 import fuzz_gate
 import fuzz_handshake
+import fuzz_path
 from draws import Dictation, Misdictated
 from forger import HOW, KIND_NAMES
 
@@ -31,6 +32,7 @@ CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
     "codec": fuzz_codec.check,
     "handshake": fuzz_handshake.check,
     "gate": fuzz_gate.check,
+    "path": fuzz_path.check,
     "conductor": fuzz_conductor.check,
 }
 """Every harness by its name."""
@@ -38,7 +40,7 @@ CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
 
 def seeds(harness: str) -> dict[str, bytes]:
     """The hand-made seeds of a harness, by the name of their file."""
-    made = {"codec": _codec, "handshake": _handshake, "gate": _gate, "conductor": _conductor}[harness]
+    made = {"codec": _codec, "handshake": _handshake, "gate": _gate, "path": _path, "conductor": _conductor}[harness]
     return {f"{number:02}-{name}": data for number, (name, data) in enumerate(made())}
 
 
@@ -106,6 +108,43 @@ def _gate() -> Iterator[tuple[str, bytes]]:
     yield "replayed", traffic("honest", 7, 1, "replayed", 7, 1)
     for how in HOW:
         yield f"how-{how}".replace(" ", "-"), traffic("forged", 7, 64, how, kind="Force")
+
+
+def _path() -> Iterator[tuple[str, bytes]]:
+    coupling, environment = fuzz_path.Direction  # the ends, by the direction in which they send
+    probe, silence, soon = fuzz_path.PROBE, fuzz_path.SILENCE, 10**6
+
+    def sends(end: int, tick: int = 1, shipped: int = 4, after: int = soon) -> tuple[object, ...]:
+        return (after, end, "send", tick, 8, shipped)
+
+    def hears(end: int, number: int, after: int = 0) -> tuple[object, ...]:
+        return (after, end, "deliver", number)
+
+    def path(*told: tuple[object, ...], first: int = 0) -> bytes:
+        return _bytes(fuzz_path.play, first, *(one for step in told for one in step))
+
+    # datagrams are numbered as they were sent, those of the coupling before those of the environment
+    up = (sends(coupling), hears(environment, 0), sends(environment), hears(coupling, 1))
+    up = (*up, sends(coupling, after=probe), hears(environment, 1))
+    yield "up", path(*up, sends(environment), sends(coupling))
+    yield "broken", path(*up, sends(environment, after=silence), sends(coupling), hears(environment, 2))
+    yield "deaf", path(*up, sends(coupling, after=silence - 1), hears(environment, 2), sends(environment))
+    yield "copy", path(*up, hears(environment, 1), hears(environment, 0))
+    yield "reflected", path(*up, hears(coupling, 0), hears(environment, 2))
+    yield "overtaken", path(*up, sends(coupling), sends(coupling), hears(environment, 3), hears(environment, 2))
+    yield "poorer", path(*up, sends(coupling, shipped=0), hears(environment, 2))
+    yield "greatest", path(*up, first=fuzz_path.TICKS[-1])
+    yield "quiet", path(*up, (fuzz_path.KEEP_ALIVE, coupling, "quiet"), (0, environment, "quiet"))
+    yield "other-key", path(*up, (soon, environment, "seal"), (soon, coupling, "seal"))
+    for number in range(3):
+        for place in (0, 1, 9, 17, 40, 60):
+            yield f"changed-{number}-{place}", path(*up, (0, environment, "deliver changed", number, place, b"x", 1))
+    for what in (b"", bytes(8), bytes(80)):
+        yield f"bytes-{len(what)}", path(*up, (0, environment, "deliver bytes", 1, 5, 17, what))
+    for name in ("newer", "older", "wide", "poor", "key", "ready"):
+        yield f"frame-{name}", path(*up, (0, environment, "frame", "as it is", name))
+    for how in HOW:
+        yield f"how-{how}".replace(" ", "-"), path(*up, (0, environment, "frame", how))
 
 
 def _conductor() -> Iterator[tuple[str, bytes]]:

@@ -27,6 +27,7 @@ from manyhands.protocol.messages import (
     NodeHello,
     Observation,
     Offer,
+    PathKey,
     Probe,
     Reaction,
     Ready,
@@ -43,6 +44,7 @@ from manyhands.protocol.messages import (
     Stop,
     Telemetry,
     Tool,
+    Wave,
     Welcome,
     presentable,
 )
@@ -105,6 +107,10 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
         st.lists(names, max_size=3).map(tuple),
         *[st.lists(texts, max_size=3).map(tuple)] * 3,
     ),
+    Wave: st.builds(Wave, counts, st.lists(finite, min_size=1, max_size=limits.MAX_PORTS).map(tuple), finite),
+    PathKey: st.builds(
+        PathKey, st.binary(min_size=8, max_size=8), st.binary(min_size=32, max_size=32), st.integers(1, 65535)
+    ),
     Grasp: st.builds(Grasp, values),
     Release: st.just(Release()),
 }
@@ -144,6 +150,23 @@ def test_bits_of_a_signal_are_kept(kind: type[Any], tick: int, stamp: int, sent:
     assert received.values.dtype == np.float64
     assert received.values.tobytes() == sent.tobytes()  # the sign of zero too
     assert not received.values.flags.writeable
+
+
+@given(counts, st.lists(finite, min_size=1, max_size=4), finite)
+def test_bits_of_a_wave_are_kept(tick: int, sums: list[float], shipped: float) -> None:
+    received = decode(encode(Wave(tick, tuple(sums), shipped)), limits.MAX_CONTROL_BYTES)
+    assert isinstance(received, Wave)
+    assert list(map(float.hex, (*received.sums, received.shipped))) == list(map(float.hex, (*sums, shipped)))
+
+
+def test_a_path_key_shows_no_secret() -> None:
+    key = PathKey(b"\x01" * 8, b"secret!!" * 4, 7400)
+    assert "secret" not in f"{key} {key!r}"
+    for wrong in (dataclasses.replace(key, secret=b"secret!!"), dataclasses.replace(key, secret="secret!!")):
+        with pytest.raises(ValueError, match=r"PathKey.secret: found (8 bytes|str); expected 32 bytes"):
+            encode(wrong)
+    received = decode(msgpack.packb([21, key.connection, b"secret!!", 7400]), limits.MAX_CONTROL_BYTES)
+    assert "secret!!" not in str(received)
 
 
 def test_a_signal_that_is_not_contiguous_is_sent_as_it_reads() -> None:
@@ -239,6 +262,17 @@ HELLO = LinkHello(1, "c", "s", "n", Role.DEVICE, ("p",))
         (Stop("x" * 4097), "Stop.reason: found str of length 4097"),
         (Fault("a\x00b"), "Fault.text: found"),
         (Fault("\ud800"), "Fault.text: found"),
+        (Wave(-1, (1.0,), 0.0), "Wave.tick: found -1"),
+        (Wave(True, (1.0,), 0.0), "Wave.tick: found True"),
+        (Wave(0, (), 0.0), "Wave.sums: found b''; expected 8 bytes each for 1 to 256 values"),
+        (Wave(0, (1.0,) * 257, 0.0), "Wave.sums: found bytes of length 2056"),
+        (Wave(0, (math.inf,), 0.0), "Wave.sums: found a value that is not finite"),
+        (Wave(0, [1.0], 0.0), r"Wave.sums: found \[1.0\]; expected a tuple of floats"),
+        (Wave(0, (1,), 0.0), r"Wave.sums: found \(1,\); expected a tuple of floats"),
+        (Wave(0, (1.0,), math.nan), "Wave.shipped: found nan; expected a finite number"),
+        (Wave(0, (1.0,), "0"), "Wave.shipped: found '0'; expected a float"),
+        (PathKey(b"", bytes(32), 1), "PathKey.connection: found 0 bytes; expected 8 bytes"),
+        (PathKey(bytes(8), bytes(32), 0), "PathKey.port: found 0; expected an integer from 1 to 65535"),
         (Rung(16), "Rung.rung: found 16; expected an integer from 0 to 15"),
         (Offer("cx", ""), "Offer.endpoint: found ''; expected a printable name"),
         (Probe(-1), "Probe.sent: found -1; expected an integer from 0"),

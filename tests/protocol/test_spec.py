@@ -10,11 +10,22 @@ import pytest
 
 from manyhands.protocol import limits, messages
 from manyhands.protocol.channels import CHANNELS, TOPICS
-from manyhands.protocol.clock import Exchange
+from manyhands.protocol.clock import Exchange, Instant
 from manyhands.protocol.codec import LAYOUTS, decode, encode
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS, Expected, check_link_hello, check_node_hello
-from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, NodeHello, RefusalCode, Role, Telemetry
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    LinkHello,
+    NodeHello,
+    PathKey,
+    RefusalCode,
+    Role,
+    Telemetry,
+    Wave,
+)
+from manyhands.protocol.path import TRANSITIONS as PATH_TRANSITIONS
+from manyhands.protocol.path import Direction, NotOpened, PathEnd
 from manyhands.protocol.transport.door import NotAdmitted
 
 from ..support.spec_text import SPEC, table
@@ -144,6 +155,25 @@ def test_of_several_codes_the_first() -> None:
 
 def test_what_is_counted_at_a_door() -> None:
     assert [row[0] for row in table("| count at a door | is |")] == list(NotAdmitted)
+
+
+def test_what_is_refused_at_a_path() -> None:
+    assert [row[0] for row in table("| count at a path | is |")] == list(NotOpened)
+
+
+def test_what_becomes_of_a_path() -> None:
+    expected = [[state, event, following] for (state, event), following in PATH_TRANSITIONS.items()]
+    assert table("| a path that is | learns of | is then |") == expected
+
+
+def test_the_example_of_a_datagram() -> None:
+    (key,) = (message for message, _ in EXAMPLES if isinstance(message, PathKey))
+    (wave,) = (message for message, _ in EXAMPLES if isinstance(message, Wave))
+    text = SPEC.split("the coupling's first datagram")[1].split("\n\n")[1]
+    coupling, environment = (PathEnd(key, direction, Instant(0)) for direction in Direction)
+    datagram, _ = coupling.outgoing(wave.tick, encode(wave), Instant(0))
+    assert datagram == bytes.fromhex(text)
+    assert environment.opens(datagram, Instant(0)) == encode(wave)
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])

@@ -47,6 +47,7 @@ from manyhands.protocol.messages import (
     Role,
     Telemetry,
 )
+from manyhands.protocol.path import NotOpened
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.door import NotAdmitted
 from manyhands.protocol.transport.zeromq import HUB_DROPS, ZmqHub, ZmqTransport
@@ -251,7 +252,14 @@ def test_who_is_trusted_with_what(prepared: Prepared) -> None:
 def test_every_attack_is_counted_by_a_count_that_there_is() -> None:
     attacks = table("| attacker | can at most | cannot | is counted as |")
     named = {name for row in attacks for name in re.findall(r"\w+", row[3])}
-    assert named == {*NotAdmitted, *DROP_REASONS, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit"} | {
+    assert named == {
+        *NotAdmitted,
+        *DROP_REASONS,
+        *HUB_DROPS,
+        *NotOpened,
+        "out_of_turn",
+        "telemetry_that_does_not_fit",
+    } | {
         telemetry.CLIPPED,
         telemetry.SATURATED,
     }

@@ -87,6 +87,15 @@ def test_the_users_of_one_environment(tmp_path: Path) -> None:
     assert len(rows(said)) == 2
 
 
+@pytest.mark.alone
+def test_what_a_datagram_costs() -> None:
+    said = rows(run("datagrams.py", "--rounds", "1", "--count", "20", "--seconds", "0.3"))
+    assert len(said) == (1 + 9) + (1 + 3)
+    assert [row.split(" | ")[0] for row in said[-3:]] == ["| none", "| stranger", "| forger"]
+    for row in said[1:10]:
+        assert all(float(cell) >= 0.0 for cell in row.strip("| ").split(" | ")[1:])
+
+
 def test_a_page_without_marks_is_left_alone(tmp_path: Path) -> None:
     from page import fill  # type: ignore[import-not-found]
 

@@ -100,6 +100,17 @@ def test_the_readmes_python_prints_its_quoted_output(tmp_path: Path) -> None:
     assert f"# {done.stdout}" == block.splitlines(keepends=True)[-1]
 
 
+def test_the_python_of_datagrams_prints_its_quoted_output(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "decisions" / "0035-datagrams.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert block.endswith("".join(f"# {line}\n" for line in done.stdout.splitlines()))
+    assert len(done.stdout.splitlines()) == 2
+
+
 def test_the_readmes_architecture_is_drawn_by_the_command_it_names(tmp_path: Path) -> None:
     text = (ROOT / "README.md").read_text()
     assert "`manyhands graph example1.yaml --format svg` draws this picture" in " ".join(text.split())
