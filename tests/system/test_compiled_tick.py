@@ -1,4 +1,4 @@
-"""The build hook: a compiled tick has the numbers of pure Python, and where it cannot be compiled pure Python is left."""
+"""The build hook: a compiled tick has the numbers of pure Python; where it cannot be compiled, pure Python is left."""
 
 from __future__ import annotations
 
