@@ -37,7 +37,6 @@ MODULES = [
     "nodes/device/pointer",
     "nodes/device/simulated",
     "nodes/device/telemetry",
-    "nodes/device/tick",
     "nodes/device/wall_time",
     "nodes/coupling/block",
     "nodes/coupling/core",
