@@ -7,14 +7,17 @@
 device -> coupling -> environment -> coupling -> device for three users at 1 kHz: seven processes. Ours is what
 ``manyhands launch`` starts, with all it does in a tick. The others are the same seven processes with the same links,
 lengths of frame and pacing (absolute deadlines, timer slack 1 ns, collector frozen), granted what our nodes are found
-to be granted (processors, scheduling), and with no mathematics. Every round runs each once, in shuffled order: on a
-machine that others use, only the ratio to bare pyzmq within a round is reliable. tau is from sampling x to having f_v.
+to be granted (processors, scheduling), and with no mathematics. Ours runs in four variants: as it is, with each
+coupling in its device's process, and both with a compiled tick (docs/decisions/0032-a-compiled-tick.md). Every round
+runs each once, in shuffled order: on a machine that others use, only the ratio to bare pyzmq within a round is
+reliable. tau is from sampling x to having f_v.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import signal
 import subprocess
@@ -26,7 +29,7 @@ from pathlib import Path
 import proc
 from loop_figures import SOAK, TABLE, plot, soak_table, table
 from loop_middleware import BARE, FOLDER, MIDDLEWARES, PEERS_VENV, peer
-from loop_ours import MANYHANDS, OURS, ours
+from loop_ours import COMPILED, MANYHANDS, OURS, VARIANTS, ours
 from loop_runs import Failed, Run, Treatment
 from page import fill
 
@@ -39,9 +42,13 @@ PERIOD_US = 1000.0  # of the session
 SETTLING = 1.0  # s, of a run that is thrown away: files are read, and it is seen what our nodes are granted
 
 
-def prepare(folder: Path) -> dict[str, object]:
-    """Put the session and its certificate into ``folder``; the plan of its chain."""
-    (folder / "session.yaml").write_text(SESSION.read_text())
+def prepare(folder: Path, colocated: bool = False) -> dict[str, object]:
+    """Put the session and its certificate into ``folder``; the plan of its chain.
+
+    The session is designed for this machine, as ``launch`` does it without a certificate.
+    """
+    text = SESSION.read_text().replace("\ndesign:\n", "\ndesign:\n  tau: auto\n")
+    (folder / "session.yaml").write_text(f"{text}\ncolocate: true\n" if colocated else text)
     subprocess.run(  # noqa: S603 -- our own command
         [*MANYHANDS, "design", str(folder / "session.yaml"), "-o", str(folder / "certificate.json")],
         check=True,
@@ -63,10 +70,15 @@ def campaign(
     done: list[dict[str, Run]] = []
     failed: dict[str, str] = {}
     shuffler = random.Random(0)  # noqa: S311 -- an order, no secret
+    plan: dict[str, object] = {}  # of the chain with seven processes
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        plan = prepare(folder)
-        _, seen = ours(folder, min(SETTLING, seconds))
+        folders = {False: folder / "separate", True: folder / "colocated"}
+        for colocated, own in folders.items():
+            own.mkdir()
+            prepared = prepare(own, colocated)
+            plan = plan or prepared
+        _, seen = ours(folders[False], min(SETTLING, seconds))
         for number in range(rounds):
             order = list(names)
             shuffler.shuffle(order)
@@ -75,11 +87,10 @@ def campaign(
                 if name in failed:
                     continue
                 try:
-                    run = (
-                        ours(folder, seconds)[0]
-                        if name == OURS
-                        else peer(name, seconds, plan, seen.treatment, folder / f"{name}-{number}")
-                    )
+                    if (variant := VARIANTS.get(name)) is not None:
+                        run, _ = ours(folders[variant.colocated], seconds, compiled=variant.compiled)
+                    else:
+                        run = peer(name, seconds, plan, seen.treatment, folder / f"{name}-{number}")
                 except Failed as error:
                     if name in (OURS, BARE):
                         raise
@@ -103,7 +114,11 @@ def soak(seconds: float) -> dict[str, object]:
 
 
 def install() -> None:
-    """Install every middleware; a failure is reported, and the others go on."""
+    """Install the compiled tick and every middleware; a failure is reported, and the others go on."""
+    compiling = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--upgrade", "--target", str(COMPILED)]
+    environment = {**os.environ, "HATCH_BUILD_HOOK_ENABLE_CUSTOM": "true"}
+    code = subprocess.run([*compiling, str(FOLDER.parent)], env=environment, check=False).returncode  # noqa: S603
+    tell(f"compiled tick: {'installed' if code == 0 and any(COMPILED.glob('*.so')) else f'missing, exit code {code}'}")
     if not PEERS_VENV.exists():
         subprocess.run([sys.executable, "-m", "venv", str(PEERS_VENV)], check=True)  # noqa: S603
     for name, middleware in MIDDLEWARES.items():
@@ -148,7 +163,7 @@ def main() -> None:
         content = {"machine": proc.machine(), **soak(arguments.soak)}
         text, mark = soak_table(content), SOAK
     else:
-        names = [OURS, *dict.fromkeys([BARE, *(MIDDLEWARES if arguments.only is None else arguments.only)])]
+        names = [*VARIANTS, *dict.fromkeys([BARE, *(MIDDLEWARES if arguments.only is None else arguments.only)])]
         done, failed, treatment = campaign(names, arguments.rounds, arguments.seconds)
         content = {
             "machine": proc.machine(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -14,8 +15,34 @@ import proc
 from loop_runs import Failed, Run, Treatment, share_late
 
 OURS = "manyhands"
+COMPILED = Path(__file__).parents[1] / "out" / "compiled"
+"""Where ``loop.py --install`` puts the package with its compiled tick."""
+
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 SAMPLES_EVERY = 0.5  # s, between two looks at our processes
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to run the session.
+
+    Attributes:
+        label: what the table calls it.
+        colocated: whether each coupling runs in its device's process.
+        compiled: whether the tick is compiled.
+    """
+
+    label: str
+    colocated: bool = False
+    compiled: bool = False
+
+
+VARIANTS = {
+    OURS: Variant("manyhands"),
+    "manyhands-colocated": Variant("manyhands, co-located", colocated=True),
+    "manyhands-compiled": Variant("manyhands, compiled", compiled=True),
+    "manyhands-compiled-colocated": Variant("manyhands, compiled, co-located", colocated=True, compiled=True),
+}
 
 
 @dataclass
@@ -37,17 +64,26 @@ class Watch:
     resident: dict[str, list[float]] = field(default_factory=dict)
 
 
-def ours(folder: Path, seconds: float, period: float = 1e-3) -> tuple[Run, Watch]:
-    """The session in ``folder``, as its user launches it; its period in seconds.
+def ours(folder: Path, seconds: float, period: float = 1e-3, compiled: bool = False) -> tuple[Run, Watch]:
+    """The session in ``folder``, as its user launches it.
+
+    Args:
+        folder: has the session and its certificate.
+        seconds: how long.
+        period: of the session, s.
+        compiled: whether the tick is compiled.
 
     Raises:
-        Failed: it ended with an error.
+        Failed: it ended with an error, or there is no compiled tick.
     """
     report = folder / "report.json"
+    if compiled and not any(COMPILED.glob("*.so")):
+        raise Failed(f"found no extension in {COMPILED.name}; run loop.py --install where there is a C compiler")
     with subprocess.Popen(  # noqa: S603 -- our own command
         [*MANYHANDS, "launch", str(folder / "session.yaml"), "--certificate", str(folder / "certificate.json"),
          "--duration", str(seconds), "--report", str(report)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(COMPILED)} if compiled else None,
     ) as launch:  # fmt: skip
         try:
             said = until(launch.stderr, ": running")

@@ -19,7 +19,6 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
-from operator import mul
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -50,18 +49,33 @@ def linear_map(matrix: NDArray[np.float64]) -> LinearMap:
             return image
 
         return wide
-    rows = tuple(map(tuple, matrix.tolist()))
+    rows: list[Floats] = matrix.tolist()
 
     def narrow(v: Floats) -> Floats:
-        return [sum(map(mul, row, v)) for row in rows]
+        return [dot(row, v) for row in rows]
 
     return narrow
 
 
-def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """a^T b."""
-    product: float = sum(map(mul, a, b))
+def dot(a: Floats, b: Floats) -> float:
+    """a^T b, added from the first product to the last.
+
+    Python's own sum is no such sum: from version 3.12 on it carries the rounding along.
+    """
+    product = 0.0
+    for i in range(len(a)):
+        product += a[i] * b[i]
     return product
+
+
+def minus(a: Floats, b: Floats) -> Floats:
+    """The difference a - b."""
+    return [a[i] - b[i] for i in range(len(a))]
+
+
+def plus(a: Floats, b: Floats) -> Floats:
+    """The sum a + b."""
+    return [a[i] + b[i] for i in range(len(a))]
 
 
 def solve(A: Rows | NDArray[np.float64], b: Floats, least: float) -> Floats | None:
@@ -112,8 +126,8 @@ class Saturation:
 
     def clip(self, f: Floats) -> Floats:
         """``f`` (N) itself where it is within the limits, otherwise a clipped copy, in which NaN becomes 0."""
-        for force, limit in zip(f, self._limits, strict=True):
-            if not -limit <= force <= limit:
+        for i in range(len(f)):
+            if not -self._limits[i] <= f[i] <= self._limits[i]:
                 break
         else:
             return f

@@ -248,6 +248,14 @@ def _read_feedthrough(value: object) -> tuple[tuple[float, ...], ...] | None:
 # --- arrays
 
 
+def all_finite(values: Sequence[float]) -> bool:
+    """Whether no value is infinite or not a number; for a few values six times as fast as numpy's isfinite().all()."""
+    for value in values:  # noqa: SIM110 -- a generator would cost three times as much
+        if not -math.inf < value < math.inf:
+            return False
+    return True
+
+
 def _doubles(data: bytes) -> Values:
     return np.frombuffer(data, dtype=_WIRE_FLOAT)
 
@@ -275,8 +283,7 @@ def read_values(data: object) -> Values:
     if type(data) is not bytes or len(data) % 8 or not 8 <= len(data) <= 8 * MAX_PORTS:
         raise Unfit(f"found {_describe(data)}; expected 8 bytes each for 1 to {MAX_PORTS} values")
     values = _doubles(data)
-    # for a few ports this is six times as fast as numpy's isfinite().all()
-    if not all(map(math.isfinite, values.tolist())):
+    if not all_finite(values.tolist()):
         raise NotFinite("found a value that is not finite; expected finite values")
     return values
 
@@ -598,7 +605,7 @@ class SignalWriter:
             0 <= tick <= MAX_COUNT
             and 0 <= stamp <= MAX_COUNT
             and 1 <= len(values) == self._width <= MAX_PORTS
-            and all(map(math.isfinite, values))
+            and all_finite(values)
         ):
             head = USUAL.pack(ARRAY_OF_4, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
             return head + self._values.pack(*values)

@@ -22,6 +22,7 @@ from manyhands.protocol.codec import (
     USUAL,
     WAVE_ID,
     WAVE_TAIL,
+    all_finite,
     read_head,
     read_wave,
     type_of,
@@ -187,24 +188,24 @@ class Gate:
         if found != tick:
             self.dropped["old_tick" if found < tick else "future_tick"] += 1
             return None
-        values = self._floats.unpack_from(frame, size)
+        values: tuple[float, ...] = self._floats.unpack_from(frame, size)
         if self._bounded:
             before = self._before or values  # the first signal has no step
             taken = 0.0  # periods that the greatest of the steps needs within its bound
-            for value, last, most, step, periods in zip(
-                values, before, self._magnitude, self._step, self._periods_a_step, strict=True
-            ):
-                moved = abs(value - last)
+            for i in range(len(values)):
+                value, most, step = values[i], self._magnitude[i], self._step[i]
+                moved = abs(value - before[i])
                 if not (-most <= value <= most and (moved <= step or moved <= step * self._periods(stamp))):
-                    self.dropped["out_of_range" if all(map(math.isfinite, values)) else "not_finite"] += 1
+                    self.dropped["out_of_range" if all_finite(values) else "not_finite"] += 1
                     return None
-                if moved * periods > taken:
-                    taken = moved * periods
+                needed = moved * self._periods_a_step[i]
+                if needed > taken:
+                    taken = needed
             if self._clock is not None and not self._affords(taken, self._clock.now()):
                 self.dropped["out_of_range"] += 1
                 return None
             self._before = values
-        elif not all(map(math.isfinite, values)):  # for a few ports six times as fast as numpy's isfinite().all()
+        elif not all_finite(values):
             self.dropped["not_finite"] += 1
             return None
         self.stamp = stamp
@@ -235,7 +236,7 @@ class Gate:
         if head is None or len(frame) != head.size + self._floats.size:
             return None
         values = self._floats.unpack_from(frame, head.size)
-        return (head.tick, not any(values)) if all(map(math.isfinite, values)) else None
+        return (head.tick, not any(values)) if all_finite(values) else None
 
     def _other(self, frame: bytes) -> tuple[str | None, int, int, int]:
         """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, stamp, size of head."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map
+from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
 from manyhands.nodes.passivity import Ledger
 
 Vector = NDArray[np.float64]
@@ -56,7 +56,7 @@ class CouplingCore:
 
     def free_position(self, x: Floats) -> Floats:
         """p(k), m, from the devices' displacement x(k), m."""
-        return [at + ahead for at, ahead in zip(x, self._offset, strict=True)]
+        return plus(x, self._offset)
 
     def succeed(self, before: CouplingCore) -> None:
         """Continue the ledger and the counts of the block at the rung before; both are at rest, and without force."""
@@ -79,7 +79,7 @@ class CouplingCore:
         following = self._step([*self._xi, *f])  # xi and C_V xi of the next tick, (V - K) f_v of this one
         if self.ledger is not None and self._level is not None:
             T, y = self._T, following[n + m :]
-            w = [(at - last) / T for at, last in zip(y, self._y, strict=True)]
+            w = [step / T for step in minus(y, self._y)]
             self.ledger.enter(T * (dot(f, w) - dot(w, self._level(w))))
             self._y = y
         self._xi = following[:n]

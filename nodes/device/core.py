@@ -45,7 +45,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map
+from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
 from manyhands.nodes.bundle import Limits
 from manyhands.nodes.passivity import Ledger
 
@@ -95,7 +95,7 @@ class DeviceCore:
             speed: the device's own, m/s; None for that of x over one period.
         """
         T = self._T
-        self._velocity = [(at - last) / T for at, last in zip(x, self._x, strict=True)]
+        self._velocity = [step / T for step in minus(x, self._x)]
         self._x = x
         self.speed = speed = math.hypot(*self._velocity) if speed is None else speed
         if speed > self.peak_speed:
@@ -108,8 +108,8 @@ class DeviceCore:
             f: f_v(k); the list is kept until the next call.
             intended_work: the work of the hand's intention since the last sample, J; 0 where it is unknown.
         """
-        change = self._K_over_T([force - last for force, last in zip(f, self._f, strict=True)])
-        y = [v + part for v, part in zip(self._velocity, change, strict=True)]
+        change = self._K_over_T(minus(f, self._f))
+        y = plus(self._velocity, change)
         self.ledger.enter(self._T * (dot(f, y) - dot(y, self._level(y))) + intended_work)
         self._f = f
 
@@ -182,7 +182,8 @@ class Guard:
         """
         before, self._before = self._before or x, x
         T = self._T * periods
-        for axis, (at, last) in enumerate(zip(x, before, strict=True)):
+        for axis in range(len(x)):
+            at, last = x[axis], before[axis]
             if not abs(at) <= self._displacement[axis]:
                 return self._sentence(axis, "displacement", at, self._displacement[axis], "m")
             if not abs(at - last) <= T * self._speed[axis]:

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.nodes.arithmetic import Floats, dot, linear_map
+from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.timeouts import timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -118,13 +118,13 @@ class InterfaceAccount:
         self._close(at)
         parts, self._parts = self._parts, []
         h = (at - known) * _NS
-        d = [now - before for now, before in zip(x, last, strict=True)]
+        d = minus(x, last)
         mean = parts[0][0]
         spread = 0.0
         if len(parts) > 1:
             mean = [sum(r[axis] * time for r, time in parts) / h for axis in range(len(d))]
             for r, time in parts:
-                beside = [force - middle for force, middle in zip(r, mean, strict=True)]
+                beside = minus(r, mean)
                 spread += 0.25 * time * dot(beside, self.compliance(beside))
         cost = dot(mean, d) - dot(d, self.burn(d)) / h + spread
         if len(parts) > 1:
@@ -148,9 +148,9 @@ class InterfaceAccount:
         it.
         """
         most_power = 0.0
-        for force, d, most in zip(r, self._least, self._speed, strict=True):
-            size = abs(force)
-            v = min(size / (2.0 * d), most)
+        for axis in range(len(r)):
+            size, d = abs(r[axis]), self._least[axis]
+            v = min(size / (2.0 * d), self._speed[axis])
             most_power += v * (size - d * v)
         return most_power
 
@@ -173,8 +173,8 @@ class InterfaceAccount:
         soft, self._soft = self._soft, self.compliance(f)
         half = 0.5 * self._kappa * self._T
         if w is not None:
-            g = [now - last for now, last in zip(f, before, strict=True)]
-            step = [now - last for now, last in zip(self._soft, soft, strict=True)]
+            g = minus(f, before)
+            step = minus(self._soft, soft)
             a = 0.5 - self._share * self._kappa
             self.balance += 2.0 * a * (dot(g, w) + half * dot(g, step))
             if self.weight > self._share:
@@ -298,7 +298,7 @@ class DeviceInterface:
         if last is not None and at > last:
             self.speed = math.dist(x, self._x) / ((at - last) * _NS)
         self._x, self._at = x, at
-        w = [to - at for to, at in zip(goal, before, strict=True)]
+        w = minus(goal, before)
         gain = account.least_gain(w)
         left = self._left(at)
         # a lower bound of the tank, whatever the motion since the last force has cost; most ticks need no more
@@ -312,8 +312,8 @@ class DeviceInterface:
         account.sampled(x, at)
         self._book()
         reserve = min(left, max(self._tau, self._expected)) * self._power if self._power > 0.0 else 0.0
-        own = [to - was for to, was in zip(goal, self._goal, strict=True)]
-        offset = [was - at for was, at in zip(self._goal, before, strict=True)]
+        own = minus(goal, self._goal)
+        offset = minus(self._goal, before)
         part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
         wanted = w if part == 1.0 else [way + part * rest for way, rest in zip(own, offset, strict=True)]
         kept = self._nearest(wanted, reserve - self.tank)
@@ -468,7 +468,7 @@ class DeviceInterface:
         most = account.least_gain(best)
         if most <= need:
             return best
-        way = [to - at for to, at in zip(w, best, strict=True)]
+        way = minus(w, best)
         curve = account.weight * dot(way, account.burn(way)) / self._T
         slope = there - most + curve
         # (most - need) + slope s - curve s^2 = 0; of the two forms of the root the one without cancellation

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from operator import mul
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from manyhands.design.models.device import HeldDevice, held_device
 from manyhands.design.models.statespace import Matrix, StateSpace
-from manyhands.nodes.arithmetic import NARROW, Floats, dot, linear_map
+from manyhands.nodes.arithmetic import NARROW, Floats, Rows, dot, linear_map, minus, plus
 from manyhands.nodes.bundle import SimulatedHand
 from manyhands.nodes.device.intent import Intent, intent_from
 from manyhands.nodes.device.wall_time import WallTimeDriver
@@ -51,7 +50,8 @@ class Transitions:
         self._narrow = n * len(M) <= NARROW
         bits = _BITS if n * len(M) <= _MOST_ENTRIES else _FEW_BITS
         self._mask = 2**bits - 1
-        self._tables: list[tuple[int, Any]] = []  # the last digit first; n x len(M), as lists where these beat numpy
+        # the last digit first; its matrices, n x len(M), as lists where these beat numpy, and as an array
+        self._tables: list[tuple[int, list[Rows], Any]] = []
         unit = _series(M * seconds(Duration(1)))  # exp(M t) - I, for the nanoseconds of the present digit
         for shift in range(0, longest.bit_length(), bits):
             most = min(longest >> shift, self._mask)
@@ -60,20 +60,23 @@ class Transitions:
                 table = np.concatenate([table, unit + table + unit @ table])
                 unit = 2.0 * unit + unit @ unit
             steps = table[: most + 1, :n] + np.eye(n, len(M))
-            self._tables.insert(0, (shift, steps.tolist() if self._narrow else steps))
+            self._tables.insert(0, (shift, steps.tolist() if self._narrow else [], steps))
 
     def step(self, state: Floats, inputs: Floats, duration: int, rows: int | None = None) -> Floats:
         """The state after ``duration``, ns, at most the longest, under constant inputs.
 
         ``rows`` is the number of its first entries that are wanted; None for all.
         """
-        for shift, table in self._tables:
+        wanted = len(state) if rows is None else rows
+        for shift, lists, arrays in self._tables:
             if digit := duration >> shift & self._mask:
-                z, step = state + inputs, table[digit]
-                if shift == 0:
-                    step = step[:rows]
-                state = [sum(map(mul, row, z)) for row in step] if self._narrow else (step @ z).tolist()
-        return state[:rows]
+                z = state + inputs
+                if self._narrow:
+                    step = lists[digit]
+                    state = [dot(step[row], z) for row in range(wanted if shift == 0 else len(step))]
+                else:
+                    state = (arrays[digit][: wanted if shift == 0 else None] @ z).tolist()
+        return state[:wanted]
 
 
 _BITS: Final = 10
@@ -132,7 +135,7 @@ class Plant:
             intention: the hand's intention over it.
             part: the length of the step, ns, at most a period; None for a period. Only a plant with parts has parts.
         """
-        inputs = [held + own for held, own in zip(f, intention.force, strict=True)] + intention.velocity
+        inputs = plus(f, intention.force) + intention.velocity
         if part is None or self._parts is None or part == self._period:
             return self._step(before + inputs)
         return self._parts.step(before, inputs, part)
@@ -141,18 +144,18 @@ class Plant:
         """Displacement (m) and velocity (m/s) as :meth:`after` has them, in less time."""
         if self._parts is None or part == self._period:
             return self.after(before, f, intention, part)[: 2 * self.axes]
-        inputs = [held + own for held, own in zip(f, intention.force, strict=True)] + intention.velocity
+        inputs = plus(f, intention.force) + intention.velocity
         return self._parts.step(before, inputs, part, 2 * self.axes)
 
     def work(self, before: Floats, after: Floats, f: Floats, intention: Intention, part: int | None = None) -> float:
         """The intention's work over a step of :meth:`after`, J; of both states the first 2m entries are used."""
         m, T = self.axes, self._T if part is None or part == self._period else seconds(Duration(part))
-        moved = [x - last for x, last in zip(after[:m], before[:m], strict=True)]
+        moved = minus(after[:m], before[:m])
         work = dot(intention.force, moved)
         goal = intention.velocity
         if any(goal):
-            total = [held + own for held, own in zip(f, intention.force, strict=True)]
-            faster = [v - last for v, last in zip(after[m : 2 * m], before[m : 2 * m], strict=True)]
+            total = plus(f, intention.force)
+            faster = minus(after[m : 2 * m], before[m : 2 * m])
             lost = zip(total, self._damping, moved, self._mass, faster, strict=True)
             work -= dot(goal, [force * T - b * dx - mass * dv for force, b, dx, mass, dv in lost])
         return work

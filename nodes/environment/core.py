@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, solve
+from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
@@ -150,7 +150,7 @@ class EnvironmentCore:
             x_e[port] = at
         self._concluded = []
         if self.ledger is not None and self._Phi is not None:
-            w = [(at - last) / T for at, last in zip(x_e, self._x_e, strict=True)]
+            w = [step / T for step in minus(x_e, self._x_e)]
             self.ledger.enter(T * (dot(w, self._Phi(w)) - dot(w, self._f)))
         self.energy.enter(self._f, x_e, self._x_e)
         self._x_e = x_e

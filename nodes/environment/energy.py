@@ -133,8 +133,8 @@ class Energy:
             x_e: the tools' positions x_e(k), m.
             before: x_e(k-1), m.
         """
-        ends = zip(self._waiting, f, x_e, before, strict=True)
-        self._waiting = work = [so_far + force * (last - at) for so_far, force, at, last in ends]
+        waiting = self._waiting
+        self._waiting = work = [waiting[i] + f[i] * (before[i] - x_e[i]) for i in range(len(waiting))]
         self._ticks += 1
         if self._ticks == POSTING or self.restrained or max(work) > self._soon:
             self._post()

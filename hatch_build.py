@@ -1,0 +1,137 @@
+"""Build hook: compiles the modules of the tick with mypyc (docs/decisions/0032-a-compiled-tick.md).
+
+The hook is off by default, and a wheel then is pure Python. It is switched on by an environment variable:
+
+    HATCH_BUILD_HOOK_ENABLE_CUSTOM=true pip install .
+
+Where there is no compiler, or it fails, the wheel is pure Python as well, and a warning gives the reason. An editable
+installation is never compiled: an extension would take precedence over the source that somebody edits.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+MODULES = [
+    "protocol/clock",
+    "protocol/codec",
+    "protocol/gate",
+    "protocol/transport/zeromq",
+    "nodes/arithmetic",
+    "nodes/passivity",
+    "nodes/peer_link",
+    "nodes/telemetry",
+    "nodes/device/colocated",
+    "nodes/device/core",
+    "nodes/device/drivers",
+    "nodes/device/interface",
+    "nodes/device/node",
+    "nodes/device/pointer",
+    "nodes/device/simulated",
+    "nodes/device/telemetry",
+    "nodes/device/tick",
+    "nodes/device/wall_time",
+    "nodes/coupling/block",
+    "nodes/coupling/core",
+    "nodes/coupling/node",
+    "nodes/environment/clutch",
+    "nodes/environment/core",
+    "nodes/environment/energy",
+    "nodes/environment/late_arrivals",
+    "nodes/environment/membership",
+    "nodes/environment/node",
+]
+"""The modules that a tick runs through. A class of theirs can be derived from in these modules alone."""
+
+_FOLDERS = ("design", "protocol", "nodes")  # what these modules import; types are taken from there
+
+# a sum of products must be rounded after each product, as Python does it: -ffp-contract=off
+_SETUP = """
+from mypyc.build import mypycify
+from setuptools import setup
+
+extensions = mypycify(["--config-file", "mypy.ini", *{files!r}], opt_level="3", debug_level="0")
+for extension in extensions:
+    extension.extra_compile_args.append("-ffp-contract=off")
+setup(name="compiled", packages=[], ext_modules=extensions)
+"""
+
+_MYPY = """
+[mypy]
+explicit_package_bases = True
+namespace_packages = True
+ignore_missing_imports = True
+"""
+
+
+class NotCompiled(Exception):
+    """The modules could not be compiled; the text gives the reason."""
+
+
+def compiled(root: Path, folder: Path, modules: list[str] = MODULES) -> dict[str, str]:
+    """Compile ``modules`` of the checkout ``root`` in the empty ``folder``.
+
+    Returns:
+        The extensions, by file the place in the wheel.
+
+    Raises:
+        NotCompiled: there is no compiler, or no mypyc, or one of them failed.
+    """
+    compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]
+    if shutil.which(compiler) is None:
+        raise NotCompiled(f"found no C compiler {compiler}; expected one")
+    package = folder / "manyhands"
+    package.mkdir()
+    for file in (root / "src" / "manyhands").glob("*.py*"):
+        shutil.copy(file, package)
+    (package / "py.typed").touch()
+    for name in _FOLDERS:
+        shutil.copytree(root / name, package / name, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "mypy.ini").write_text(_MYPY)
+    (folder / "setup.py").write_text(_SETUP.format(files=[f"manyhands/{module}.py" for module in modules]))
+    done = subprocess.run(
+        [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise NotCompiled((done.stderr or done.stdout).strip()[-2000:])
+    suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    found = [*folder.glob(f"*{suffix}"), *package.rglob(f"*{suffix}")]
+    return {str(file): str(file.relative_to(folder)) for file in found}
+
+
+class CompiledTick(BuildHookInterface[Any]):
+    """Adds the extensions to a wheel."""
+
+    PLUGIN_NAME = "custom"
+
+    _folder: tempfile.TemporaryDirectory[str] | None = None
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile before the wheel is packed; see the module."""
+        if version == "editable":
+            return
+        self._folder = tempfile.TemporaryDirectory()
+        try:
+            extensions = compiled(Path(self.root), Path(self._folder.name))
+        except NotCompiled as reason:
+            self.app.display_warning(f"the tick is not compiled, and stays pure Python: {reason}")
+            return
+        build_data["force_include"].update(extensions)
+        build_data["pure_python"], build_data["infer_tag"] = False, True
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove what was compiled; the wheel has it."""
+        if self._folder is not None:
+            self._folder.cleanup()
