@@ -19,6 +19,7 @@ import argparse
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -116,6 +117,7 @@ def soak(seconds: float) -> dict[str, object]:
 def install() -> None:
     """Install the compiled tick and every middleware; a failure is reported, and the others go on."""
     compiling = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--upgrade", "--target", str(COMPILED)]
+    shutil.rmtree(COMPILED, ignore_errors=True)  # an extension of an earlier build would pass for one of this
     environment = {**os.environ, "HATCH_BUILD_HOOK_ENABLE_CUSTOM": "true"}
     code = subprocess.run([*compiling, str(FOLDER.parent)], env=environment, check=False).returncode  # noqa: S603
     tell(f"compiled tick: {'installed' if code == 0 and any(COMPILED.glob('*.so')) else f'missing, exit code {code}'}")

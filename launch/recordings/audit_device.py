@@ -336,7 +336,7 @@ def recompute_in_wall_time(
         tick = state.tick
         if k in course.rungs:
             tick.change(course.rungs[k])
-        out.ended[k, 0], out.account[k] = tick.instants[-1], tick.interface.account.energy
+        out.ended[k, 0], out.account[k] = tick.instants[-1], tick.wall_interface.account.energy
         if not out.motion_gaps:
             out.x[k], out.ledger[k], out.tolerance[k] = tick.x, tick.core.ledger.total, state.tolerance
             if tick.x_a is not None:

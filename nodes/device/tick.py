@@ -153,13 +153,14 @@ class WallTimeTick(DeviceTick):
     """A device in wall time, with the interface that keeps account of lateness.
 
     Attributes:
+        wall_interface: ``interface``, which is never None here.
         work: the work of the intention that :meth:`book` has counted last, J.
     """
 
     def __init__(self, bundle: DeviceBundle, driver: Driver, guard: Guard | None = None) -> None:
         """Begin at rest; arguments as of :class:`DeviceTick`."""
         super().__init__(bundle, driver, guard)
-        self.interface = self._interface = interface_of(bundle)
+        self.interface = self.wall_interface = interface_of(bundle)
         self._asked = self._held = self._zero
         self._applied = Instant(0)
         self._moved: Sequence[float] | None = None
@@ -169,7 +170,7 @@ class WallTimeTick(DeviceTick):
     def release(self, at: Instant) -> None:
         """Exert no force from ``at`` on."""
         self.driver.release(at)
-        self._interface.released(at)
+        self.wall_interface.released(at)
 
     def free(self, at: Instant) -> None:
         """Count the intention's work; the couplings were given nothing in this period."""
@@ -178,7 +179,7 @@ class WallTimeTick(DeviceTick):
 
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
         """Exert what limits and account allow; where the force was recorded, N, exert that, and return the other."""
-        held, until = self._interface.force(asked, self.guard.clip(asked), at)
+        held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
         self._held = exerted = held if recorded is None else recorded
         self._moved = self.driver.apply(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until
@@ -186,7 +187,7 @@ class WallTimeTick(DeviceTick):
 
     def book(self) -> None:
         """Do the accounts: e(k) from what the driver measured, the ledger from what the couplings know."""
-        moved, interface = self._moved, self._interface
+        moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
         ended = interface.applied(self.x_a, self._applied, self._held, self._until)
         self.instants = (self._row_at, self._applied, ended)

@@ -191,7 +191,7 @@ class Late:
         self.now = self.sampled = max(self.now, at)
         sent = self.tick.sample(self.turn, Instant(self.now))
         self.turn += 1
-        self.fastest = max(self.fastest, self.tick.interface.speed)
+        self.fastest = max(self.fastest, self.tick.wall_interface.speed)
         return sent
 
     def answer(self, f: list[float], at: int) -> None:
@@ -249,9 +249,9 @@ def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Cours
         if any(device.fastest > SPEED for device, _ in devices):
             break
     return Course(
-        min(device.tick.interface.account.least for device, _ in devices),
+        min(device.tick.wall_interface.account.least for device, _ in devices),
         max(device.fastest for device, _ in devices),
-        sum(device.tick.interface.ticks for device, _ in devices),
+        sum(device.tick.wall_interface.ticks for device, _ in devices),
         max(abs(to - at) for device, _ in devices for to, at in zip(device.tick.x, device.tick.sent, strict=True)),
     )
 
