@@ -45,7 +45,7 @@ from manyhands.design.problem import (
 )
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
+from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session, SessionError
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
@@ -196,6 +196,17 @@ class Prepared(Plan):
     notes: tuple[str, ...] = ()
 
 
+def require_in_tick(session: Session) -> None:
+    """Refuse to run a session with wave links: they are designed and proved, and not yet run.
+
+    Raises:
+        SessionError: a coupling of the session has a wave link.
+    """
+    for name in session.wave_links:
+        expected = "couplings without wave links: these are designed, proved (verify) and budgeted, and not yet run"
+        raise SessionError(session.name, None, f"couplings.{name}.wave_link", "a wave link", expected)
+
+
 def certify(session: Session, progress: Progress | None = None) -> Designed:
     """Design the session's coupling, or take the given one, and prove it.
 
@@ -297,7 +308,9 @@ def prepare(
     Raises:
         CertificateError: the certificate cannot be read.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
+        SessionError: a coupling of the session has a wave link.
     """
+    require_in_tick(session)
     if certificate is not None:
         proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)
