@@ -135,6 +135,35 @@ def physical_level(
     return Phi
 
 
+def scalar_level(network: Network, T: float) -> Matrix:
+    """The level Phi_E = -diag(s_i) with the greatest s_i >= 0 that are equal over each group of connected ports.
+
+    It needs no party beside the network: with it Phi_E <= 0. A group of more than :data:`MOST_EXACT` ports and masses
+    gets s_i = 0, and so does a group that floats freely.
+
+    Args:
+        network: the network; of a network known up to intervals, the one at all lower ends.
+        T: period, s.
+
+    Returns:
+        Phi_E, m x m and diagonal, N*s/m; Z + blockdiag(Phi_E, 0) >= 0.
+    """
+    m = len(network.ports)
+    Z = dissipation_matrix(network, T)
+    _, group = connected_components(Z, directed=False)
+    kept = np.zeros(m)
+    for label in np.unique(group[:m]):
+        nodes = np.flatnonzero(group == label)
+        if len(nodes) > MOST_EXACT:
+            continue
+        ports = nodes[nodes < m]
+        S = port_dissipation(csc_array(Z[nodes][:, nodes]), len(ports))
+        values = np.linalg.eigvalsh(S)
+        if values[0] > _RESERVE * values[-1]:  # less may be rounding
+            kept[ports] = (1.0 - _RESERVE) * values[0]
+    return np.diag(-kept)
+
+
 @dataclass(frozen=True, eq=False)
 class StructuredLevel:
     """A level with the structure of V that a network of any size keeps by its physics: Phi_E = -blockdiag(blocks).

@@ -8,5 +8,6 @@ and the parties, and the arithmetic last.
 
 from manyhands.design.proof.finding import Finding, ProofInputError
 from manyhands.design.proof.prove import prove
+from manyhands.design.proof.world import prove_together, prove_world
 
-__all__ = ["Finding", "ProofInputError", "prove"]
+__all__ = ["Finding", "ProofInputError", "prove", "prove_together", "prove_world"]

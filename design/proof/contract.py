@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from flint import fmpq
 
-from manyhands.design.proof import exact, rational
+from manyhands.design.proof import exact, rational, statics, wave_link
 from manyhands.design.proof.claim import WITH_TOLERANCE, Claim, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
@@ -138,6 +138,7 @@ def margin_findings(claim: Claim) -> list[Finding]:
 
     "(10)", "Delta_D" and "Delta_V" are least eigenvalues, N*s/m. "J" is the least eigenvalue of
     Delta_D/(2 kappa) - (T/2) K over the spring-damper blocks: their distance to the limit of their stiffness.
+    "felt stiffness" is that of (V(1) + (R/2) b^-1)^-1 over a wave link of round trip R, N/m.
     """
     m = len(claim.ports)
     out = []
@@ -166,6 +167,15 @@ def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
             return Delta_D(claim)
         case "Delta_V":
             return Delta_V(claim)
+        case wave_link.FELT_STIFFNESS:
+            try:
+                felt = wave_link.felt_stiffness(claim)
+            except (ZeroDivisionError, statics.Undecided):
+                return None
+            if felt is None or felt != felt.transpose():
+                return None
+            rows = enumerate(felt.tolist())
+            return {(i, j): value for i, row in rows for j, value in enumerate(row) if value != 0}
         case "J" if claim.kappa > 0:
             out: Sparse = {}
             for block, part, level in zip(claim.blocks, claim.coupling, claim.Delta_D, strict=True):

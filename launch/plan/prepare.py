@@ -65,11 +65,7 @@ def haptic_loop(session: Session) -> HapticLoop:
     Raises:
         NotCertified: the delay is to be measured, and has not been.
     """
-    if session.design.tau == AUTO:
-        raise NotCertified(
-            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
-            "measures it (launch, design)"
-        )
+    tau = stated_delay(session)
     index = {port: i for i, port in enumerate(session.ports)}
     return HapticLoop(
         session=session.name,
@@ -82,13 +78,27 @@ def haptic_loop(session: Session) -> HapticLoop:
         partition=Partition(
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
         ),
-        environment=_environment(session),
-        tau=session.design.stated_tau or 0.0,
+        environment=session_environment(session),
+        tau=tau,
         period_tolerance=session.design.period_tolerance,
     )
 
 
-def _environment(session: Session) -> Environment:
+def stated_delay(session: Session) -> float:
+    """The delay inside the tick that the session is designed for, s; 0 where it states none.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    if session.design.tau == AUTO:
+        raise NotCertified(
+            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
+            "measures it (launch, design)"
+        )
+    return session.design.stated_tau or 0.0
+
+
+def session_environment(session: Session) -> Environment:
     """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
     if isinstance(given, PythonEnvironment):

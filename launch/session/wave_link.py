@@ -8,7 +8,9 @@ have a period and a delay of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import Annotated, Final, Self
 
 import numpy as np
@@ -115,4 +117,13 @@ class WaveLink(SessionModel):
             return full_matrix(self.b, ports)
         if self.mass is None or self.round_trip is None:
             raise AssertionError("a validated wave link states b, or mass and round_trip")
-        return 2.0 / self.round_trip * full_matrix(self.mass, ports)
+        R = self.round_trip
+        return np.diag([_greatest_impedance(float(M), R) for M in np.diag(full_matrix(self.mass, ports))])
+
+
+def _greatest_impedance(mass: float, round_trip: float) -> float:
+    """2 M/R rounded down, so that b R/2 <= M holds exactly for the decimals of the three numbers."""
+    b, M, R = 2.0 * mass / round_trip, Fraction(repr(mass)), Fraction(repr(round_trip))
+    while Fraction(repr(b)) * R > 2 * M:
+        b = math.nextafter(b, 0.0)
+    return b
