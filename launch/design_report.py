@@ -393,25 +393,36 @@ def _print_request(out: Console, file: Path, certificate: Certificate, session: 
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:
-    """Show the stiffness that can be certified for the session's devices, over delay and period.
+    """Show the stiffness that can be certified for the session's devices, over delay and period, and over wave links.
 
     Returns:
         The exit code.
     """
-    from manyhands.launch.budget import budget, budget_object, plot_budget, print_budget
+    from manyhands.launch.budget import (
+        budget,
+        budget_object,
+        plot_budget,
+        print_budget,
+        print_wave_links,
+        wave_link_budgets,
+        wave_links_object,
+    )
     from manyhands.launch.doctor.advice import Worth
     from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
 
     loop = haptic_loop(session)
     found = budget(loop)
+    links = wave_link_budgets(session)
     rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
     if as_json:
-        print_json(budget_object(found) | {"rates": rates_object(rates)})
+        own = {"wave_links": wave_links_object(links)} if links else {}
+        print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
     else:
         print_budget(out, found)
+        print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:
-        plot_budget(found, picture)
+        plot_budget(found, picture, links)
         say(err, f"picture: {picture}")
     return EXIT_OK
 
