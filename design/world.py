@@ -33,7 +33,7 @@ from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED
 from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
-from manyhands.design.levels.network import scalar_level
+from manyhands.design.levels.network import diagonal_level
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
@@ -286,7 +286,7 @@ def _level(
     if isinstance(environment, DeclaredEnvironment):
         return environment.promised(), ENFORCED, "declared"
     if environment.passive_network is not None:
-        return scalar_level(environment.passive_network, T), ENERGY, "mechanical energy"
+        return diagonal_level(environment.passive_network, T), ENERGY, "mechanical energy"
     split = environment.split(T)
     I = np.eye(split.rest.inputs)
     found = lack_of_passivity(split, T, I, progress)

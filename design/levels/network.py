@@ -135,11 +135,11 @@ def physical_level(
     return Phi
 
 
-def scalar_level(network: Network, T: float) -> Matrix:
-    """The level Phi_E = -diag(s_i) with the greatest s_i >= 0 that are equal over each group of connected ports.
+def diagonal_level(network: Network, T: float) -> Matrix:
+    """A level Phi_E = -diag(s_i), s_i >= 0, of a network that no other party has to serve: with it Phi_E <= 0.
 
-    It needs no party beside the network: with it Phi_E <= 0. A group of more than :data:`MOST_EXACT` ports and masses
-    gets s_i = 0, and so does a group that floats freely.
+    The s_i are equal and the greatest possible over each group of connected ports, up to :data:`MOST_EXACT` ports and
+    masses. A larger group gets those of :func:`structured_level`. A group that floats freely gets 0.
 
     Args:
         network: the network; of a network known up to intervals, the one at all lower ends.
@@ -154,11 +154,13 @@ def scalar_level(network: Network, T: float) -> Matrix:
     kept = np.zeros(m)
     for label in np.unique(group[:m]):
         nodes = np.flatnonzero(group == label)
-        if len(nodes) > MOST_EXACT:
-            continue
         ports = nodes[nodes < m]
-        S = port_dissipation(csc_array(Z[nodes][:, nodes]), len(ports))
-        values = np.linalg.eigvalsh(S)
+        own = csc_array(Z[nodes][:, nodes])
+        if len(nodes) > MOST_EXACT:
+            singles = Partition(tuple(map(str, ports)), tuple((i,) for i in range(len(ports))))
+            kept[ports] = [float(block[0, 0]) for block in structured_level(own, singles).blocks]
+            continue
+        values = np.linalg.eigvalsh(port_dissipation(own, len(ports)))
         if values[0] > _RESERVE * values[-1]:  # less may be rounding
             kept[ports] = (1.0 - _RESERVE) * values[0]
     return np.diag(-kept)

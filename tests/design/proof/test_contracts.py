@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import hashlib
 import json
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from manyhands.design.certificate import content
 from manyhands.design.models.coupling import Partition
@@ -20,6 +23,9 @@ from manyhands.design.proof import ProofInputError, prove, prove_together, prove
 from manyhands.design.synthesis import design
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, wave_link_id
 from manyhands.design.world import design_world, world_content
+
+from ...support.cases import cases
+from .test_hostile_json import VALUES, paths
 
 Data = dict[str, Any]
 Path = tuple[Any, ...]
@@ -227,6 +233,24 @@ def test_only_certificates_of_one_contract_belong_together(
     assert [finding.holds for finding in prove_together(softer, [site, in_tick])] == [False, True]
     ordinary = changed(in_tick, ("environment",), {"type": "declared", "level": [[0.2]]})
     assert [finding.holds for finding in prove_together(promised, [ordinary])] == [False]
+
+
+@given(data=st.data())
+@settings(max_examples=cases(60, 400), suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_for_any_value_a_proof_ends_with_findings_or_one_error(
+    site: Data, in_tick: Data, world: Data, data: st.DataObject
+) -> None:
+    base = data.draw(st.sampled_from([site, in_tick, world]))
+    path = data.draw(st.sampled_from([path for path in paths(base) if path[0] != "asked"]))
+    hostile = json.loads(json.dumps(changed(base, path, data.draw(VALUES))))
+    try:
+        found = prove_world(hostile) if base is world else prove(hostile)
+    except ProofInputError:
+        return
+    assert found
+    assert all(isinstance(finding.holds, bool) for finding in found)
+    with contextlib.suppress(ProofInputError):
+        prove_together(hostile if base is world else world, [] if base is world else [hostile])
 
 
 # --- an opinion of numpy on random changes
