@@ -138,7 +138,7 @@ def felt_over(
     tau: float,
     b: Matrix,
     round_trip: float,
-    harvest: float = 0.0,
+    harvest: Matrix | None = None,
     period_tolerance: float = 0.0,
 ) -> Felt:
     """What is felt at most over a wave link, in its weakest direction; the mass is that of its heaviest one.
@@ -149,7 +149,7 @@ def felt_over(
         tau: longest delay inside its tick, s, 0 ... T.
         b: wave impedance, m_i x m_i symmetric positive definite, N*s/m.
         round_trip: R > 0, s.
-        harvest: theta, N*s/m.
+        harvest: theta, m_i x m_i, N*s/m; None for 0.
         period_tolerance: rho; periods are at most (1 + rho) T; 0 ... 1.
 
     Raises:
@@ -157,7 +157,7 @@ def felt_over(
     """
     if not 0.0 < round_trip < np.inf:
         raise ValueError(f"round trip: found {round_trip!r} s, expected a finite positive time")
-    share = needed_share(level, harvest * np.eye(len(level)))
+    share = 0.0 if harvest is None else needed_share(level, harvest)
     site = stiffest(level, T, tau, share, period_tolerance)
     impedances = np.linalg.eigvalsh(b)
     felt = 0.0

@@ -82,13 +82,13 @@ def felt_stiffness(compliance: Matrix, b: Matrix, round_trip: float) -> Matrix:
 class WaveLinkFace(DeclaredEnvironment):
     """The environment of a site: the user's face of a wave link, with every world behind it.
 
-    The face is (-theta I)-ISP, up to the energy that the wave link holds, by the rules of its tank: Phi_E = theta I.
+    The face is (-theta)-ISP, up to the energy that the wave link holds, by the rules of its tank: Phi_E = theta.
 
     Attributes:
         id: the name of the wave link, :func:`wave_link_id`.
         b: wave impedance, m x m symmetric positive definite, N*s/m.
         tank: E_0, J.
-        harvest: theta, N*s/m: the tank is refilled by T theta |w|^2 a tick.
+        harvest: theta, diagonal, one number >= 0 for each port, N*s/m: the tank is refilled by T w^T theta w a tick.
         round_trip: R that the link is designed for, s; None if it is not known.
         mass: the felt mass allowed, m x m, kg; None if b was given.
     """
@@ -98,13 +98,15 @@ class WaveLinkFace(DeclaredEnvironment):
     id: str = ""
     b: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
     tank: float = 0.0
-    harvest: float = 0.0
+    harvest: tuple[float, ...] = ()
     round_trip: float | None = None
     mass: Matrix | None = None
 
     def __post_init__(self) -> None:
         m = len(self.ports)
-        object.__setattr__(self, "level", self.harvest * np.eye(m))
+        if len(self.harvest) != m:
+            raise ValueError(f"environment.harvest: expected {m} numbers, found {len(self.harvest)}")
+        object.__setattr__(self, "level", np.diag(self.harvest))
         object.__setattr__(self, "b", matrix(self.b, m, m))
         if self.mass is not None:
             object.__setattr__(self, "mass", matrix(self.mass, m, m))
@@ -127,7 +129,7 @@ class WaveLinkFace(DeclaredEnvironment):
             "id": self.id,
             "b": self.b.tolist(),
             "tank": self.tank,
-            "harvest": self.harvest,
+            "harvest": list(self.harvest),
             "round_trip": self.round_trip,
             "mass": None if self.mass is None else self.mass.tolist(),
         }
@@ -169,7 +171,7 @@ def face_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> WaveLinkFace:
         id=str(data["id"]),
         b=matrix(data["b"], m, m),
         tank=float(data["tank"]),
-        harvest=float(data["harvest"]),
+        harvest=tuple(float(theta) for theta in data["harvest"]),
         round_trip=None if data["round_trip"] is None else float(data["round_trip"]),
         mass=None if data["mass"] is None else matrix(data["mass"], m, m),
     )

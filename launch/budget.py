@@ -157,10 +157,11 @@ def wave_link_budgets(session: Session) -> tuple[WaveLinkBudget, ...]:
 
 def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
     link, loop = session.wave_links[name], site(session, name).loop
+    harvest = np.diag(link.harvest_of(len(loop.ports)))
 
     def at(T: float, round_trip: float) -> Felt:
         b = link.model_copy(update={"round_trip": round_trip}).impedance(len(loop.ports))
-        return felt_over(loop.Delta_D, T, min(loop.tau, T), b, round_trip, link.harvest, loop.period_tolerance)
+        return felt_over(loop.Delta_D, T, min(loop.tau, T), b, round_trip, harvest, loop.period_tolerance)
 
     return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
 
@@ -248,7 +249,7 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
     for link in found[:_MOST_ROWS]:
         title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
         table = Table(title=title, title_justify="left")
-        table.add_column("R [ms]", justify="right")
+        table.add_column(escape("R [ms]"), justify="right")
         for T in link.periods:
             table.add_column(escape(f"felt, {1e-3 / T:.3g} kHz [N/m]"), justify="right")
         for column in ("felt mass [g]", "least mass [g]", "loop through R [N/m]"):

@@ -149,7 +149,8 @@ def _face_rows(table: Table, face: WaveLinkFace, margins: Mapping[str, float]) -
     """What a site's wave link is, and what it is felt as."""
     table.add_row("wave link", face.id)
     table.add_row("b [N·s/m]", _matrix_text(face.b, ".4f"))
-    table.add_row("E₀", f"{face.tank:g} J; harvest {face.harvest:g} N·s/m")
+    harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(face.harvest))
+    table.add_row("E₀", f"{face.tank:g} J; harvest {harvest} N·s/m")
     if face.round_trip is not None:
         mass = float(np.linalg.eigvalsh(felt_mass(face.b, face.round_trip))[-1])
         over = f"over a round trip of {1e3 * face.round_trip:.4g} ms"

@@ -132,13 +132,13 @@ class DeclaredData:
 
 @dataclass(frozen=True, eq=False)
 class WaveLinkData(DeclaredData):
-    """The user's face of a wave link; its level is theta I.
+    """The user's face of a wave link; its level is diag(theta).
 
     Attributes:
         id: the stated SHA-256 of the wave link's terms.
         b: wave impedance, m x m, N*s/m.
         tank: E_0, J.
-        harvest: theta, N*s/m.
+        harvest: theta, one number for each port, N*s/m.
         round_trip: R that the link is designed for, s; None if it is not stated.
         mass: the felt mass allowed, m x m, kg; None if it is not stated.
     """
@@ -146,7 +146,7 @@ class WaveLinkData(DeclaredData):
     id: str
     b: StatedMatrix
     tank: Number
-    harvest: Number
+    harvest: tuple[Number, ...]
     round_trip: Number | None
     mass: StatedMatrix | None
 
@@ -215,8 +215,8 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
 
 def _wave_link(item: Item, m: int) -> WaveLinkData:
     parts = item.fields(("type", "id", "b", "tank", "harvest", "round_trip", "mass"))
-    harvest = parts["harvest"].number()
-    level = StatedMatrix(m, m, [[harvest if i == j else 0 for j in range(m)] for i in range(m)])
+    harvest = tuple(item.number() for item in parts["harvest"].items(m, exactly=m))
+    level = StatedMatrix(m, m, [[theta if i == j else 0 for j in range(m)] for i, theta in enumerate(harvest)])
     stated = {name: parts[name] for name in ("round_trip", "mass") if parts[name].value is not None}
     if "mass" in stated and "round_trip" not in stated:
         raise parts["round_trip"].refusal("the round trip for which the felt mass is allowed")

@@ -141,22 +141,31 @@ def margin_findings(claim: Claim) -> list[Finding]:
     "felt stiffness" is that of (V(1) + (R/2) b^-1)^-1 over a wave link of round trip R, N/m.
     """
     m = len(claim.ports)
-    out = []
-    for name, stated in claim.margins.items():
-        condition = f"the margin {name[:60]} is not overstated"
-        found = _margin_matrix(claim, name)
-        if found is None:
-            out.append(Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here"))
-            continue
-        size = 2 * m if name == "(10)" else m
-        bound = stated - abs(stated) * _ALLOWED
-        least = exact.least_eigenvalue(found, size)
-        shifted = dict(found)
-        for i in range(size):
-            exact.add_entry(shifted, i, i, -bound)
-        verdict = exact.definite_by_groups(shifted, size, strict=False)
-        out.append(Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument))
-    return out
+    return [
+        margin_finding(name, stated, _margin_matrix(claim, name), 2 * m if name == "(10)" else m)
+        for name, stated in claim.margins.items()
+    ]
+
+
+def margin_finding(name: str, stated: fmpq, matrix: Sparse | None, size: int) -> Finding:
+    """The finding that a stated margin is at most the least eigenvalue of ``matrix``, up to a relative 1e-6.
+
+    Args:
+        name: of the margin.
+        stated: its value in the file.
+        matrix: of this size; None if no margin of this name is defined.
+        size: number of rows.
+    """
+    condition = f"the margin {name[:60]} is not overstated"
+    if matrix is None:
+        return Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here")
+    bound = stated - abs(stated) * _ALLOWED
+    least = exact.least_eigenvalue(matrix, size)
+    shifted = dict(matrix)
+    for i in range(size):
+        exact.add_entry(shifted, i, i, -bound)
+    verdict = exact.definite_by_groups(shifted, size, strict=False)
+    return Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument)
 
 
 def _margin_matrix(claim: Claim, name: str) -> Sparse | None:

@@ -1,7 +1,7 @@
 """What a certificate states of a contract: the name of its terms, and the figures of a wave link.
 
 A wave link of impedance b and round trip R is felt as the mass b R/2, and in series with the coupling as the stiffness
-(V(1) + (R/2) b^-1)^-1. Its user's face is (-theta I)-ISP, up to the energy in tanks and in transit, by the rules that
+(V(1) + (R/2) b^-1)^-1. Its user's face is (-theta)-ISP, up to the energy in tanks and in transit, by the rules that
 the face itself keeps, whatever arrives (docs/decisions/0033-wave-links.md). This needs b > 0, E_0 >= 0 and theta >= 0:
 with theta < 0 a tank would have to pay after the tick for a motion that nobody bounds.
 """
@@ -66,7 +66,8 @@ def contract_findings(claim: Claim) -> list[Finding]:
     what = f"the wave link of {names[0]}"
     out.append(named(what, data.id, wave_link_id(session, names[0], list(claim.ports), data.b, data.tank)))
     out += link_findings(what, data.b, data.tank)
-    out.append(Finding("the harvest: theta >= 0", data.harvest >= 0, float(data.harvest), 0.0, argument="exactly"))
+    least = min(data.harvest)
+    out.append(Finding("the harvest: theta >= 0", least >= 0, float(least), 0.0, argument="exactly"))
     if data.round_trip is None:
         return out
     R = exact_decimal(data.round_trip)

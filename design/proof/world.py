@@ -29,7 +29,7 @@ from typing import Any
 
 from flint import fmpq
 
-from manyhands.design.proof import environment, exact, rational, wave_link
+from manyhands.design.proof import contract, environment, exact, rational, wave_link
 from manyhands.design.proof.claim import (
     DeclaredData,
     EnvironmentData,
@@ -49,7 +49,6 @@ FORMAT = "manyhands-world"
 VERSION = 1
 _KEYS: tuple[str, ...] = ("id", "format", "version", "session", "period", "ports", "structure", "environment")
 _KEYS += ("wave_links", "in_tick", "levels", "storage", "margins", "method")
-_ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved margin by this
 
 Progress = Callable[[str], None]
 
@@ -215,7 +214,9 @@ def prove_world(data: Mapping[str, Any], progress: Progress | None = None) -> tu
     findings += environment.findings(claim.environment, claim.P_E, claim.Phi_E, m, T)
     verdict = exact.definite_by_groups(condition_A(claim), m, strict=False)
     findings.append(verdict.finding("condition (A): the world keeps what it promises at every port"))
-    return (*findings, *_margins(claim))
+    for name, stated in claim.margins.items():
+        findings.append(contract.margin_finding(name, stated, condition_A(claim) if name == "(A)" else None, m))
+    return tuple(findings)
 
 
 def prove_together(world: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> tuple[Finding, ...]:
@@ -271,21 +272,3 @@ def _parties(claim: WorldClaim) -> Finding:
 def _period(claim: WorldClaim) -> Finding:
     T = exact_decimal(claim.period)
     return Finding("0 < T", T > 0, rational.rounded(T), 0.0, argument="exactly")
-
-
-def _margins(claim: WorldClaim) -> list[Finding]:
-    """A stated margin "(A)" is at most the least eigenvalue of (A), N*s/m, up to a relative 1e-6."""
-    out = []
-    for name, stated in claim.margins.items():
-        condition = f"the margin {name[:60]} is not overstated"
-        if name != "(A)":
-            out.append(Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here"))
-            continue
-        m, bound = len(claim.ports), stated - abs(stated) * _ALLOWED
-        matrix = condition_A(claim)
-        least = exact.least_eigenvalue(matrix, m)
-        for i in range(m):
-            exact.add_entry(matrix, i, i, -bound)
-        verdict = exact.definite_by_groups(matrix, m, strict=False)
-        out.append(Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument))
-    return out

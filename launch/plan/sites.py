@@ -157,7 +157,7 @@ def site_loop(session: Session, coupling: str) -> HapticLoop:
         id=wave_link_id(session.name, coupling, ports, b, link.tank),
         b=b,
         tank=link.tank,
-        harvest=link.harvest,
+        harvest=link.harvest_of(m),
         round_trip=link.round_trip,
         mass=link.mass_matrix(m),
     )

@@ -70,8 +70,9 @@ class WaveLink(SessionModel):
     tau: Annotated[float | None, BeforeValidator(optional(_DELAY))] = Field(
         default=None, description="the delay inside a tick of the user's site that its certificate is to allow, in s"
     )
-    harvest: Annotated[float, BeforeValidator(_HARVEST)] = Field(
-        default=0.0, description="the damping of the user's site that refills its tank, in N·s/m"
+    harvest: Annotated[OneOrMany, one_or_many(_HARVEST)] = Field(
+        default=0.0,
+        description="the damping of the user's site that refills its tank, in N·s/m: a number, or one for each port",
     )
 
     @model_validator(mode="after")
@@ -85,16 +86,20 @@ class WaveLink(SessionModel):
 
     def problems(self, ports: tuple[str, ...], period: float, tau: float) -> Iterator[Problem]:
         """The problems at a coupling with these ports, in a session with this period (s) and stated delay (s)."""
-        for name in ("mass", "b"):
+        for name in ("mass", "b", "harvest"):
             value: OneOrMany | None = getattr(self, name)
             if value is None:
                 continue
             wrong = list(given_problems(value, ports, dict.fromkeys(ports, ""), definite=False))
-            if name == "mass" and isinstance(value, tuple) and any(isinstance(row, tuple) for row in value):
-                wrong = [Problem((), "a matrix", "a number, or one for each port: the least b follows from each")]
+            if name != "b" and isinstance(value, tuple) and any(isinstance(row, tuple) for row in value):
+                wrong = [Problem((), "a matrix", "a number, or one for each port")]
             for problem in wrong:
                 yield problem._replace(at=(name, *problem.at))
-            if not wrong and (least := float(np.linalg.eigvalsh(full_matrix(value, len(ports)))[0])) <= 0.0:
+            if (
+                name == "b"
+                and not wrong
+                and (least := float(np.linalg.eigvalsh(full_matrix(value, len(ports)))[0])) <= 0.0
+            ):
                 found = f"a wave impedance with the eigenvalue {least:.3g}"
                 yield Problem((name,), found, "a positive definite wave impedance in N·s/m")
         own, delay = self.period_in(period), tau if self.tau is None else self.tau
@@ -110,6 +115,10 @@ class WaveLink(SessionModel):
     def mass_matrix(self, ports: int) -> Array | None:
         """The felt mass allowed, ``ports`` x ``ports`` and diagonal, kg; None if b is given instead."""
         return None if self.mass is None else full_matrix(self.mass, ports)
+
+    def harvest_of(self, ports: int) -> tuple[float, ...]:
+        """The harvest theta at each port, N·s/m."""
+        return tuple(float(theta) for theta in np.diag(full_matrix(self.harvest, ports)))
 
     def impedance(self, ports: int) -> Array:
         """b, ``ports`` x ``ports``, N·s/m: as given, or 2 M/R, the greatest whose felt mass is at most M."""

@@ -191,9 +191,9 @@ def test_what_is_felt_over_a_wave_link(m: int, round_trip: float, scale: float, 
     assert found.mass == pytest.approx(np.linalg.eigvalsh(b)[-1] * round_trip / 2.0)
     assert found.least_mass < found.mass
     assert found.naive == colgate_limit(float(np.linalg.eigvalsh(level)[0]), T, 0.25e-3 + round_trip)
-    harvested = felt_over(level, T, 0.25e-3, b, round_trip, harvest=0.05)
+    harvested = felt_over(level, T, 0.25e-3, b, round_trip, harvest=0.05 * np.eye(m))
     assert 0.0 < harvested.felt < found.felt  # what refills the tank is not there for stiffness
-    assert felt_over(level, T, 0.25e-3, b, round_trip, harvest=100.0).felt == 0.0
+    assert felt_over(level, T, 0.25e-3, b, round_trip, harvest=100.0 * np.eye(m)).felt == 0.0
 
 
 def test_a_round_trip_is_positive() -> None:

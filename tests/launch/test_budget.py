@@ -215,7 +215,14 @@ def test_the_table_and_the_object_of_wave_links() -> None:
     said = capture.get()
     assert "cx: over a wave link, τ = 0.05 ms at the site" in said
     assert "4 (session)" in said
-    for column in ("felt, 2 kHz [N/m]", "felt, 4 kHz [N/m]", "felt mass [g]", "least mass [g]", "loop through R [N/m]"):
+    for column in (
+        "R [ms]",
+        "felt, 2 kHz [N/m]",
+        "felt, 4 kHz [N/m]",
+        "felt mass [g]",
+        "least mass [g]",
+        "loop through R [N/m]",
+    ):
         assert column in said
     plain = json.loads(json.dumps(wave_links_object(found), allow_nan=False))
     assert set(plain) == {"cx", "cy"}
