@@ -24,7 +24,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from manyhands.design.models.environment import DeclaredEnvironment
+from manyhands.design.errors import Infeasible
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import DeclaredEnvironment, Environment
 from manyhands.design.models.statespace import Matrix, matrix, symmetric_part
 
 FELT_STIFFNESS: Final = "felt stiffness"
@@ -175,3 +177,31 @@ def face_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> WaveLinkFace:
         round_trip=None if data["round_trip"] is None else float(data["round_trip"]),
         mass=None if data["mass"] is None else matrix(data["mass"], m, m),
     )
+
+
+def promised_level(environment: Environment, partition: Partition, linked: frozenset[str]) -> Matrix:
+    """Phi, the level that the users in the tick may assume of a world, N*s/m, over their ports in the world's order.
+
+    It is 0 for an environment that has to be passive. A declared environment promises its declared level.
+
+    Args:
+        environment: with all ports.
+        partition: the couplings' ports.
+        linked: names of the couplings with wave links.
+
+    Raises:
+        Infeasible: a declared level joins a port of a wave link with a different coupling, or is not enforced.
+    """
+    own = sorted(
+        p for name, ports in zip(partition.names, partition.blocks, strict=True) if name not in linked for p in ports
+    )
+    if not isinstance(environment, DeclaredEnvironment):
+        return np.zeros((len(own), len(own)))
+    level = environment.promised()
+    others = sorted(set(range(partition.size)) - set(own))
+    if np.any(level[np.ix_(own, others)]):
+        raise Infeasible(
+            "the environment's declared level joins ports of wave links with ports of users in the tick",
+            ("declare a level without entries between them",),
+        )
+    return level[np.ix_(own, own)]

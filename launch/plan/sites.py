@@ -21,13 +21,13 @@ from manyhands.design.problem import (
     LinearWanted,
     SpringDamperGiven,
 )
-from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, wave_link_id
-from manyhands.design.world import Progress, World, design_world, promised_level
-from manyhands.launch.plan.prepare import coupling_request, haptic_loop, session_environment, stated_delay
+from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
+from manyhands.launch.plan.prepare import Progress, coupling_request, haptic_loop, session_environment, stated_delay
 from manyhands.launch.session import Session
 
 if TYPE_CHECKING:
     from manyhands.design.synthesis import Designed
+    from manyhands.design.world import World
 
 IN_TICK: Final = "in-tick"
 """The name of the part of all users without a wave link; no coupling may have it."""
@@ -113,6 +113,8 @@ def world(session: Session, progress: Progress | None = None) -> World:
     Raises:
         DesignError: the environment does not keep what it owes.
     """
+    from manyhands.design.world_synthesis import design_world  # the solver's modules take a second to import
+
     links = {
         name: (link.impedance(len(session.blocks_by_name[name])), link.tank)
         for name, link in session.wave_links.items()

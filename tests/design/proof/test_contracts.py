@@ -22,7 +22,8 @@ from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted
 from manyhands.design.proof import ProofInputError, prove, prove_together, prove_world
 from manyhands.design.synthesis import design
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, wave_link_id
-from manyhands.design.world import design_world, world_content
+from manyhands.design.world import world_content
+from manyhands.design.world_synthesis import design_world
 
 from ...support.cases import cases
 from .test_hostile_json import VALUES, paths
