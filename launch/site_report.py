@@ -27,15 +27,15 @@ from manyhands.launch.design_report import (
     progress_on,
 )
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
-from manyhands.launch.plan.sites import IN_TICK, parts, world
+from manyhands.launch.plan.sites import IN_TICK, in_tick, site, world
 from manyhands.launch.run.display import say
 from manyhands.launch.session import ENVIRONMENT, Session
 
 
 def part_names(session: Session) -> tuple[str, ...]:
     """The parts of a session with wave links, by name: its sites, the users in the tick, the world."""
-    in_tick = (IN_TICK,) if len(session.wave_links) < len(session.couplings) else ()
-    return (*session.wave_links, *in_tick, ENVIRONMENT)
+    others = (IN_TICK,) if len(session.wave_links) < len(session.couplings) else ()
+    return (*session.wave_links, *others, ENVIRONMENT)
 
 
 def part_file(output: Path, name: str) -> Path:
@@ -86,7 +86,7 @@ def run_design_parts(
                     made: World | Certificate = world(session, progress)
                     stopped = bool(asked)
                 else:
-                    (part,) = (part for part in parts(session) if part.name == name)
+                    part = in_tick(session) if name == IN_TICK else site(session, name)
                     designed = part.design(progress)
                     made, stopped = designed.certificate, designed.interrupted or bool(asked)
         except KeyboardInterrupt:

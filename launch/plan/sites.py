@@ -57,18 +57,6 @@ class SessionPart(NamedTuple):
         return design(self.loop, self.request, progress)
 
 
-def parts(session: Session) -> tuple[SessionPart, ...]:
-    """The sites of a session, in the order of its couplings, and then the users in the tick where there are any.
-
-    Raises:
-        Infeasible: the level that the world promises to the users in the tick does not exist.
-        NotCertified: the delay is to be measured, and has not been.
-    """
-    sites = tuple(site(session, name) for name in session.wave_links)
-    others = in_tick(session)
-    return sites if others is None else (*sites, others)
-
-
 def site(session: Session, coupling: str) -> SessionPart:
     """The site of a coupling with a wave link.
 
@@ -79,16 +67,17 @@ def site(session: Session, coupling: str) -> SessionPart:
     return SessionPart(coupling, site_loop(session, coupling), request_of(session, (coupling,)))
 
 
-def in_tick(session: Session) -> SessionPart | None:
-    """The users without a wave link; None where there are none.
+def in_tick(session: Session) -> SessionPart:
+    """The users without a wave link, together.
 
     Raises:
+        ValueError: every coupling has a wave link.
         Infeasible: the level that the world promises them does not exist.
         NotCertified: the delay is to be measured, and has not been.
     """
     names = tuple(name for name in session.couplings if name not in session.wave_links)
     if not names:
-        return None
+        raise ValueError(f"{session.name}: found a wave link at every coupling; expected users in the tick")
     own = {port for name in names for port in session.blocks_by_name[name]}
     ports = tuple(port for port in session.ports if port in own)
     index = {port: i for i, port in enumerate(ports)}
@@ -130,7 +119,7 @@ def differences_from(certificate: Certificate, session: Session) -> list[str]:
     own: SessionPart | None = None
     if isinstance(environment, WaveLinkFace) and name in session.wave_links:
         own = site(session, name)
-    elif isinstance(environment, WorldPromise) and session.wave_links:
+    elif isinstance(environment, WorldPromise) and 0 < len(session.wave_links) < len(session.couplings):
         own = in_tick(session)
     elif not session.wave_links:
         return differences(certificate, haptic_loop(session), coupling_request(session))

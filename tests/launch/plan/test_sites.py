@@ -20,7 +20,7 @@ from manyhands.design.levels.contract import margin_of
 from manyhands.design.proof import prove, prove_together, prove_world
 from manyhands.design.wave_link import felt_mass
 from manyhands.design.world import World, world_content, world_differences
-from manyhands.launch.plan.sites import IN_TICK, differences_from, in_tick, parts, site, world
+from manyhands.launch.plan.sites import IN_TICK, SessionPart, differences_from, in_tick, site, world
 from manyhands.launch.session import Session, SessionError, WaveLink, load_session
 
 DEVICE = "{dof: 1, osp: 1.37, driver: simulated, mass: 0.2}"
@@ -51,6 +51,11 @@ def session(tmp_path: Path, links: dict[str, str] | None = None, *overrides: str
 def data_of(made: World | Any) -> dict[str, Any]:
     plain = world_content(made) if isinstance(made, World) else content(made)
     return {"id": made.id, **plain}
+
+
+def parts(given: Session) -> tuple[SessionPart, ...]:
+    sites = tuple(site(given, name) for name in given.wave_links)
+    return sites if len(sites) == len(given.couplings) else (*sites, in_tick(given))
 
 
 def designed(given: Session) -> dict[str, Any]:
@@ -125,11 +130,20 @@ def test_a_certificate_says_what_differs_from_its_part(tmp_path: Path) -> None:
     assert "the environment differs" in differences_from(made[IN_TICK], without)
     assert "the environment differs" in differences_from(made["cx"], without)
     only = session(tmp_path, {**LINKED, "cz": "{b: 3}"})
-    assert in_tick(only) is None
+    with pytest.raises(ValueError, match="linked: found a wave link at every coupling"):
+        in_tick(only)
     for name in ("cy", IN_TICK):
         relinked = session(tmp_path, {**LINKED, "cy": "", "cz": "{b: 3}"}) if name == "cy" else only
         (text,) = differences_from(made[name], relinked)
         assert text.endswith("and no part like this one")
+
+
+def test_a_site_is_designed_beside_a_world_that_is_refused(tmp_path: Path) -> None:
+    given = session(tmp_path, None, "environment={type: python, model: 'a:b', level: 0, enforce: false}")
+    before = site(session(tmp_path), "cx").design().certificate
+    assert to_json(site(given, "cx").design().certificate) == to_json(before)
+    with pytest.raises(Infeasible, match="its level is not enforced"):
+        in_tick(given)
 
 
 def test_a_floating_world_keeps_its_contracts_though_not_strictly(tmp_path: Path) -> None:
