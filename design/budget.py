@@ -107,6 +107,75 @@ def colgate_limit(damping: float, T: float, tau: float) -> float:
     return damping / (T / 2.0 + tau)
 
 
+@dataclass(frozen=True)
+class Felt:
+    """The feel of a tool over a wave link, at one round trip, beside what else could be done with that delay.
+
+    Attributes:
+        T: period of the user's site, s.
+        tau: longest delay inside a tick of the site, s.
+        round_trip: R, s.
+        coupling: supremum of the certified stiffness of the site's coupling, N/m; 0 if none can be certified.
+        felt: of that coupling in series with the wave link, 1/(1/K + R/(2 b)), N/m.
+        mass: felt while the tool moves freely, b R/2, kg.
+        least_mass: the least with which any linear passive link of this round trip is as stiff, felt R^2/4, kg.
+        naive: Colgate's limit with the round trip inside the loop, b_D/(T/2 + tau + R), N/m.
+    """
+
+    T: float
+    tau: float
+    round_trip: float
+    coupling: float
+    felt: float
+    mass: float
+    least_mass: float
+    naive: float
+
+
+def felt_over(
+    level: Matrix,
+    T: float,
+    tau: float,
+    b: Matrix,
+    round_trip: float,
+    harvest: Matrix | None = None,
+    period_tolerance: float = 0.0,
+) -> Felt:
+    """What is felt at most over a wave link, in its weakest direction; the mass is that of its heaviest one.
+
+    Args:
+        level: Delta_D of the site, m_i x m_i symmetric positive definite, N*s/m.
+        T: period of the site, s.
+        tau: longest delay inside its tick, s, 0 ... T.
+        b: wave impedance, m_i x m_i symmetric positive definite, N*s/m.
+        round_trip: R > 0, s.
+        harvest: theta, m_i x m_i, N*s/m; None for 0.
+        period_tolerance: rho; periods are at most (1 + rho) T; 0 ... 1.
+
+    Raises:
+        ValueError: the round trip is not positive and finite, or as for :func:`stiffest`.
+    """
+    if not 0.0 < round_trip < np.inf:
+        raise ValueError(f"round trip: found {round_trip!r} s, expected a finite positive time")
+    share = 0.0 if harvest is None else needed_share(level, harvest)
+    site = stiffest(level, T, tau, share, period_tolerance)
+    impedances = np.linalg.eigvalsh(b)
+    felt = 0.0
+    if site.certified > 0.0:
+        felt = 1.0 / (1.0 / site.certified + round_trip / (2.0 * float(impedances[0])))
+    least = float(np.linalg.eigvalsh(level)[0])
+    return Felt(
+        T=T,
+        tau=tau,
+        round_trip=round_trip,
+        coupling=site.certified,
+        felt=felt,
+        mass=float(impedances[-1]) * round_trip / 2.0,
+        least_mass=felt * round_trip**2 / 4.0,
+        naive=colgate_limit(least, (1.0 + period_tolerance) * T, tau + round_trip),
+    )
+
+
 def needed_share(Delta_D: Matrix, Phi_E: Matrix) -> float:
     """The least s >= 0 with Phi_E <= s Delta_D: the share of the devices' levels that (10) takes.
 

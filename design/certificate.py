@@ -57,6 +57,7 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
+from manyhands.design.wave_link import WaveLinkFace, WorldPromise, face_of
 
 MOST_DELAY = 64  # ticks; the order of the delayed environment grows with it
 
@@ -107,6 +108,8 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
         case TransferEnvironment(_, entries, method, delay):
             rows = [[{"num": list(num), "den": list(den)} for num, den in row] for row in entries]
             return {"type": "transfer-function", "entries": rows, "method": method, "delay": delay}
+        case WaveLinkFace() | WorldPromise():
+            return environment.terms()
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -139,9 +142,13 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
         KeyError, TypeError, ValueError: a key is missing, or its value makes no environment.
     """
     kind = data["type"]
+    m = len(ports)
     if kind == "declared":
-        m = len(ports)
         return DeclaredEnvironment(ports, matrix(data["level"], m, m))
+    if kind == "wave-link":
+        return face_of(data, ports)
+    if kind == "world":
+        return WorldPromise(ports, matrix(data["level"], m, m), id=str(data["id"]))
     delay = data["delay"]
     if type(delay) is not int or not 0 <= delay <= MOST_DELAY:
         raise ValueError(f"environment.delay: found {delay!r}, expected a whole number from 0 to {MOST_DELAY}")
@@ -164,7 +171,7 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
             raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
         rows = tuple(tuple(_rational(entry) for entry in row) for row in data["entries"])
         return TransferEnvironment(ports, rows, data["method"], delay)
-    expected = "'network', 'state-space', 'transfer-function' or 'declared'"
+    expected = "'network', 'state-space', 'transfer-function', 'declared', 'wave-link' or 'world'"
     raise ValueError(f"environment.type: found {kind!r}, expected {expected}")
 
 
@@ -464,7 +471,7 @@ def seal(certificate: Certificate) -> Certificate:
 def to_json(certificate: Certificate) -> str:
     """The file's text: the id first, each row of a matrix on its own line."""
     data = {"id": certificate.id, **content(certificate)}
-    return _pretty(data) + "\n"
+    return pretty(data) + "\n"
 
 
 def save(certificate: Certificate, path: Path) -> None:
@@ -483,6 +490,29 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
         CertificateError: the file is not readable, not a certificate, or not of a known version; the message names
             file and key.
     """
+    data = read_plain(path)
+    return certificate_of(data, path), data
+
+
+def certificate_of(data: Mapping[str, Any], path: Path) -> Certificate:
+    """The certificate in the plain data of a file.
+
+    Raises:
+        CertificateError: the data are no certificate of a known version; the message names file and key.
+    """
+    try:
+        return from_content(data)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
+        raise CertificateError(f"{path}: not a certificate of a known version: {what}") from error
+
+
+def read_plain(path: Path) -> Mapping[str, Any]:
+    """The plain data of a certificate's file, or of a world's: nothing in them is checked except that they are JSON.
+
+    Raises:
+        CertificateError: the file is not readable, or not a JSON object; the message names the file.
+    """
     try:
         text = read_regular(path, MAX_FILE_BYTES)
         data = json.loads(
@@ -494,11 +524,9 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
         raise CertificateError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
         raise CertificateError(f"{path}: cannot be read: {error}") from error
-    try:
-        return from_content(data), data
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise CertificateError(f"{path}: not a certificate of a known version: {what}") from error
+    if not isinstance(data, dict):
+        raise CertificateError(f"{path}: not a certificate of a known version: found no object")
+    return data
 
 
 def from_content(data: Mapping[str, Any]) -> Certificate:
@@ -585,14 +613,14 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _pretty(value: Any, indent: int = 0) -> str:
-    """JSON with each vector on one line, so that a matrix looks like a matrix."""
+def pretty(value: Any, indent: int = 0) -> str:
+    """Plain data as JSON with each vector on one line, so that a matrix looks like a matrix."""
     pad = "  " * (indent + 1)
     if isinstance(value, Mapping) and value:
-        rows = [f"{pad}{json.dumps(key)}: {_pretty(item, indent + 1)}" for key, item in value.items()]
+        rows = [f"{pad}{json.dumps(key)}: {pretty(item, indent + 1)}" for key, item in value.items()]
         return "{\n" + ",\n".join(rows) + "\n" + "  " * indent + "}"
     if isinstance(value, list) and any(isinstance(item, list | Mapping) for item in value):
-        return "[\n" + ",\n".join(pad + _pretty(item, indent + 1) for item in value) + "\n" + "  " * indent + "]"
+        return "[\n" + ",\n".join(pad + pretty(item, indent + 1) for item in value) + "\n" + "  " * indent + "]"
     return json.dumps(value, allow_nan=False)
 
 

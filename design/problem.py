@@ -203,7 +203,8 @@ class HapticLoop:
     @property
     def enforced(self) -> tuple[str, ...]:
         """The parties whose level is not proved; a passivity controller enforces it at run time."""
-        declared = isinstance(self.environment, DeclaredEnvironment) and self.environment.enforced
+        # the other kinds of declared environment are kept by a face's tank, or proved in the world's certificate
+        declared = type(self.environment) is DeclaredEnvironment and self.environment.enforced
         return ("environment",) if declared else ()
 
     @cached_property

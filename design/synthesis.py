@@ -34,7 +34,7 @@ from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.levels.spring_damper import centred, stiffest
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, symmetric_part
 from manyhands.design.models.weights import Transparency, weighted
 from manyhands.design.passivity.hinfinity import bounded_real_storage, hinf_norm
 from manyhands.design.problem import (
@@ -56,6 +56,7 @@ from manyhands.design.theorem4 import Interrupted, LinearCoupling, StoppedShort,
 from manyhands.design.transparency import design as transparency
 from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
 from manyhands.design.transparency.pole_search import design_linear as design_linear_by_search
+from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, felt_stiffness
 
 Progress = Callable[[str], None]
 
@@ -388,7 +389,7 @@ def _proved(
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim, above)
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
-    draft = replace(draft, margins={"(10)": margin(loop.partition, levels)})
+    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **_felt(loop, draft.blocks)})
     data = content(draft)
     data["id"] = identity(data)
     if progress is not None:
@@ -403,6 +404,15 @@ def _proved(
         because = f" ({worst.argument})" if worst.argument else ""
         raise SolverFailure(f"the solver's answer does not survive the proof: {worst.condition}{figure}{because}")
     return replace(draft, id=data["id"])
+
+
+def _felt(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> dict[str, float]:
+    """The least stiffness that is felt over a wave link whose round trip is known, N/m; else nothing."""
+    face = loop.environment
+    if not isinstance(face, WaveLinkFace) or face.round_trip is None:
+        return {}
+    compliance = loop.partition.embed([symmetric_part(block.response(1.0).real) for block in blocks])
+    return {FELT_STIFFNESS: float(np.linalg.eigvalsh(felt_stiffness(compliance, face.b, face.round_trip))[0])}
 
 
 def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:

@@ -7,7 +7,7 @@ shows before any design how much stiffness a faster transport or a shorter perio
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,24 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from manyhands.design.budget import Stiffness, environment_share, stiffest
+from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
 from manyhands.design.files import replacing
 from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.files import TargetError, require_target
+from manyhands.launch.plan.sites import site
+from manyhands.launch.session import Session
 from manyhands.nodes.json_number import json_number
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+ROUND_TRIPS = (1e-3, 2e-3, 4e-3, 6e-3, 10e-3, 20e-3, 40e-3, 60e-3, 100e-3, 200e-3, 400e-3)
+"""s: the round trips shown of a wave link, besides the session's own."""
+SITE_PERIODS = (1e-3, 0.5e-3, 0.25e-3)
+"""s: the periods shown of a user's site, besides its own."""
 
 _PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # multiples of the session's period
 _PLOTTED_DELAYS = 101  # points of a curve
@@ -110,6 +117,55 @@ def _limits(loop: HapticLoop, level: Matrix, T: float, tau: float, share: float)
     return stiffest(level, T, tau, min(share, 1.0), loop.period_tolerance)
 
 
+@dataclass(frozen=True, eq=False)
+class WaveLinkBudget:
+    """What is felt at most over one coupling's wave link.
+
+    Attributes:
+        name: of the coupling.
+        period: of the site, s.
+        tau: longest delay inside a tick of the site, s.
+        round_trip: that the session states, s; None if it states none.
+        at: what is felt at a period of the site, s, and a round trip, s. The delay is ``tau``, or the whole period
+            where that is less.
+    """
+
+    name: str
+    period: float
+    tau: float
+    round_trip: float | None
+    at: Callable[[float, float], Felt]
+
+    @property
+    def round_trips(self) -> tuple[float, ...]:
+        """The round trips to show, s, ascending."""
+        return tuple(sorted({*ROUND_TRIPS, *(() if self.round_trip is None else (self.round_trip,))}))
+
+    @property
+    def periods(self) -> tuple[float, ...]:
+        """The site's periods to show, s: its own, then shorter ones."""
+        return (self.period, *(shorter for shorter in SITE_PERIODS if shorter < self.period))
+
+
+def wave_link_budgets(session: Session) -> tuple[WaveLinkBudget, ...]:
+    """The budget of each wave link of a session.
+
+    Where the session allows a felt mass M, the impedance at a round trip R is 2 M/R; a given b stays as it is.
+    """
+    return tuple(_wave_link_budget(session, name) for name in session.wave_links)
+
+
+def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
+    link, loop = session.wave_links[name], site(session, name).loop
+    harvest = np.diag(link.harvest_of(len(loop.ports)))
+
+    def at(T: float, round_trip: float) -> Felt:
+        b = link.model_copy(update={"round_trip": round_trip}).impedance(len(loop.ports))
+        return felt_over(loop.Delta_D, T, min(loop.tau, T), b, round_trip, harvest, loop.period_tolerance)
+
+    return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
+
+
 def budget_object(found: DelayBudget) -> dict[str, Any]:
     """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where it is infinite."""
     loop = found.loop
@@ -133,6 +189,14 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
     }
 
 
+def wave_links_object(found: Sequence[WaveLinkBudget]) -> dict[str, Any]:
+    """The part of the object about wave links; T, tau and round_trip in s, stiffness in N/m, mass in kg."""
+    return {
+        link.name: [asdict(link.at(T, round_trip)) for T in link.periods for round_trip in link.round_trips]
+        for link in found
+    }
+
+
 def _plain(row: Stiffness) -> dict[str, float | None]:
     return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
 
@@ -151,8 +215,8 @@ def print_budget(console: Console, found: DelayBudget) -> None:
         for i, row in enumerate(device.against_delay):
             mark = " (session)" if row.tau == loop.tau else ""
             table.add_row(
-                names if i == 0 else "", _ms(row.tau) + mark, f"{row.tau / row.T:.3g}", _newtons(row.certified),
-                _newtons(row.colgate), "" if row.kappa is None else f"{row.kappa:.3f}",
+                names if i == 0 else "", _ms(row.tau) + mark, f"{row.tau / row.T:.3g}", _figure(row.certified),
+                _figure(row.colgate), "" if row.kappa is None else f"{row.kappa:.3f}",
             )  # fmt: skip
         table.add_section()
     console.print(table)
@@ -164,10 +228,10 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     for names, device in shown:
         for i, period in enumerate(found.periods):
             rows = {row.tau: row for row in device.against_period if period == row.T}
-            at_own = [_newtons(rows[loop.tau].certified) if loop.tau in rows else "longer than T"] if own else []
+            at_own = [_figure(rows[loop.tau].certified) if loop.tau in rows else "longer than T"] if own else []
             table.add_row(
-                names if i == 0 else "", _ms(period), _newtons(rows[0.0].certified), *at_own,
-                _newtons(rows[period].certified), _newtons(rows[0.0].colgate), _newtons(rows[period].colgate),
+                names if i == 0 else "", _ms(period), _figure(rows[0.0].certified), *at_own,
+                _figure(rows[period].certified), _figure(rows[0.0].colgate), _figure(rows[period].colgate),
             )  # fmt: skip
         table.add_section()
     console.print(table)
@@ -180,6 +244,34 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     console.print(_environment_text(found), markup=False, soft_wrap=True)
 
 
+def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
+    """Print a table for each wave link: what is felt over its round trip, beside what a loop through it could be."""
+    for link in found[:_MOST_ROWS]:
+        title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
+        table = Table(title=title, title_justify="left")
+        table.add_column(escape("R [ms]"), justify="right")
+        for T in link.periods:
+            table.add_column(escape(f"felt, {1e-3 / T:.3g} kHz [N/m]"), justify="right")
+        for column in ("felt mass [g]", "least mass [g]", "loop through R [N/m]"):
+            table.add_column(escape(column), justify="right")
+        for round_trip in link.round_trips:
+            rows = [link.at(T, round_trip) for T in link.periods]
+            mark = " (session)" if round_trip == link.round_trip else ""
+            masses = [_figure(1e3 * mass) for mass in (rows[0].mass, rows[0].least_mass)]
+            felt = [_figure(row.felt) for row in rows]
+            table.add_row(_ms(round_trip) + mark, *felt, *masses, _figure(rows[0].naive))
+        console.print(table)
+    if len(found) > _MOST_ROWS:
+        console.print(f"{len(found) - _MOST_ROWS} more wave links are not shown; --json has all", markup=False)
+    if found:
+        console.print(
+            "Distance costs mass, and never stability: no linear passive link over R is lighter than K R²/4 for the "
+            "stiffness K that is felt. A loop through R is not certified here, and above its limit not passive.",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
 def _environment_text(found: DelayBudget) -> str:
     share = found.share_at(found.loop.period)
     if share == 0.0:
@@ -189,13 +281,18 @@ def _environment_text(found: DelayBudget) -> str:
     return f"The environment takes {share:.1%} of what the devices dissipate; the certified limits leave it that."
 
 
-def plot_budget(found: DelayBudget, path: Path) -> None:
+def plot_budget(found: DelayBudget, path: Path, links: Sequence[WaveLinkBudget] = ()) -> None:
     """Plot the stiffness over the delay for several periods, certified and Colgate's, with a panel for each level.
+
+    With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
 
     Raises:
         TargetError: the suffix is not that of a plot, or the folder does not exist.
     """
     require_picture(path)
+    if links:
+        _plot_wave_links(found.loop.session, links[:_MOST_PANELS], path)
+        return
     # the plotter takes most of a second to import; the tables do not need it
     from matplotlib import colormaps
     from matplotlib.figure import Figure
@@ -239,6 +336,38 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
         figure.savefig(file, format=path.suffix[1:], dpi=130)
 
 
+def _plot_wave_links(name: str, links: Sequence[WaveLinkBudget], path: Path) -> None:
+    """Plot the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(links)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(links), 1, squeeze=False, sharex=True)[:, 0]
+    times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
+    for axes, link in zip(rows, links, strict=True):
+        colours = colormaps["viridis"](np.linspace(0.0, 0.8, len(link.periods)))
+        for T, colour in zip(link.periods, colours, strict=True):
+            curve = np.array([link.at(T, float(R)).felt for R in times])
+            label = f"felt, site at {1e-3 / T:.3g} kHz"
+            axes.loglog(1e3 * times, np.where(curve > 0.0, curve, np.nan), color=colour, linewidth=1.8, label=label)
+        own = [link.at(link.period, float(R)) for R in times]
+        style = {"color": "0.3", "linewidth": 1.2}
+        axes.loglog(1e3 * times, [row.naive for row in own], linestyle="--", label="limit of a loop through R", **style)
+        law = [4.0 * row.mass / row.round_trip**2 for row in own]
+        axes.loglog(1e3 * times, law, linestyle=":", label="law: 4 M/R², M the felt mass", **style)
+        if link.round_trip is not None:
+            felt = link.at(link.period, link.round_trip).felt
+            axes.plot(1e3 * link.round_trip, felt, "o", color="black", label="this session", zorder=5)
+        axes.set_title(link.name, loc="left", fontsize="medium")
+        axes.set_ylabel("stiffness [N/m]")
+        axes.grid(alpha=0.3, which="both")
+        axes.legend(fontsize="small", frameon=False)
+    rows[-1].set_xlabel("round trip R [ms]")
+    figure.suptitle(f"{name}: what is felt over wave links", x=0.01, ha="left", fontsize="medium")
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
 def require_picture(path: Path) -> None:
     """Refuse an output file for a plot that cannot be written; a command calls this before its work.
 
@@ -263,8 +392,8 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _newtons(stiffness: float) -> str:
-    return f"{stiffness:.0f}" if stiffness >= 100.0 else f"{stiffness:.3g}" if stiffness > 0.0 else "none"
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}" if value > 0.0 else "none"
 
 
 def _ms(seconds: float) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -19,14 +19,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.design.certificate import Certificate, asked_text, differences, load, save, unrecorded
+from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
+from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
-from manyhands.launch.plan.prepare import certify, coupling_request, haptic_loop, with_delay_of
+from manyhands.launch.plan.prepare import certify, haptic_loop, with_delay_of
+from manyhands.launch.plan.sites import differences_from
 from manyhands.launch.run.display import energy_line, printable, say, status
 from manyhands.launch.run.outcome import lateness_sentence
 from manyhands.launch.session import Session
@@ -126,7 +128,11 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
         table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
-    if loop.enforced:
+    if isinstance(loop.environment, WaveLinkFace):
+        _face_rows(table, loop.environment, certificate.margins)
+    elif isinstance(loop.environment, WorldPromise):
+        table.add_row("environment", "a level that the certificate of the world proves, and that is assumed here")
+    elif loop.enforced:
         table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
     else:
         energy = isinstance(levels.P_E, str)
@@ -134,9 +140,21 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         table.add_row("environment proved by", by)
     table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
     for key, margin in certificate.margins.items():
-        if key != CONDITION_10:
+        if key not in (CONDITION_10, FELT_STIFFNESS):
             table.add_row(f"  {key}", f"{margin:.3e}")
     console.print(table)
+
+
+def _face_rows(table: Table, face: WaveLinkFace, margins: Mapping[str, float]) -> None:
+    """What a site's wave link is, and what it is felt as."""
+    table.add_row("wave link", face.id)
+    table.add_row("b [N·s/m]", _matrix_text(face.b, ".4f"))
+    harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(face.harvest))
+    table.add_row("E₀", f"{face.tank:g} J; harvest {harvest} N·s/m")
+    if face.round_trip is not None:
+        mass = float(np.linalg.eigvalsh(felt_mass(face.b, face.round_trip))[-1])
+        over = f"over a round trip of {1e3 * face.round_trip:.4g} ms"
+        table.add_row("felt", f"at least {margins[FELT_STIFFNESS]:.1f} N/m and at most {1e3 * mass:.4g} g {over}")
 
 
 def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
@@ -148,8 +166,8 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
     table.add_column("by")
     for finding in _shortened(findings):
         mark = "[green]proved[/green]" if finding.holds else "[bold red]not proved[/bold red]"
-        if finding.enforced:
-            mark = "[yellow]enforced[/yellow]"
+        if finding.enforced or finding.assumed:
+            mark = "[yellow]enforced[/yellow]" if finding.enforced else "[yellow]assumed[/yellow]"
         table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", mark, _escaped(finding.argument))
     console.print(table)
 
@@ -323,7 +341,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     Raises:
         CertificateError: the file is not a certificate.
     """
-    from manyhands.design.proof import Finding, ProofInputError, prove
+    from manyhands.design.proof import ProofInputError, prove
 
     certificate, data = load(file)
     try:
@@ -333,8 +351,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         raise CertificateError(f"{file}: {error}") from error
     if session is not None:
         session = with_delay_of(certificate, session)
-        found = differences(certificate, haptic_loop(session), coupling_request(session))
-        findings += tuple(Finding(f"it is the session's: {text}", False, 1.0, 0.0) for text in found)
+        findings += foreign(differences_from(certificate, session))
     failing = [finding for finding in findings if not finding.holds]
     if as_json:
         object_ = certificate_object(certificate, proved=not failing)
@@ -350,8 +367,19 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     if not as_json:
         enforced = ", ".join(certificate.loop.enforced)
         proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
+        if isinstance(certificate.loop.environment, WaveLinkFace):
+            proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
+        elif isinstance(certificate.loop.environment, WorldPromise):
+            proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"
         say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
+
+
+def foreign(texts: Sequence[str]) -> tuple[Finding, ...]:
+    """A finding that fails for each sentence about how a certificate differs from a session."""
+    from manyhands.design.proof import Finding
+
+    return tuple(Finding(f"it is the session's: {text}", False, 1.0, 0.0) for text in texts)
 
 
 def _print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
@@ -366,25 +394,36 @@ def _print_request(out: Console, file: Path, certificate: Certificate, session: 
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:
-    """Show the stiffness that can be certified for the session's devices, over delay and period.
+    """Show the stiffness that can be certified for the session's devices, over delay and period, and over wave links.
 
     Returns:
         The exit code.
     """
-    from manyhands.launch.budget import budget, budget_object, plot_budget, print_budget
+    from manyhands.launch.budget import (
+        budget,
+        budget_object,
+        plot_budget,
+        print_budget,
+        print_wave_links,
+        wave_link_budgets,
+        wave_links_object,
+    )
     from manyhands.launch.doctor.advice import Worth
     from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
 
     loop = haptic_loop(session)
     found = budget(loop)
+    links = wave_link_budgets(session)
     rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
     if as_json:
-        print_json(budget_object(found) | {"rates": rates_object(rates)})
+        own = {"wave_links": wave_links_object(links)} if links else {}
+        print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
     else:
         print_budget(out, found)
+        print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:
-        plot_budget(found, picture)
+        plot_budget(found, picture, links)
         say(err, f"picture: {picture}")
     return EXIT_OK
 

@@ -135,6 +135,37 @@ def physical_level(
     return Phi
 
 
+def diagonal_level(network: Network, T: float) -> Matrix:
+    """A level Phi_E = -diag(s_i), s_i >= 0, of a network that no other party has to serve: with it Phi_E <= 0.
+
+    The s_i are equal and the greatest possible over each group of connected ports, up to :data:`MOST_EXACT` ports and
+    masses. A larger group gets those of :func:`structured_level`. A group that floats freely gets 0.
+
+    Args:
+        network: the network; of a network known up to intervals, the one at all lower ends.
+        T: period, s.
+
+    Returns:
+        Phi_E, m x m and diagonal, N*s/m; Z + blockdiag(Phi_E, 0) >= 0.
+    """
+    m = len(network.ports)
+    Z = dissipation_matrix(network, T)
+    _, group = connected_components(Z, directed=False)
+    kept = np.zeros(m)
+    for label in np.unique(group[:m]):
+        nodes = np.flatnonzero(group == label)
+        ports = nodes[nodes < m]
+        own = csc_array(Z[nodes][:, nodes])
+        if len(nodes) > MOST_EXACT:
+            singles = Partition(tuple(map(str, ports)), tuple((i,) for i in range(len(ports))))
+            kept[ports] = [float(block[0, 0]) for block in structured_level(own, singles).blocks]
+            continue
+        values = np.linalg.eigvalsh(port_dissipation(own, len(ports)))
+        if values[0] > _RESERVE * values[-1]:  # less may be rounding
+            kept[ports] = (1.0 - _RESERVE) * values[0]
+    return np.diag(-kept)
+
+
 @dataclass(frozen=True, eq=False)
 class StructuredLevel:
     """A level with the structure of V that a network of any size keeps by its physics: Phi_E = -blockdiag(blocks).

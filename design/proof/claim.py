@@ -130,6 +130,38 @@ class DeclaredData:
     level: StatedMatrix
 
 
+@dataclass(frozen=True, eq=False)
+class WaveLinkData(DeclaredData):
+    """The user's face of a wave link; its level is diag(theta).
+
+    Attributes:
+        id: the stated SHA-256 of the wave link's terms.
+        b: wave impedance, m x m, N*s/m.
+        tank: E_0, J.
+        harvest: theta, one number for each port, N*s/m.
+        round_trip: R that the link is designed for, s; None if it is not stated.
+        mass: the felt mass allowed, m x m, kg; None if it is not stated.
+    """
+
+    id: str
+    b: StatedMatrix
+    tank: Number
+    harvest: tuple[Number, ...]
+    round_trip: Number | None
+    mass: StatedMatrix | None
+
+
+@dataclass(frozen=True, eq=False)
+class PromiseData(DeclaredData):
+    """The level that the certificate of a world proves at the ports of the users in the tick.
+
+    Attributes:
+        id: the stated SHA-256 of the contract's terms.
+    """
+
+    id: str
+
+
 DynamicsData = NetworkData | SystemData | TransferData
 EnvironmentData = DynamicsData | DeclaredData
 
@@ -143,9 +175,14 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
     found = item.entries(16)
     if "type" not in found:
         raise ProofInputError(f"{item.path}: the key type is missing")
-    match found["type"].text("network", "state-space", "transfer-function", "declared"):
+    match found["type"].text("network", "state-space", "transfer-function", "declared", "wave-link", "world"):
         case "declared":
             return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
+        case "wave-link":
+            return _wave_link(item, len(ports))
+        case "world":
+            parts = item.fields(("type", "id", "level"))
+            return PromiseData(parts["level"].symmetric(len(ports)), parts["id"].text())
         case "network":
             return _network(item, ports)
         case "state-space":
@@ -173,6 +210,24 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
         tuple(mass.span() for mass in masses.values()),
         tuple(links),
         parts["delay"].whole(0, _MAX_DELAY),
+    )
+
+
+def _wave_link(item: Item, m: int) -> WaveLinkData:
+    parts = item.fields(("type", "id", "b", "tank", "harvest", "round_trip", "mass"))
+    harvest = tuple(item.number() for item in parts["harvest"].items(m, exactly=m))
+    level = StatedMatrix(m, m, [[theta if i == j else 0 for j in range(m)] for i, theta in enumerate(harvest)])
+    stated = {name: parts[name] for name in ("round_trip", "mass") if parts[name].value is not None}
+    if "mass" in stated and "round_trip" not in stated:
+        raise parts["round_trip"].refusal("the round trip for which the felt mass is allowed")
+    return WaveLinkData(
+        level,
+        parts["id"].text(),
+        parts["b"].symmetric(m),
+        parts["tank"].number(),
+        harvest,
+        stated["round_trip"].number() if "round_trip" in stated else None,
+        stated["mass"].symmetric(m) if "mass" in stated else None,
     )
 
 
@@ -399,10 +454,10 @@ def read(data: Mapping[str, Any]) -> Claim:
     devices, osp = [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
         device = item.fields(("ports", "osp"))
-        devices.append(PortGroup(name, _indices(device["ports"], index)))
+        devices.append(PortGroup(name, indices(device["ports"], index)))
         osp.append(device["osp"].symmetric(len(devices[-1].ports)))
     blocks = tuple(
-        PortGroup(name, _indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
+        PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
     )
     levels = fields["levels"].fields(("kappa", "share", "c", "Delta_D", "Delta_V", "Phi_E"))
     storage = fields["storage"].fields(("E_hat", "V_hat"))
@@ -425,8 +480,8 @@ def read(data: Mapping[str, Any]) -> Claim:
         c=exact_decimal(levels["c"].number()),
         Delta_D=_by_block(levels["Delta_D"], blocks),
         Delta_V=_by_block(levels["Delta_V"], blocks),
-        Phi_E=_input_level(levels["Phi_E"], blocks, len(ports)),
-        P_E=_storage(storage["E_hat"], "enforced" if isinstance(environment, DeclaredData) else "energy"),
+        Phi_E=input_level(levels["Phi_E"], blocks, len(ports)),
+        P_E=storage_matrix(storage["E_hat"], "enforced" if isinstance(environment, DeclaredData) else "energy"),
         transparency=_transparency(fields["transparency"]),
         margins={name: exact_decimal(item.number()) for name, item in fields["margins"].entries(100).items()},
     )
@@ -456,7 +511,12 @@ def _require_plain(item: Item) -> None:
         raise ProofInputError(f"{item.path}: found objects or lists deeper than {_DEEPEST_ASKED} levels, expected none")
 
 
-def _indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
+def indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
+    """The indices of a list of ports, each once and at least one.
+
+    Raises:
+        ProofInputError: an entry is not a port of ``index``, or a port stands twice.
+    """
     found = []
     for entry in item.items(MAX_PORTS):
         name = entry.text()
@@ -482,15 +542,23 @@ def _by_block(item: Item, blocks: tuple[PortGroup, ...]) -> tuple[StatedMatrix, 
     return tuple(found[block.name].symmetric(len(block.ports)) for block in blocks)
 
 
-def _input_level(item: Item, blocks: tuple[PortGroup, ...], m: int) -> Sparse:
-    """Phi_E, whole or by block."""
+def input_level(item: Item, blocks: tuple[PortGroup, ...], m: int) -> Sparse:
+    """Phi_E, m x m, N*s/m, stated whole or by block.
+
+    Raises:
+        ProofInputError: a block is missing, or a matrix has the wrong shape or is not symmetric.
+    """
     if isinstance(item.value, Mapping):
         return block_diagonal([block.ports for block in blocks], _by_block(item, blocks))
     return block_diagonal([range(m)], [item.symmetric(m)])
 
 
-def _storage(item: Item, word: str) -> StatedMatrix | None:
-    """E_hat's storage matrix; None if the file has ``word`` in its place, as it must without a matrix."""
+def storage_matrix(item: Item, word: str) -> StatedMatrix | None:
+    """E_hat's storage matrix; None if the file has ``word`` in its place, as it must without a matrix.
+
+    Raises:
+        ProofInputError: there is neither the word nor a square matrix of bounded size.
+    """
     if isinstance(item.value, str) or word == "enforced":
         item.text(word)
         return None

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from flint import fmpq
 
-from manyhands.design.proof import exact, rational
+from manyhands.design.proof import exact, rational, statics, wave_link
 from manyhands.design.proof.claim import WITH_TOLERANCE, Claim, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
@@ -138,24 +138,34 @@ def margin_findings(claim: Claim) -> list[Finding]:
 
     "(10)", "Delta_D" and "Delta_V" are least eigenvalues, N*s/m. "J" is the least eigenvalue of
     Delta_D/(2 kappa) - (T/2) K over the spring-damper blocks: their distance to the limit of their stiffness.
+    "felt stiffness" is that of (V(1) + (R/2) b^-1)^-1 over a wave link of round trip R, N/m.
     """
     m = len(claim.ports)
-    out = []
-    for name, stated in claim.margins.items():
-        condition = f"the margin {name[:60]} is not overstated"
-        found = _margin_matrix(claim, name)
-        if found is None:
-            out.append(Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here"))
-            continue
-        size = 2 * m if name == "(10)" else m
-        bound = stated - abs(stated) * _ALLOWED
-        least = exact.least_eigenvalue(found, size)
-        shifted = dict(found)
-        for i in range(size):
-            exact.add_entry(shifted, i, i, -bound)
-        verdict = exact.definite_by_groups(shifted, size, strict=False)
-        out.append(Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument))
-    return out
+    return [
+        margin_finding(name, stated, _margin_matrix(claim, name), 2 * m if name == "(10)" else m)
+        for name, stated in claim.margins.items()
+    ]
+
+
+def margin_finding(name: str, stated: fmpq, matrix: Sparse | None, size: int) -> Finding:
+    """The finding that a stated margin is at most the least eigenvalue of ``matrix``, up to a relative 1e-6.
+
+    Args:
+        name: of the margin.
+        stated: its value in the file.
+        matrix: of this size; None if no margin of this name is defined.
+        size: number of rows.
+    """
+    condition = f"the margin {name[:60]} is not overstated"
+    if matrix is None:
+        return Finding(condition, False, float("nan"), 0.0, "", "no margin of this name is defined here")
+    bound = stated - abs(stated) * _ALLOWED
+    least = exact.least_eigenvalue(matrix, size)
+    shifted = dict(matrix)
+    for i in range(size):
+        exact.add_entry(shifted, i, i, -bound)
+    verdict = exact.definite_by_groups(shifted, size, strict=False)
+    return Finding(condition, verdict.holds, least, rational.rounded(bound), argument=verdict.argument)
 
 
 def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
@@ -166,6 +176,15 @@ def _margin_matrix(claim: Claim, name: str) -> Sparse | None:
             return Delta_D(claim)
         case "Delta_V":
             return Delta_V(claim)
+        case wave_link.FELT_STIFFNESS:
+            try:
+                felt = wave_link.felt_stiffness(claim)
+            except (ZeroDivisionError, statics.Undecided):
+                return None
+            if felt is None or felt != felt.transpose():
+                return None
+            rows = enumerate(felt.tolist())
+            return {(i, j): value for i, row in rows for j, value in enumerate(row) if value != 0}
         case "J" if claim.kappa > 0:
             out: Sparse = {}
             for block, part, level in zip(claim.blocks, claim.coupling, claim.Delta_D, strict=True):

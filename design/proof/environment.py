@@ -40,8 +40,10 @@ from manyhands.design.proof.claim import (
     EnvironmentData,
     LinkData,
     NetworkData,
+    PromiseData,
     Span,
     SystemData,
+    WaveLinkData,
 )
 from manyhands.design.proof.exact import MAX_DENSE, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
@@ -394,12 +396,19 @@ def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: in
 
 
 def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
-    """The level that is enforced at run time is at least as strict as the level with which (10) is proved."""
+    """The level that is enforced or assumed is at least as strict as the level with which (10) is proved."""
     declared: Sparse = {}
     exact.add(declared, range(m), data.level)
     verdict = exact.definite_by_groups(exact.difference(Phi_E, declared), m, strict=False)
     if not verdict.holds:
         return _refused(f"the declared level is not proved to be at most Phi_E: {verdict.argument}")
+    match data:
+        case WaveLinkData():
+            argument = "by the rules of the wave link's face, whatever arrives; not proved here"
+            return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
+        case PromiseData():
+            argument = "assumed of the world, whose own certificate proves it"
+            return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
     return Finding(_ISP, True, 0.0, 0.0, argument="not proved: enforced at run time by a controller", enforced=True)
 
 

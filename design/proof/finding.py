@@ -22,6 +22,7 @@ class Finding:
         key: its name among the certificate's margins; empty if it is not a margin.
         argument: why it holds, or why it is not proved.
         enforced: whether it holds because a controller enforces it at run time; then nothing is proved about it here.
+        assumed: whether another certificate proves it, or the rules of a wave link's face keep it.
     """
 
     condition: str
@@ -31,6 +32,7 @@ class Finding:
     key: str = ""
     argument: str = ""
     enforced: bool = False
+    assumed: bool = False
 
 
 @dataclass(frozen=True)

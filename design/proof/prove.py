@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from manyhands.design.proof import contract, environment, transparency
+from manyhands.design.proof import contract, environment, transparency, wave_link
 from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
@@ -48,6 +48,7 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     promises += [_block(claim, i) for i in range(len(claim.blocks))] if promises[-1].holds else []
     report("the environment")
     promises += environment.findings(claim.environment, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
+    promises += wave_link.contract_findings(claim)
     report("condition (10)")
     promises.append(contract.loop_condition(claim))
     enforced = any(finding.enforced for finding in promises)

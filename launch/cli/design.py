@@ -15,10 +15,12 @@ from manyhands.launch.cli.common import (
     err,
     errors,
     out,
+    refuse,
     require_folder,
     settle_delay,
 )
 from manyhands.launch.files import load_named, require_target
+from manyhands.launch.run.display import say
 
 commands = typer.Typer()
 
@@ -30,22 +32,38 @@ def design(
     pictures: Annotated[
         Path | None, typer.Option("--plot", metavar="DIR", help="Draw the design into this folder.")
     ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            "--part", metavar="NAME", help="With wave links: only this coupling's site, or in-tick, or environment."
+        ),
+    ] = None,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
     """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible.
 
+    A session with wave links has a certificate for each site, one for the users in the tick, and one for its world,
+    which is written to CERT; the others stand beside it, under the name of their part.
+
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
     with errors():
         from manyhands.launch.design_report import run_design
+        from manyhands.launch.site_report import require_parts, run_design_parts
 
         loaded = load_named(session, overrides)
+        require_parts(loaded, output, part)
         if output is not None:
             require_target(output)
         require_folder(pictures)
         loaded, _ = settle_delay(loaded, realtime=False)
-        end(run_design(loaded, out, err, output, pictures, as_json))
+        if loaded.wave_links:
+            if pictures is not None:
+                say(err, "no pictures: they show the environment's response, which a site does not know")
+            end(run_design_parts(loaded, out, err, output, part, as_json))
+        else:
+            end(run_design(loaded, out, err, output, pictures, as_json))
 
 
 @commands.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
@@ -54,13 +72,29 @@ def verify_command(
     session: Annotated[
         Path | None, typer.Option("--session", metavar="SESSION", help="Also check that it belongs to this session.")
     ] = None,
+    together: Annotated[
+        list[Path], typer.Option("--with", metavar="CERT", help="Of a world: also prove this part of it; repeatable.")
+    ] = [],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved."""
-    with errors():
-        from manyhands.launch.design_report import run_verify
+    """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved.
 
-        end(run_verify(certificate, None if session is None else load_named(session, []), out, err, as_json))
+    For a world, --with also proves that the certificates of sites, or of the users in the tick, meet it.
+    """
+    with errors():
+        from manyhands.design.certificate import read_plain
+        from manyhands.design.world import is_world
+        from manyhands.launch.design_report import run_verify
+        from manyhands.launch.site_report import run_verify_world
+
+        loaded = None if session is None else load_named(session, [])
+        data = read_plain(certificate)
+        if is_world(data):
+            end(run_verify_world(certificate, data, together, loaded, out, err, as_json))
+        elif together:
+            refuse(f"--with: found {certificate}, which is no world's certificate; expected that of a world")
+        else:
+            end(run_verify(certificate, loaded, out, err, as_json))
 
 
 @commands.command(epilog="Example: manyhands budget example1.yaml --plot budget.png")

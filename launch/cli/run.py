@@ -36,7 +36,7 @@ from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import NotCertified, must_measure
+from manyhands.launch.plan.prepare import NotCertified, must_measure, require_in_tick
 from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
@@ -72,6 +72,7 @@ def simulate(
         from manyhands.nodes.telemetry import energy_figures
 
         loaded = load_named(session, overrides)
+        require_in_tick(loaded)
         ticks = kept_ticks(loaded, duration)
         if output is not None:
             require_suffix(output)
@@ -156,6 +157,7 @@ def launch(
         require_one_of("--clock", clock, CLOCKS)
         require_one_of("--transport", transport, SCHEMES)
         loaded = load_named(session, overrides)
+        require_in_tick(loaded)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
         if directory is not None:
             require_new(directory)

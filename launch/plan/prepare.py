@@ -45,7 +45,7 @@ from manyhands.design.problem import (
 )
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
+from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session, SessionError
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
@@ -65,11 +65,7 @@ def haptic_loop(session: Session) -> HapticLoop:
     Raises:
         NotCertified: the delay is to be measured, and has not been.
     """
-    if session.design.tau == AUTO:
-        raise NotCertified(
-            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
-            "measures it (launch, design)"
-        )
+    tau = stated_delay(session)
     index = {port: i for i, port in enumerate(session.ports)}
     return HapticLoop(
         session=session.name,
@@ -82,13 +78,27 @@ def haptic_loop(session: Session) -> HapticLoop:
         partition=Partition(
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
         ),
-        environment=_environment(session),
-        tau=session.design.stated_tau or 0.0,
+        environment=session_environment(session),
+        tau=tau,
         period_tolerance=session.design.period_tolerance,
     )
 
 
-def _environment(session: Session) -> Environment:
+def stated_delay(session: Session) -> float:
+    """The delay inside the tick that the session is designed for, s; 0 where it states none.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    if session.design.tau == AUTO:
+        raise NotCertified(
+            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
+            "measures it (launch, design)"
+        )
+    return session.design.stated_tau or 0.0
+
+
+def session_environment(session: Session) -> Environment:
     """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
     if isinstance(given, PythonEnvironment):
@@ -196,6 +206,17 @@ class Prepared(Plan):
     notes: tuple[str, ...] = ()
 
 
+def require_in_tick(session: Session) -> None:
+    """Refuse to run a session with wave links: they are designed and proved, and not yet run.
+
+    Raises:
+        SessionError: a coupling of the session has a wave link.
+    """
+    for name in session.wave_links:
+        expected = "couplings without wave links: these are designed, proved (verify) and budgeted, and not yet run"
+        raise SessionError(session.name, None, f"couplings.{name}.wave_link", "a wave link", expected)
+
+
 def certify(session: Session, progress: Progress | None = None) -> Designed:
     """Design the session's coupling, or take the given one, and prove it.
 
@@ -297,7 +318,9 @@ def prepare(
     Raises:
         CertificateError: the certificate cannot be read.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
+        SessionError: a coupling of the session has a wave link.
     """
+    require_in_tick(session)
     if certificate is not None:
         proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)

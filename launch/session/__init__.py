@@ -30,6 +30,7 @@ from manyhands.launch.session.session import (
     Session,
     load_session,
 )
+from manyhands.launch.session.wave_link import WaveLink
 
 __all__ = [
     "BROWSER_HAND",
@@ -60,6 +61,7 @@ __all__ = [
     "StateSpaceEnvironment",
     "TraceData",
     "TransferFunctionEnvironment",
+    "WaveLink",
     "Weight",
     "Weights",
     "load_session",

@@ -235,7 +235,8 @@ _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
 _COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
 _OBJECTIVES: Final = ("feasible", "stiffest", "loop-shaping", "closed-loop")
-_TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
+TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
+"""The objectives that need the environment's dynamics."""
 
 
 def _delay(value: object) -> object:
@@ -396,13 +397,13 @@ class Design(SessionModel):
         """An objective that does not apply to the coupling, and weights that the objective does not use."""
         allowed: tuple[str, ...] = _OBJECTIVES
         if self.coupling == "given":
-            allowed = ("feasible", *_TRANSPARENCY)  # the level of a given coupling may be asked for
+            allowed = ("feasible", *TRANSPARENCY)  # the level of a given coupling may be asked for
         elif self.coupling == "none":
             allowed = ("feasible",)
         if self.objective not in allowed:
             found = f"{self.objective} with 'coupling: {self.coupling}'"
             yield Problem(("objective",), found, f"{one_of(allowed, None)}, or a coupling to be found")
-        if self.weights is not None and self.objective not in _TRANSPARENCY:
+        if self.weights is not None and self.objective not in TRANSPARENCY:
             found = f"weights with 'objective: {self.objective}'"
             yield Problem(("weights",), found, "'objective: loop-shaping' or 'closed-loop', or no weights")
 

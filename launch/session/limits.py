@@ -76,6 +76,14 @@ DEFAULT_TANK: Final = 5e-3
 LARGEST_TANK: Final = 10.0
 """J; 1 kg at 4.5 m/s."""
 
+# wave links
+LONGEST_ROUND_TRIP: Final = 10.0
+"""s."""
+MAX_DEPTH_TICKS: Final = 10_000
+"""Ticks for which a wave is kept before it is played."""
+DEFAULT_WAVE_TANK: Final = 5e-3
+"""J; with packets up to 3.5 ms late, a play-out two ticks deep does not creep with it."""
+
 # recorded traces
 MAX_TRACE_BYTES: Final = 1 << 26
 MAX_TRACE_ROWS: Final = 1_000_000

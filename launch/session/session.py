@@ -27,7 +27,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from manyhands.launch.session.design import Design, full_matrix
+from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import GROUND, Environment, environment_of_its_type
 from manyhands.launch.session.errors import listed, one_of, show
@@ -67,6 +67,7 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.motion import motion_problems, with_own_names
+from manyhands.launch.session.wave_link import WaveLink
 from manyhands.launch.session.yaml import apply_overrides, read_tree
 from manyhands.nodes.bundle import REALTIME, WALL
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
@@ -103,6 +104,9 @@ class CouplingBlock(SessionModel):
     )
     ports: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_PORTS))] = Field(
         default=None, description="the ports that it couples"
+    )
+    wave_link: WaveLink | None = Field(
+        default=None, description="the wave link to the environment; without it the loop closes inside the tick"
     )
 
     @model_validator(mode="after")
@@ -303,6 +307,8 @@ class Session(SessionModel):
         if not problems and self.colocate:
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
+            problems += islice(self._wave_link_problems(), MAX_PROBLEMS)
+        if not problems:
             found = self.design.problems(self.ports, self.blocks_by_name, self.period)
             for problem in islice(found, MAX_PROBLEMS):
                 problems.append(problem._replace(at=("design", *problem.at)))
@@ -330,6 +336,30 @@ class Session(SessionModel):
             if len(self.devices_of(name)) > 1:
                 found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
                 yield Problem(("colocate",), found, "couplings of one device each, or false")
+
+    def _wave_link_problems(self) -> Iterator[Problem]:
+        """A problem for each wave link that fits neither its coupling nor the design."""
+        for name, link in self.wave_links.items():
+            at: tuple[str, ...] = ("couplings", name, "wave_link")
+            for problem in link.problems(self.blocks_by_name[name], self.period, self.design.stated_tau or 0.0):
+                yield problem._replace(at=(*at, *problem.at))
+            own = set(self.blocks_by_name[name])
+            for device in self.devices_of(name):
+                if not own.issuperset(self.ports_of(device)):
+                    found = f"a wave link, with only some of the ports of the device {device!r}"
+                    yield Problem(at, found, "a coupling of whole devices: a site is certified with its devices alone")
+        if self.wave_links and self.design.coupling == "none":
+            found = f"'coupling: none' with the wave link of {next(iter(self.wave_links))!r}"
+            yield Problem(("design", "coupling"), found, "a coupling, or no wave link")
+        if self.wave_links and self.design.objective in TRANSPARENCY:
+            found = f"{self.design.objective} with the wave link of {next(iter(self.wave_links))!r}"
+            expected = "feasible or stiffest: the site of a wave link does not know the environment"
+            yield Problem(("design", "objective"), found, expected)
+
+    @cached_property
+    def wave_links(self) -> Mapping[str, WaveLink]:
+        """The wave link of each coupling that has one, in the order of the couplings."""
+        return {name: block.wave_link for name, block in self.couplings.items() if block.wave_link is not None}
 
     def devices_of(self, coupling: str) -> tuple[str, ...]:
         """The devices that have a port in a coupling, in the session's order."""

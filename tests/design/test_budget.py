@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from manyhands.design.budget import colgate_limit, environment_share, needed_share, stiffest
+from manyhands.design.budget import colgate_limit, environment_share, felt_over, needed_share, stiffest
 from manyhands.design.levels.contract import loop_inequality
 from manyhands.design.levels.device import device_share, greatest_share, least_gain
 from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment
@@ -177,3 +177,25 @@ def test_a_mode_that_never_decays_takes_everything() -> None:
 def test_what_is_refused(arguments: tuple, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         stiffest(*arguments)
+
+
+@given(st.integers(1, 3), st.floats(1e-3, 0.5), st.floats(1.0, 100.0), st.integers(0, 2**32 - 1))
+def test_what_is_felt_over_a_wave_link(m: int, round_trip: float, scale: float, seed: int) -> None:
+    """K and 2 b/R in series, M = b R/2; as stiff as this no linear passive link is lighter than K R^2/4."""
+    rng = np.random.default_rng(seed)
+    level, b = random_level(rng, m), random_level(rng, m, scale, 2.0 * scale)
+    found = felt_over(level, T, 0.25e-3, b, round_trip)
+    site = stiffest(level, T, 0.25e-3)
+    assert found.coupling == site.certified
+    assert 1.0 / found.felt == pytest.approx(1.0 / site.certified + round_trip / 2.0 / np.linalg.eigvalsh(b)[0])
+    assert found.mass == pytest.approx(np.linalg.eigvalsh(b)[-1] * round_trip / 2.0)
+    assert found.least_mass < found.mass
+    assert found.naive == colgate_limit(float(np.linalg.eigvalsh(level)[0]), T, 0.25e-3 + round_trip)
+    harvested = felt_over(level, T, 0.25e-3, b, round_trip, harvest=0.05 * np.eye(m))
+    assert 0.0 < harvested.felt < found.felt  # what refills the tank is not there for stiffness
+    assert felt_over(level, T, 0.25e-3, b, round_trip, harvest=100.0 * np.eye(m)).felt == 0.0
+
+
+def test_a_round_trip_is_positive() -> None:
+    with pytest.raises(ValueError, match=r"round trip: found 0\.0 s, expected a finite"):
+        felt_over(np.eye(1), T, 0.0, np.eye(1), 0.0)

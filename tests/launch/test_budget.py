@@ -16,8 +16,18 @@ from manyhands.design.models.environment import DelayedNetwork, Environment, Sta
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.launch.budget import PERIODS, budget, budget_object, plot_budget, print_budget
-from manyhands.launch.files import TargetError
+from manyhands.launch.budget import (
+    PERIODS,
+    budget,
+    budget_object,
+    plot_budget,
+    print_budget,
+    print_wave_links,
+    wave_link_budgets,
+    wave_links_object,
+)
+from manyhands.launch.files import TargetError, load_named
+from manyhands.launch.session import Session
 
 
 def loop(levels: list[float], tau: float = 0.0, environment: Environment | None = None, T: float = 1e-3) -> HapticLoop:
@@ -172,3 +182,61 @@ def test_the_picture(suffix: str, tmp_path: Path) -> None:
 def test_a_picture_that_cannot_be_written(name: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(TargetError, match=words):
         plot_budget(budget(loop([1.37])), tmp_path / name)
+
+
+def linked(*overrides: str) -> Session:
+    links = ["couplings.cx={devices: [dx], wave_link: {mass: 0.05, round_trip: 0.004, period: 0.0005, tau: 0.00005}}"]
+    links += ["couplings.cy={devices: [dy], wave_link: {b: 20}}"]
+    return load_named("example1", [*links, *overrides])
+
+
+def test_the_budget_of_wave_links() -> None:
+    cx, cy = wave_link_budgets(linked())
+    assert (cx.name, cx.period, cx.tau, cx.round_trip) == ("cx", 0.5e-3, 0.05e-3, 4e-3)
+    assert (cy.name, cy.period, cy.tau, cy.round_trip) == ("cy", 1e-3, 0.0, None)
+    assert cx.periods == (0.5e-3, 0.25e-3)
+    assert cy.periods == (1e-3, 0.5e-3, 0.25e-3)
+    assert 4e-3 in cx.round_trips
+    # the felt mass stays, and b = 2 M/R; where b is given, the mass grows with the distance
+    assert {round(cx.at(0.5e-3, R).mass, 12) for R in cx.round_trips} == {0.05}
+    assert cy.at(1e-3, 0.1).mass == pytest.approx(1.0)
+    K = 1.37 / (0.25e-3 + 0.075e-3)
+    assert cx.at(0.5e-3, 4e-3).felt == pytest.approx(1.0 / (1.0 / K + 0.002 / 25.0))
+    assert wave_link_budgets(load_named("example1")) == ()
+    both = wave_link_budgets(linked("couplings.cy.wave_link.harvest=0.3"))[1]
+    assert both.at(1e-3, 0.1).felt <= cy.at(1e-3, 0.1).felt
+
+
+def test_the_table_and_the_object_of_wave_links() -> None:
+    found = wave_link_budgets(linked())
+    console = Console(width=140, highlight=False)
+    with console.capture() as capture:
+        print_wave_links(console, found)
+    said = capture.get()
+    assert "cx: over a wave link, τ = 0.05 ms at the site" in said
+    assert "4 (session)" in said
+    for column in (
+        "R [ms]",
+        "felt, 2 kHz [N/m]",
+        "felt, 4 kHz [N/m]",
+        "felt mass [g]",
+        "least mass [g]",
+        "loop through R [N/m]",
+    ):
+        assert column in said
+    plain = json.loads(json.dumps(wave_links_object(found), allow_nan=False))
+    assert set(plain) == {"cx", "cy"}
+    assert set(plain["cx"][0]) == {
+        "T", "tau", "round_trip", "coupling", "felt", "mass", "least_mass", "naive"
+    }  # fmt: skip
+    with console.capture() as capture:
+        print_wave_links(console, ())
+    assert capture.get() == ""
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_the_picture_of_wave_links(tmp_path: Path, suffix: str) -> None:
+    session = linked()
+    path = tmp_path / f"links{suffix}"
+    plot_budget(budget(loop([1.37])), path, wave_link_budgets(session))
+    assert path.stat().st_size > 10_000

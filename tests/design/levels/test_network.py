@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from manyhands.design.levels.environment import Dissipation, best_level
 from manyhands.design.levels.network import (
     MOST_EXACT,
+    diagonal_level,
     dissipation_matrix,
     link_matrices,
     physical_level,
@@ -223,3 +224,27 @@ def test_small_groups_of_a_large_network_get_their_own_level() -> None:
     assert np.abs(alone).max() > 0.01
     for i in range(copies):
         np.testing.assert_allclose(together[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], alone, rtol=1e-9)
+
+
+@given(data=st.data())
+@settings(max_examples=25)
+def test_a_diagonal_level_is_the_greatest_of_its_group(problems, data: st.DataObject) -> None:
+    network = data.draw(problems.networks())
+    Phi = diagonal_level(network, T)
+    assert np.array_equal(Phi, np.diag(np.diag(Phi)))
+    assert np.all(np.diag(Phi) <= 0.0)
+    Z = padded(network, Phi, T)
+    assert np.linalg.eigvalsh(Z)[0] >= -1e-9 * np.abs(Z).max()
+    if np.all(Phi.diagonal() < 0.0) and len({float(s) for s in Phi.diagonal()}) == 1:
+        assert np.linalg.eigvalsh(padded(network, 1.00001 * Phi, T))[0] < 0.0
+
+
+def test_a_diagonal_level_of_what_floats_is_zero_and_groups_are_apart() -> None:
+    assert not np.any(diagonal_level(chain(4, grounded=False), T))
+    assert np.all(np.diag(diagonal_level(chain(4), T)) < 0.0)
+    many = chain(60)  # more than MOST_EXACT ports and masses
+    kept = diagonal_level(many, T)
+    assert np.all(np.diag(kept) < 0.0)
+    assert np.linalg.eigvalsh(padded(many, kept, T))[0] >= 0.0
+    apart = Network(("p0", "p1"), (), (NetworkLink(("p0", GROUND), 1000.0, 0.3), NetworkLink(("p1", GROUND), 0.0, 0.1)))
+    assert np.diag(diagonal_level(apart, T)) == pytest.approx([-0.8, -0.1], rel=1e-5)

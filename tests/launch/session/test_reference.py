@@ -25,6 +25,7 @@ from manyhands.launch.session import (
     StateSpaceEnvironment,
     TraceData,
     TransferFunctionEnvironment,
+    WaveLink,
     Weight,
     Weights,
     limits,
@@ -42,6 +43,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Limits": (PortLimits,),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
+    "Wave link": (WaveLink,),
     "Network": (NetworkEnvironment,),
     "Link": (SessionLink,),
     "State space": (StateSpaceEnvironment,),
@@ -94,6 +96,7 @@ OVERRIDES = {
     "Limits": "devices.dx.{key}={value}",
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
+    "Wave link": "couplings.cx.wave_link={{{key}: {value}}}",
     "Interval": "environment.links.0.{key}={value}",
     "Network": "environment.{key}={value}",
     "Link": "environment.links.0={{{key}: {value}}}",
@@ -157,6 +160,9 @@ def test_the_limits_are_the_ones_in_force() -> None:
         f"| N | {limits.DEFAULT_FORCE:g} | greater than 0 |",
         f"| m | {limits.DEFAULT_DISPLACEMENT:g} | greater than 0 |",
         f"| m/s | {limits.DEFAULT_SPEED:g} | greater than 0 |",
+        f"| s | required with `mass` | greater than 0 at most {limits.LONGEST_ROUND_TRIP:g} |",
+        f"| J | {limits.DEFAULT_WAVE_TANK:g} | 0 to {limits.LARGEST_TANK:g} |",
+        f"| measured while joining | whole 0 to {limits.MAX_DEPTH_TICKS} |",
     ):
         assert limit in told
     assert told.count(f"| whole 0 to {limits.MAX_DELAY}") == 3  # every kind of environment

@@ -1,0 +1,133 @@
+"""From an environment and its contracts to the certificate of a world: find Phi_E with what proves it, and prove (A).
+
+The level is Phi_E <= 0, since at the port of a wave link nobody pays for more (:mod:`manyhands.design.world`): by the
+energy of a network, by the greatest multiple of the identity that an environment of matrices keeps, or as declared.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from manyhands.design.certificate import identity
+from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.levels.contract import ENERGY, ENFORCED
+from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
+from manyhands.design.levels.network import diagonal_level
+from manyhands.design.models.coupling import Partition
+from manyhands.design.models.environment import (
+    DeclaredEnvironment,
+    Environment,
+    StateSpaceEnvironment,
+    TransferEnvironment,
+)
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.proof import prove_world
+from manyhands.design.statics import check_environment
+from manyhands.design.wave_link import in_tick_id, promised_level, wave_link_id
+from manyhands.design.world import CONDITION_A, FaceTerms, InTickTerms, World, world_content
+
+Progress = Callable[[str], None]
+
+_ROUNDING = 1e-12  # of the level: (A) need not be strict, and the proof decides it exactly
+
+
+def design_world(
+    session: str,
+    period: float,
+    environment: Environment,
+    partition: Partition,
+    links: Mapping[str, tuple[Matrix, float]],
+    progress: Progress | None = None,
+) -> World:
+    """Find a level with which the world keeps its contracts, and prove it.
+
+    Args:
+        session: its name.
+        period: T, s.
+        environment: with the ports of all couplings.
+        partition: the couplings' ports.
+        links: b (N*s/m) and E_0 (J) of each coupling with a wave link.
+        progress: called with a line of text for each step.
+
+    Raises:
+        Infeasible: the environment lacks passivity where a wave link meets it.
+        SolverFailure: the level does not survive the proof.
+    """
+    check_environment(environment)
+    ports = environment.ports
+    level = promised_level(environment, partition, frozenset(links))
+    in_tick = tuple(
+        ports[p]
+        for p in range(partition.size)
+        if not any(p in block for name, block in zip(partition.names, partition.blocks, strict=True) if name in links)
+    )
+    terms = {}
+    for name, block in zip(partition.names, partition.blocks, strict=True):
+        if name in links:
+            b, tank = links[name]
+            own = [ports[p] for p in block]
+            terms[name] = FaceTerms(wave_link_id(session, name, own, b, tank), b, tank)
+    Phi_E, P_E, method = _level(environment, period, progress)
+    draft = World(
+        session,
+        period,
+        partition,
+        environment,
+        terms,
+        InTickTerms(in_tick_id(session, period, in_tick, level), in_tick, level) if in_tick else None,
+        Phi_E,
+        P_E,
+        {},
+        {"algorithm": method, "numpy": np.__version__},
+    )
+    margin = float(np.linalg.eigvalsh(draft.promised() - Phi_E)[0])
+    if margin < -_ROUNDING * float(np.max(np.abs(Phi_E))):
+        raise _lacking(-margin, "so its declared level says", "a declared level of 0 or less at every such port")
+    draft = replace(draft, margins={CONDITION_A: max(margin, 0.0)})
+    data = world_content(draft)
+    data["id"] = identity(data)
+    if progress is not None:
+        progress("proving the world")
+    failing = [finding for finding in prove_world(data) if not finding.holds]
+    if failing:
+        raise SolverFailure(
+            f"the world's level does not survive the proof: {failing[0].condition} ({failing[0].argument})"
+        )
+    return replace(draft, id=data["id"])
+
+
+def _level(
+    environment: Environment, T: float, progress: Progress | None
+) -> tuple[Matrix, Matrix | Literal["energy", "enforced"], str]:
+    """Phi_E <= 0 with what proves it, and the method; or the declared level."""
+    if isinstance(environment, DeclaredEnvironment):
+        return environment.promised(), ENFORCED, "declared"
+    if environment.passive_network is not None:
+        return diagonal_level(environment.passive_network, T), ENERGY, "mechanical energy"
+    split = environment.split(T)
+    I = np.eye(split.rest.inputs)
+    found = lack_of_passivity(split, T, I, progress)
+    if found.multiple >= 0.0:
+        late = not isinstance(environment, StateSpaceEnvironment | TransferEnvironment) or environment.delay > 0
+        remedy = f"a damping of more than {found.multiple:.4g} N*s/m at each such port, by backward Euler"
+        if late:
+            remedy = "an environment without delay: a wave link carries delay in its place"
+        raise _lacking(found.multiple, f"it lacks passivity at {found.frequency:.4g} rad/s", remedy)
+    for reserve in RESERVES:
+        Phi_E = (1.0 - reserve) * found.multiple * I
+        with contextlib.suppress(SolverFailure):  # the next level leaves its storage function more room
+            return Phi_E, storage(split, T, Phi_E, progress, found.frequency), "greatest multiple of the identity"
+    raise SolverFailure("the environment is passive, but no storage function with room for a proof was found")
+
+
+def _lacking(lack: float, where: str, remedy: str) -> Infeasible:
+    return Infeasible(
+        f"condition (A) fails: the environment needs {lack:.4g} N*s/m at the ports of wave links, where nobody pays "
+        f"for it: {where}",
+        (remedy, "couplings without wave links, whose devices pay for it"),
+    )

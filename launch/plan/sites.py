@@ -1,0 +1,197 @@
+"""From a session with wave links to its sites, its users in the tick and its world, each with what it alone needs.
+
+A site's loop is made of one coupling, its devices and its wave link, and of nothing else in the session. So its
+certificate is the same, byte for byte, whoever else takes part (docs/decisions/0034-sites-and-worlds.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from manyhands.design.certificate import Certificate, differences
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.problem import (
+    CouplingRequest,
+    DeviceLevel,
+    HapticLoop,
+    LinearGiven,
+    LinearWanted,
+    SpringDamperGiven,
+)
+from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
+from manyhands.launch.plan.prepare import Progress, coupling_request, haptic_loop, session_environment, stated_delay
+from manyhands.launch.session import Session
+
+if TYPE_CHECKING:
+    from manyhands.design.synthesis import Designed
+    from manyhands.design.world import World
+
+IN_TICK: Final = "in-tick"
+"""The name of the part of all users without a wave link; no coupling may have it."""
+
+
+class SessionPart(NamedTuple):
+    """A part of a session that is designed and certified by itself.
+
+    Attributes:
+        name: of the coupling of a site; or :data:`IN_TICK`.
+        loop: its loop, with what stands for the rest of the session in the environment's place.
+        request: what the session asks of its couplings.
+    """
+
+    name: str
+    loop: HapticLoop
+    request: CouplingRequest
+
+    def design(self, progress: Progress | None = None) -> Designed:
+        """Find or take its couplings, and prove them.
+
+        Raises:
+            DesignError: they cannot be certified.
+        """
+        from manyhands.design.synthesis import design  # the solver takes a second to import
+
+        return design(self.loop, self.request, progress)
+
+
+def site(session: Session, coupling: str) -> SessionPart:
+    """The site of a coupling with a wave link.
+
+    Raises:
+        KeyError: the coupling has no wave link.
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    return SessionPart(coupling, site_loop(session, coupling), request_of(session, (coupling,)))
+
+
+def in_tick(session: Session) -> SessionPart:
+    """The users without a wave link, together.
+
+    Raises:
+        ValueError: every coupling has a wave link.
+        Infeasible: the level that the world promises them does not exist.
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    names = tuple(name for name in session.couplings if name not in session.wave_links)
+    if not names:
+        raise ValueError(f"{session.name}: found a wave link at every coupling; expected users in the tick")
+    own = {port for name in names for port in session.blocks_by_name[name]}
+    ports = tuple(port for port in session.ports if port in own)
+    index = {port: i for i, port in enumerate(ports)}
+    level = promised_level(session_environment(session), _partition(session), frozenset(session.wave_links))
+    blocks = tuple(tuple(index[p] for p in session.blocks_by_name[name]) for name in names)
+    loop = HapticLoop(
+        session=session.name,
+        period=session.period,
+        ports=ports,
+        devices=_devices(session, index),
+        partition=Partition(names, blocks),
+        environment=WorldPromise(ports, level, id=in_tick_id(session.name, session.period, ports, level)),
+        tau=stated_delay(session),
+        period_tolerance=session.design.period_tolerance,
+    )
+    return SessionPart(IN_TICK, loop, request_of(session, names, ports))
+
+
+def world(session: Session, progress: Progress | None = None) -> World:
+    """The certificate of the session's world, proved.
+
+    Raises:
+        DesignError: the environment does not keep what it owes.
+    """
+    from manyhands.design.world_synthesis import design_world  # the solver's modules take a second to import
+
+    links = {
+        name: (link.impedance(len(session.blocks_by_name[name])), link.tank)
+        for name, link in session.wave_links.items()
+    }
+    environment = session_environment(session)
+    return design_world(session.name, session.period, environment, _partition(session), links, progress)
+
+
+def differences_from(certificate: Certificate, session: Session) -> list[str]:
+    """A sentence for each difference between a certificate and the part of the session that it is of."""
+    environment = certificate.loop.environment
+    name = certificate.loop.partition.names[0]
+    own: SessionPart | None = None
+    if isinstance(environment, WaveLinkFace) and name in session.wave_links:
+        own = site(session, name)
+    elif isinstance(environment, WorldPromise) and 0 < len(session.wave_links) < len(session.couplings):
+        own = in_tick(session)
+    elif not session.wave_links:
+        return differences(certificate, haptic_loop(session), coupling_request(session))
+    if own is None:
+        return [f"the session has the wave links {', '.join(session.wave_links)}, and no part like this one"]
+    return differences(certificate, own.loop, own.request)
+
+
+def _partition(session: Session) -> Partition:
+    index = {port: i for i, port in enumerate(session.ports)}
+    return Partition(tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks))
+
+
+def site_loop(session: Session, coupling: str) -> HapticLoop:
+    """The loop of a coupling with a wave link: its devices, the coupling, and the user's face of the wave link.
+
+    Raises:
+        KeyError: the coupling has no wave link.
+    """
+    link = session.wave_links[coupling]
+    ports = session.blocks_by_name[coupling]
+    m = len(ports)
+    b = link.impedance(m)
+    face = WaveLinkFace(
+        ports,
+        id=wave_link_id(session.name, coupling, ports, b, link.tank),
+        b=b,
+        tank=link.tank,
+        harvest=link.harvest_of(m),
+        round_trip=link.round_trip,
+        mass=link.mass_matrix(m),
+    )
+    index = {port: i for i, port in enumerate(ports)}
+    return HapticLoop(
+        session=session.name,
+        period=link.period_in(session.period),
+        ports=ports,
+        devices=_devices(session, index),
+        partition=Partition((coupling,), (tuple(range(m)),)),
+        environment=face,
+        tau=stated_delay(session) if link.tau is None else link.tau,
+        period_tolerance=session.design.period_tolerance,
+    )
+
+
+def _devices(session: Session, index: dict[str, int]) -> tuple[DeviceLevel, ...]:
+    """The devices of these ports, with their places in ``index``."""
+    own = {name: session.ports_of(name) for name in session.devices}
+    return tuple(
+        DeviceLevel(name, tuple(index[p] for p in ports), session.osp_level(name))
+        for name, ports in own.items()
+        if ports[0] in index
+    )
+
+
+def request_of(session: Session, couplings: tuple[str, ...], ports: tuple[str, ...] = ()) -> CouplingRequest:
+    """What the session asks of these of its couplings.
+
+    Args:
+        session: the session.
+        couplings: their names.
+        ports: their ports in the loop's order; those of the only coupling unless given.
+    """
+    wanted = coupling_request(session)
+    places = [i for i, name in enumerate(session.couplings) if name in couplings]
+    match wanted:
+        case LinearWanted(orders):
+            return replace(wanted, orders=tuple(orders[i] for i in places))
+        case LinearGiven(blocks):
+            return replace(wanted, blocks=tuple(blocks[i] for i in places))
+        case SpringDamperGiven(given):
+            own = [session.ports.index(port) for port in ports or session.blocks_by_name[couplings[0]]]
+            at = np.ix_(own, own)
+            return replace(wanted, coupling=SpringDamper(given.stiffness[at], given.damping[at]))
+    return wanted
