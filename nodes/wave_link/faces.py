@@ -28,8 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +51,7 @@ _RESERVE: Final = 0.25  # part of E_0 that is never shipped
 _GREATEST: Final = 1e12  # of any number in a message
 
 
-@dataclass(frozen=True, slots=True)
-class Wave:
+class Wave(NamedTuple):
     """One face's message to the other.
 
     Attributes:
@@ -182,7 +180,7 @@ class _Face:
     @property
     def latency(self) -> float:
         """What the play-out and the smoothing of this face add to the round trip, s."""
-        return self._play.depth * self._peer_T + self._smoothing * self._T
+        return self._play.depth * self._peer_T + (self._smoothing - 1.0) * self._T
 
     def set_depth(self, depth: float) -> None:
         """Change the depth, ticks of the other face; the play-out goes there at 2 % of its rate."""
