@@ -46,8 +46,8 @@ MAKE_UP: Final = 0.25
 """The greatest force of the wave that makes up for an outage, N."""
 
 _MAKE_UP_TIME: Final = 0.3  # time constant of the same, s
-_SPARE: Final = 0.05  # time constant with which spare energy goes to the other face, s
-_RESERVE: Final = 0.25  # part of E_0 that is never shipped
+_SPARE: Final = 1.0  # time constant with which spare energy goes to the other face, s
+_RESERVE: Final = 0.25  # part of E_0 that is no spare energy
 _GREATEST: Final = 1e12  # of any number in a message
 
 
@@ -116,8 +116,7 @@ class _Face:
         self._reflected = linear_map(2.0 * self._h_inverse)
         self._held = linear_map(self._h_inverse)
         self._theta = None if theta is None or not np.any(theta) else linear_map(np.array(theta, dtype=np.float64) / T)
-        self._cap, self._reserve = E_0, _RESERVE * E_0
-        self._spare = min(1.0, T / _SPARE)
+        self._reserve, self._spare = _RESERVE * E_0, min(1.0, T / _SPARE)
         self._most, self._part = T * MAKE_UP / float(roots[-1]), T / _MAKE_UP_TIME
         self._given_smoothing, self._smoothing = smoothing, 1.0
         self._play = PlayOut(T, peer_T, depth)
@@ -250,7 +249,7 @@ class _Face:
         self.n += 1
         if not self._play.deaf:
             s = min(own, max(0.0, tank.level - self._reserve))
-            spare = tank.level - s - self._cap - self._play.owed
+            spare = tank.level - s - self._reserve - self._play.owed
             tank.ship(s if spare <= 0.0 else s + self._spare * spare)
 
 

@@ -225,8 +225,7 @@ class RemoteSession:
     ) -> None:
         """Everything at rest."""
         self.users = [
-            User(remote, V, hand, 10 * seed + i)
-            for i, (remote, hand) in enumerate(zip(remotes, hands, strict=True))
+            User(remote, V, hand, 10 * seed + i) for i, (remote, hand) in enumerate(zip(remotes, hands, strict=True))
         ]
         D_V = np.diag([float((user.D_V if user.remote is None else user.world.D_V)[0, 0]) for user in self.users])
         self._D = np.diag(D_V).tolist()

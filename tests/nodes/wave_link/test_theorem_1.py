@@ -119,5 +119,5 @@ def test_a_tank_pays_for_no_wave_beyond_its_level(
         before, shipped = tank.level, tank.shipped
         tank.ship(part * tank.level)
         assert tank.shipped >= shipped
-        assert 0.0 <= tank.level
+        assert tank.level >= 0.0
         assert tank.level == before - (tank.shipped - shipped)
