@@ -21,7 +21,14 @@ force comes by a ramp.
 **A deaf face** holds the tool: c = h^-1 f_c(k-1) at the user and c = -h^-1 f_e(k-1) at the world, which leaves w = 0 as
 long as the force does not change. It ships nothing. When messages come again, the incoming wave goes over from that
 wave to the time line's by a ramp of :data:`RAMP` seconds. What the line is ahead of what was played is made up slowly,
-by a wave that changes no force by more than :data:`MAKE_UP`.
+by a wave that changes no force by more than :data:`MAKE_UP`; so is a wave that the tank did not pay for.
+
+**The gap between both tools** is the right one in the end, -f R/2b, as long as each face keeps
+
+    h P = b x_c + F_c,  h U = b x_c - F_c    (user),        h P = b x_e - F_e,  h U = b x_e + F_e    (world),
+
+with one F in both: P is the sum that it has played, U the one that it sends. F is the impulse of the force while waves
+are played. It may be anything else in a silence.
 """
 
 from __future__ import annotations
@@ -115,6 +122,7 @@ class _Face:
         self._b, self._T, self._peer_T = b, T, peer_T
         self._reflected = linear_map(2.0 * self._h_inverse)
         self._held = linear_map(self._h_inverse)
+        self._sum_at = linear_map(self._h_inverse @ b)  # U of a face that is at x without force
         self._theta = None if theta is None or not np.any(theta) else linear_map(np.array(theta, dtype=np.float64) / T)
         self._reserve, self._spare = _RESERVE * E_0, min(1.0, T / _SPARE)
         self._most, self._part = T * MAKE_UP / float(roots[-1]), T / _MAKE_UP_TIME
@@ -126,7 +134,8 @@ class _Face:
         self.refused = 0
         self._hold = 0.0  # how far the idle wave of a user's face holds the tool; at 0 it leaves the tool free
         self._zero: Floats = [0.0] * len(b)
-        self._x = self._f = self._c = self._zero
+        self._x = self._f = self._c = self._before = self._slope = self._line = self._zero
+        self._voice = 0.0  # way back through the ramp of F after a face went deaf
         self._begin(life)
 
     def renew(self, life: int) -> None:
@@ -137,9 +146,10 @@ class _Face:
 
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
-        self._U = self._played = self._arrears = self._zero
+        self._U = self._played = self._reckoned = self._arrears = self._zero
         self._along = 0.0  # way through the ramp, from 0 to 1
         self._away = True  # whether the time line is taken up anew
+        self._follows = False  # whether c(k) is the time line's own wave
         self.aligned = False
 
     def hear(self, n: int, U: Sequence[float], G: float, life: int = 0) -> bool:
@@ -199,31 +209,57 @@ class _Face:
 
     def _incoming(self, moved: Floats) -> Floats:
         """c(k), paid for; ``moved`` is how far the tool would go without force, m."""
-        play, T = self._play, self._T
+        play = self._play
         self.silent += 1
+        self._reckoned = self._played
         line = play.advance()
+        self._follows = not (play.deaf or self._away or play.jumped or self._along < 1.0)
         if play.deaf:
             if self._along > 0.0:
-                self._hold = 1.0
+                self._hold, self._voice = 1.0, self._along
             self._along, self._away = 0.0, True
-            c = self._idle(moved)
+            self._before = c = self._idle(moved)
+        elif not self._follows:
+            c = self._taken_up(line, moved)
         else:
-            played = self._played
-            if self._away or play.jumped:
-                self._along, self._away = 0.0, False
-                self._arrears = [to - at for to, at in zip(line, played, strict=True)]
-            arrears = self._arrears
-            if arrears is not self._zero:
-                self._arrears = arrears = self._made_up(arrears)
+            if self._arrears is not self._zero:
+                self._arrears = self._made_up(self._arrears)
             gain = self._gain
-            c = [gain * (to - late - at) for to, late, at in zip(line, arrears, played, strict=True)]
-            if self._along < 1.0:
-                self._along = min(1.0, self._along + T / RAMP)
-                part = math.sin(0.5 * math.pi * self._along) ** 2
-                c = [held + part * (to - held) for held, to in zip(self._idle(moved), c, strict=True)]
-        self._c = c = self.tank.pay(c)
-        self._played = [at + T * by for at, by in zip(self._played, c, strict=True)]
-        return c
+            c = [gain * (to - late - at) for to, late, at in zip(line, self._arrears, self._played, strict=True)]
+        self._line = line
+        self._c = paid = self.tank.pay(c)
+        if paid is not c and self._follows:
+            # what the tank did not pay for comes later, and not at once: a longer wave costs more than two short ones
+            missing = self._smoothing * self._T
+            self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
+        return paid
+
+    def _taken_up(self, line: Floats, moved: Floats) -> Floats:
+        """c(k) on the way from the wave before a silence to that of the time line.
+
+        The forces of both faces differ meanwhile. Their impulse is not made up for, so what was played is set anew
+        in each of these ticks; the arrears are what the motion before has left.
+        """
+        if self._away or self._play.jumped:
+            if not self._away:
+                self._before = self._c
+            self._away, self._along = False, 0.0
+            self._slope = self._before
+            self._arrears = [
+                to - at - (self._smoothing - 1.0) * self._T * by
+                for to, at, by in zip(line, self._played, self._slope, strict=True)
+            ]
+        else:
+            weight, gain = 1.0 / self._smoothing, 1.0 / self._T
+            self._slope = [
+                by + weight * (gain * (to - at) - by) for by, to, at in zip(self._slope, line, self._line, strict=True)
+            ]
+        self._along = min(1.0, self._along + self._T / RAMP)
+        behind = (self._smoothing - 1.0) * self._T
+        self._played = [to - late - behind * by for to, late, by in zip(line, self._arrears, self._slope, strict=True)]
+        part = _eased(self._along)
+        idle = self._before if self._hold == 1.0 else self._idle(moved)
+        return [held + part * (to - held) for held, to in zip(idle, self._slope, strict=True)]
 
     def _idle(self, moved: Floats) -> Floats:
         """The wave of a face that does not hear."""
@@ -245,12 +281,35 @@ class _Face:
         harvest = dot(moved, self._theta(moved)) if harvests and self._theta is not None else 0.0
         self.ledger += dot(g, moved) + harvest
         own = tank.earn(a, harvest)
-        self._U = [at + T * by for at, by in zip(self._U, a, strict=True)]
         self.n += 1
-        if not self._play.deaf:
+        deaf = self._play.deaf
+        if self._follows:
+            self._played = [at + T * by for at, by in zip(self._played, self._c, strict=True)]
+            self._U = [at + T * by for at, by in zip(self._U, a, strict=True)]
+        else:
+            self._reckon(moved, deaf)
+        if not deaf:
+            if self._along < 1.0 and self._hold == 1.0:  # what the wave of the silence costs is paid here
+                own = max(0.0, own - (1.0 - _eased(self._along)) * 0.5 * T * dot(self._before, self._before))
             s = min(own, max(0.0, tank.level - self._reserve))
             spare = tank.level - s - self._reserve - self._play.owed
             tank.ship(s if spare <= 0.0 else s + self._spare * spare)
+
+    def _reckon(self, moved: Floats, deaf: bool) -> None:
+        """Keep P and U in a tick of a face that holds the tool, or did so a moment ago: h (P + U) = 2 b x, of any F.
+
+        Two faces that hold have forces that need not agree, and the impulse of the difference would have to be made up
+        for by a motion: 1 N*s is worth 2.5 cm at b = 20 N*s/m. So F stands still in a silence, after a ramp; and then
+        it follows the other face's until the ramp back is over.
+        """
+        way, before = self._sum_at(moved), self._reckoned
+        if deaf:
+            self._voice = max(0.0, self._voice - self._T / RAMP)
+            part, T = _eased(self._voice), self._T
+            played = zip(before, way, self._c, strict=True)
+            self._played = [at + by + part * (T * wave - by) for at, by, wave in played]
+        sums = zip(self._U, way, self._played, before, strict=True)
+        self._U = [at + 2.0 * by - (to - come) for at, by, to, come in sums]
 
 
 class UserFace(_Face):
@@ -293,7 +352,6 @@ class UserFace(_Face):
         """
         super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
         self._started = False
-        self._sum_at = linear_map(self._h_inverse @ self._b)  # U of a face that is at x without force
         self.change(D_V)
 
     def change(self, D_V: Vector) -> None:
@@ -418,6 +476,11 @@ class WorldFace(_Face):
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
         return [-kept for kept in self._held(self._f)]
+
+
+def _eased(along: float) -> float:
+    """sin^2(pi/2 along): from 0 to 1 without a corner."""
+    return math.sin(0.5 * math.pi * along) ** 2
 
 
 def _check(b: Vector, T: float, peer_T: float, depth: float, E_0: float, theta: Vector | None) -> None:

@@ -129,12 +129,12 @@ class PlayOut:
         astray = (lag - self.depth) * self._period > _ASTRAY or lag < -self._deaf_after
         self.jumped = fresh and astray
         if self.jumped:
-            self._mean = self.depth
             nu = newest - self.depth
+        if self.jumped or self.deaf:
+            # in a silence nu runs on at the sender's rate, so that it is right when messages come again
+            self._mean = self.depth
         else:
-            # while nothing is heard nu runs on at the sender's rate, so that it is right when messages come again
-            if not self.deaf:
-                self._mean += self._weight * (lag - self._mean)
+            self._mean += self._weight * (lag - self._mean)
             nu += self._nominal * max(-_MOST, min(_MOST, self._gain * (self._mean - self.depth)))
         self._nu = nu
         self.deaf = nu > newest + self._deaf_after
