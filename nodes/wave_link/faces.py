@@ -134,7 +134,8 @@ class _Face:
         self.refused = 0
         self._hold = 0.0  # how far the idle wave of a user's face holds the tool; at 0 it leaves the tool free
         self._zero: Floats = [0.0] * len(b)
-        self._x = self._f = self._c = self._before = self._slope = self._line = self._zero
+        self._x = self._f = self._c = self._before = self._slope = self._zero
+        self._line: Sequence[float] = self._zero
         self._voice = 0.0  # way back through the ramp of F after a face went deaf
         self._begin(life)
 
@@ -146,7 +147,10 @@ class _Face:
 
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
-        self._U = self._played = self._reckoned = self._arrears = self._zero
+        self._U: Sequence[float] = self._zero
+        self._played: Sequence[float] = self._zero  # the sum that was played
+        self._reckoned: Sequence[float] = self._zero  # that of the tick before
+        self._arrears = self._zero
         self._along = 0.0  # way through the ramp, from 0 to 1
         self._away = True  # whether the time line is taken up anew
         self._follows = False  # whether c(k) is the time line's own wave
@@ -192,8 +196,8 @@ class _Face:
         return self._play.depth * self._peer_T + (self._smoothing - 1.0) * self._T
 
     def set_depth(self, depth: float) -> None:
-        """Change the depth, ticks of the other face; the play-out goes there at 2 % of its rate."""
-        self._play.depth = depth
+        """Change the depth, ticks of the other face; the play-out jumps there, and the wave follows by the ramp."""
+        self._play.place(depth)
         given = self._given_smoothing
         self._smoothing = max(1.0, 0.25 * depth * self._peer_T / self._T if given is None else given)
         self._gain = 1.0 / (self._smoothing * self._T)
@@ -234,7 +238,7 @@ class _Face:
             self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
         return paid
 
-    def _taken_up(self, line: Floats, moved: Floats) -> Floats:
+    def _taken_up(self, line: Sequence[float], moved: Floats) -> Floats:
         """c(k) on the way from the wave before a silence to that of the time line.
 
         The forces of both faces differ meanwhile. Their impulse is not made up for, so what was played is set anew
@@ -277,10 +281,14 @@ class _Face:
         """Book the outgoing wave a = c + 2 h^-1 g, with g the force on the link, N, and ship energy."""
         tank, T = self.tank, self._T
         a = [come + by for come, by in zip(self._c, self._reflected(g), strict=True)]
-        moved = [to - at for to, at in zip(x, before, strict=True)]
-        harvest = dot(moved, self._theta(moved)) if harvests and self._theta is not None else 0.0
-        self.ledger += dot(g, moved) + harvest
+        moved, harvest = self._zero, 0.0
+        if self._theta is not None or not self._follows:
+            moved = [to - at for to, at in zip(x, before, strict=True)]
+            if self._theta is not None and harvests:
+                harvest = dot(moved, self._theta(moved))
+        cost = tank.cost
         own = tank.earn(a, harvest)
+        self.ledger += own - cost + harvest  # by (S), the energy of the force along the motion
         self.n += 1
         deaf = self._play.deaf
         if self._follows:
@@ -457,7 +465,7 @@ class WorldFace(_Face):
         if not self.aligned and self._play.newest >= 0:
             self.aligned = True
             self._played = self._U = self._play.first
-            self._x, self._f = self._place(self._U), self._zero
+            self._x, self._f = self._place(list(self._U)), self._zero
         c = self._incoming(self._zero)
         self._p = [at + by for at, by in zip(self._x, self._driven(c), strict=True)]
         return self._p

@@ -17,8 +17,6 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, TypeAlias
 
-from manyhands.nodes.arithmetic import Floats
-
 DEAF: Final = 0.03
 """Time beyond the newest message after which a face counts as deaf, s."""
 
@@ -28,10 +26,10 @@ _MEAN: Final = 0.1  # time constant of the mean depth, s
 _ASTRAY: Final = 0.25  # distance from the depth wanted that is jumped and not run, s
 _SPAN: Final = 0.005  # least time over which the last slope is taken, s
 
-_Known: TypeAlias = tuple[int, Floats, float]
+_Known: TypeAlias = tuple[int, Sequence[float], float]
 """A message that was heard: n, U, and what the straight way from the one before costs, J."""
 
-_NOTHING: Final[Floats] = []
+_NOTHING: Final[Sequence[float]] = ()
 
 
 class PlayOut:
@@ -53,6 +51,7 @@ class PlayOut:
         "_gain",
         "_lateness",
         "_mean",
+        "_misplaced",
         "_nominal",
         "_nu",
         "_passed",
@@ -60,6 +59,7 @@ class PlayOut:
         "_recent",
         "_since",
         "_span",
+        "_start",
         "_ticks",
         "_weight",
         "deaf",
@@ -91,26 +91,27 @@ class PlayOut:
         """Forget all that was heard; a new life begins."""
         self.newest, self.first = -1, _NOTHING
         self.deaf, self.jumped, self.owed = True, False, 0.0
-        self._fresh = False  # whether a message came since the last advance
+        self._fresh = self._misplaced = False  # whether a message came, or place was called, since the last advance
         self._nu = self._mean = 0.0
         self._passed: _Known = (0, _NOTHING, 0.0)  # the last message before nu
         self._ahead: deque[_Known] = deque()  # the messages beyond nu
         self._since = self._recent = self._passed  # the slope beyond the newest is the one from _since on
-        self._ticks, self._lateness = 0, (0, 0.0, 0.0, 0.0)  # count, sum, greatest, first
+        self._ticks = 0  # since measure was called; 0 if it was not
+        self._start = 0
+        self._lateness = (0.0, -math.inf)  # sum and greatest, ticks of the sender
 
     def hear(self, n: int, U: Sequence[float]) -> None:
-        """Take the sum U of tick n, which is newer than all before."""
-        at = list(U)
-        known: _Known = (n, at, 0.0)
+        """Take the sum U of tick n, which is newer than all before; U is kept."""
+        known: _Known = (n, U, 0.0)
         if self.newest < 0:
             self._passed = self._since = self._recent = known
-            self.first = at
+            self.first = U
             self._nu, self._mean = n - self.depth - self._nominal, self.depth
         else:
             last, before, _ = self._ahead[-1] if self._ahead else self._passed
-            square = sum([(to - come) * (to - come) for to, come in zip(at, before, strict=True)])
+            square = sum([(to - come) * (to - come) for to, come in zip(U, before, strict=True)])
             cost = square / (2.0 * (n - last) * self._period)
-            known = (n, at, cost)
+            known = (n, U, cost)
             self._ahead.append(known)
             self.owed += cost
             if n - self._recent[0] >= self._span:
@@ -118,8 +119,8 @@ class PlayOut:
         self.newest = n
         self._fresh = True
 
-    def advance(self) -> Floats:
-        """Move on by one tick of the receiver, and return the sum at nu; before the first message the list is empty."""
+    def advance(self) -> Sequence[float]:
+        """Move on by one tick of the receiver, and return the sum at nu; before the first message it is empty."""
         newest = self.newest
         if newest < 0:
             return _NOTHING
@@ -127,7 +128,8 @@ class PlayOut:
         nu = self._nu + self._nominal
         lag = newest - nu
         astray = (lag - self.depth) * self._period > _ASTRAY or lag < -self._deaf_after
-        self.jumped = fresh and astray
+        self.jumped = self._misplaced or (fresh and astray)
+        self._misplaced = False
         if self.jumped:
             nu = newest - self.depth
         if self.jumped or self.deaf:
@@ -138,8 +140,13 @@ class PlayOut:
             nu += self._nominal * max(-_MOST, min(_MOST, self._gain * (self._mean - self.depth)))
         self._nu = nu
         self.deaf = nu > newest + self._deaf_after
-        self._measure()
+        if self._ticks:
+            self._measure()
         return self._sum(nu)
+
+    def place(self, depth: float) -> None:
+        """Change the depth wanted; nu jumps there."""
+        self.depth, self._misplaced = depth, True
 
     def lag(self) -> float:
         """How far nu is behind the newest message, ticks of the sender."""
@@ -147,20 +154,20 @@ class PlayOut:
 
     def measure(self) -> None:
         """Begin to measure how late messages are; :meth:`measured` has the result."""
-        self._lateness = (0, 0.0, -math.inf, self._ticks * self._nominal - self.newest)
+        self._ticks, self._lateness, self._start = 1, (0.0, -math.inf), self.newest
 
     def measured(self) -> float:
         """The depth, ticks of the sender, at which no message since :meth:`measure` would have come too late."""
-        count, total, greatest, _ = self._lateness
-        return 0.0 if count == 0 else greatest - total / count + 1.0
+        total, greatest = self._lateness
+        return greatest - total / (self._ticks - 1) + 1.0 if self._ticks > 1 else 0.0
 
     def _measure(self) -> None:
+        late = self._ticks * self._nominal - (self.newest - self._start)
+        total, greatest = self._lateness
         self._ticks += 1
-        count, total, greatest, first = self._lateness
-        late = self._ticks * self._nominal - self.newest - first
-        self._lateness = (count + 1, total + late, max(greatest, late), first)
+        self._lateness = (total + late, max(greatest, late))
 
-    def _sum(self, nu: float) -> Floats:
+    def _sum(self, nu: float) -> Sequence[float]:
         """The sum at nu; nu does not fall."""
         ahead = self._ahead
         while ahead and ahead[0][0] <= nu:

@@ -26,9 +26,10 @@ class Tank:
         shipped: G of this life, J; it never falls.
         heard: the newest G of the other face in this life, J.
         clipped: ticks in which the incoming wave was limited by L.
+        cost: what was paid last, J.
     """
 
-    __slots__ = ("_half_T", "clipped", "heard", "level", "shipped")
+    __slots__ = ("_half_T", "clipped", "cost", "heard", "level", "shipped")
 
     def __init__(self, T: float, E_0: float) -> None:
         """Start a link.
@@ -39,7 +40,7 @@ class Tank:
         """
         self._half_T = 0.5 * T
         self.level = E_0
-        self.shipped = self.heard = 0.0
+        self.shipped = self.heard = self.cost = 0.0
         self.clipped = 0
 
     def renew(self) -> None:
@@ -57,12 +58,14 @@ class Tank:
         """
         cost = self._half_T * dot(c, c)
         if cost <= self.level:
+            self.cost = cost
             self.level -= cost
             return c
         self.clipped += 1
         part = (1.0 - _INSIDE) * math.sqrt(self.level / cost)
         c = [part * along for along in c]
-        self.level = max(0.0, self.level - self._half_T * dot(c, c))
+        self.cost = cost = self._half_T * dot(c, c)
+        self.level = max(0.0, self.level - cost)
         return c
 
     def earn(self, a: Floats, harvest: float) -> float:

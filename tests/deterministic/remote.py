@@ -75,6 +75,7 @@ class Remote:
         ppm: how much longer a second of its clock is, millionths.
         delay: from a sample of the device to the force that answers it, s.
         ends: makes both ends; it is given the user's period and the coupling's D_V.
+        theta: what both ends may harvest, N*s/m.
     """
 
     up: Path
@@ -83,6 +84,7 @@ class Remote:
     period: float = T
     ppm: float = 0.0
     delay: float = 0.0
+    theta: tuple[float, float] = (0.0, 0.0)
 
 
 def waves(b: float, depth: float = 2.0, **options: Any) -> Callable[[float, np.ndarray], tuple[UserFace, WorldFace]]:
@@ -161,8 +163,9 @@ class User:
         self._D = float(block.D[0, 0])
         self.device = Device(period, 0.0 if remote is None else remote.delay)
         self.trace = Trace()
-        self.supplied = self.least = 0.0  # energy into the two-port, J
+        self.supplied = self.least = 0.0  # energy into the two-port with the harvest, J
         self.x_c = self.x_e = 0.0
+        self._begun = False
         if remote is not None:
             self.user, self.world = remote.ends(period, block.D)
             self.up: Channel[Any] = Channel(remote.up, 2 * seed)
@@ -173,11 +176,13 @@ class User:
         """A tick of a remote user."""
         for message in self.down.arrived(t):
             self.user.hear(*message)
-        p = self.coupling.free_position([self.device.x])
+        direct = getattr(self.user, "direct", False)  # a scheme that is the coupling, too
+        p = [self.device.x] if direct else self.coupling.free_position([self.device.x])
         f = self.user.step(p)
-        x_c = p[0] + self._D * f[0]
-        self.enter(-f[0] * (x_c - self.x_c))
-        self.x_c = x_c
+        x_c = p[0] if direct else p[0] + self._D * f[0]
+        if self._begun:
+            self.enter(-f[0] * (x_c - self.x_c), x_c - self.x_c, 0)
+        self.x_c, self._begun = x_c, True
         if keep:
             trace = self.trace
             trace.t.append(t)
@@ -191,8 +196,11 @@ class User:
         self.coupling.absorb(f)
         self.device.step(f[0], self.hand(t))
 
-    def enter(self, energy: float) -> None:
-        self.supplied += energy
+    def enter(self, energy: float, moved: float, site: int) -> None:
+        """Book the energy at one of the two ports, J, with the harvest that Theorem 1 allows there."""
+        assert self.remote is not None
+        period = (self.remote.period, T)[site]
+        self.supplied += energy + self.remote.theta[site] * moved * moved / period
         self.least = min(self.least, self.supplied)
 
 
@@ -280,7 +288,7 @@ class RemoteSession:
             else:
                 user.world.step([f[i]])
                 x_e = p[i] + self._D[i] * f[i]
-                user.enter(f[i] * (x_e - user.x_e))
+                user.enter(f[i] * (x_e - user.x_e), x_e - user.x_e, 1)
                 user.x_e = x_e
                 message = user.world.message()
                 if message is not None and not self._joining[i]:
