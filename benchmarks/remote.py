@@ -4,8 +4,8 @@
                                [--plot FILE] [--markdown FILE]
 
 Example 1, dx remote, with the product's cores for device, coupling, environment and faces. The runs are every
-combination of a round trip, a loss, a jitter and outages, with a clock that is 100 millionths fast or slow. The peers
-(benchmarks/remote_peers.py) have the same network, the same device, the same coupling and the same environment. The
+combination of a round trip, a loss, a jitter and outages, with a clock that is 100 millionths fast or slow. Its peers
+(tests/deterministic/remote_peers.py) have the same network, device, coupling and environment. The
 exit code is 1 if the wave link breaks what decision 33 proves or promises.
 """
 
@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.page import fill
-from benchmarks.remote_peers import classic, naive, pspm, tdpa
 from manyhands.nodes.wave_link import UserFace, WorldFace
 from tests.deterministic.network import Channel
 from tests.deterministic.network import Path as Way
 from tests.deterministic.remote import EXAMPLE_1, Force, Remote, RemoteSession, T, waves
+from tests.deterministic.remote_peers import classic, naive, pspm, tdpa
 
 MARK = "remote"
 V = (1110.2, 0.2598)  # N/m, N*s/m: the coupling of example1.yaml

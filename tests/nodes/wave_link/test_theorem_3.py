@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.nodes.wave_link import UserFace, Wave, WorldFace
+from tests.support.cases import cases
 
-from ...support.cases import cases
 from .hostile import impedance
 
 T = 1e-3

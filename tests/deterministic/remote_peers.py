@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.deterministic.remote import T
+from .remote import T
 
 Floats = list[float]
 Ends = Callable[[float, np.ndarray], tuple[Any, Any]]
