@@ -41,6 +41,7 @@ STRONGEST = 60.0  # N*s/m, the greatest b
 JOINED = 2.2  # s until the hands begin
 SECONDS = 10.0
 HOLD = 60.0
+SPEED = 0.1  # m/s
 DEAD = ((3.0, 3.3), (4.0, 5.0))  # both directions, s
 ONE_WAY = (5.5, 5.7)  # the way to the environment alone
 
@@ -218,6 +219,31 @@ def felt(R: float) -> dict[str, float]:
     return found
 
 
+def drag(asked: tuple[str, float]) -> tuple[str, float, float]:
+    """A scheme, R, and the force in free space at a steady :data:`SPEED`, N; there is nothing at the world's tool."""
+    scheme, R = asked
+    case = Case(scheme, R, 0.0, "none", False, 0.0, 0.0, 0)
+    user, world = ends_of(case)(T, np.array([[1e-7]]))
+    up: Channel[Any] = Channel(Way(R / 2.0), 0)
+    down: Channel[Any] = Channel(Way(R / 2.0), 1)
+    forces, x, rise = [], 0.0, 1.0 + 5.0 * R
+    for k in range(round((2.0 + 2.0 * rise) / T)):
+        t = k * T
+        along = min(1.0, max(0.0, t - 0.5 - 2.0 * R) / rise)
+        x += T * SPEED * math.sin(0.5 * math.pi * along) ** 2
+        for message in up.arrived(t):
+            world.hear(*message)
+        world.tool()
+        world.step([0.0])
+        if getattr(world, "aligned", True):
+            down.send(t + 1e-4, world.message())
+        for message in down.arrived(t + 0.37 * T):
+            user.hear(*message)
+        forces.append(user.step([x])[0])
+        up.send(t + 0.37 * T + 1e-4, user.message())
+    return scheme, R, float(-np.mean(forces[-500:]))
+
+
 def cases(seeds: int) -> Iterator[Case]:
     """Every run of the benchmark: the wave link in all combinations, its peers in a third of them."""
     grid = list(itertools.product(ROUND_TRIPS, LOSSES, JITTERS, (False, True)))
@@ -254,12 +280,17 @@ def violations(outcomes: Sequence[Outcome], lines: Sequence[Mapping[str, float]]
     return found
 
 
-def table(outcomes: Sequence[Outcome], lines: Sequence[Mapping[str, float]]) -> str:
+def table(
+    outcomes: Sequence[Outcome],
+    lines: Sequence[Mapping[str, float]],
+    drags: Mapping[tuple[str, float], float],
+) -> str:
     """The page's tables."""
     rows = [
         "| scheme | runs | diverged | least ledger, mJ | gap at rest, mm: median, 90 %, worst | "
-        "creep at 1 N from 20 to 60 s, mm: median, worst | greatest step in 10 ms, N: median, worst |",
-        "|---|---|---|---|---|---|---|",
+        "creep at 1 N from 20 to 60 s, mm: median, worst | greatest step in 10 ms, N: median, worst | "
+        "drag in free space at 0.1 m/s, N: R = 10, 40, 100 ms |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for scheme in dict.fromkeys(one.case.scheme for one in outcomes):
         of = [one for one in outcomes if one.case.scheme == scheme]
@@ -272,7 +303,10 @@ def table(outcomes: Sequence[Outcome], lines: Sequence[Mapping[str, float]]) -> 
         crept = f"{statistics.median(creep):.3f}, {creep[-1]:.2f}" if creep else "–"
         stepped = f"{statistics.median(steps):.2f}, {steps[-1]:.2f}" if steps else "–"
         name = f"**{scheme}**" if scheme == OURS else scheme
-        rows.append(f"| {name} | {len(of)} | {len(of) - len(whole)} | {ledger} | {gaps} | {crept} | {stepped} |")
+        drawn = ", ".join(f"{abs(drags[scheme, R]):.2f}" for R in ROUND_TRIPS[1:4])
+        rows.append(
+            f"| {name} | {len(of)} | {len(of) - len(whole)} | {ledger} | {gaps} | {crept} | {stepped} | {drawn} |"
+        )
     rows += [
         "",
         "| round trip of the network, ms | with play-out, ms | b, N·s/m | K felt, N/m | 2b/R | M felt, kg | bR/2 |",
@@ -284,6 +318,22 @@ def table(outcomes: Sequence[Outcome], lines: Sequence[Mapping[str, float]]) -> 
             f"{line['K_law']:.4g} | {line['M']:.3f} | {line['M_law']:.3f} |"
         )
     return "\n".join(rows)
+
+
+def save(
+    path: Path | None,
+    outcomes: Sequence[Outcome],
+    lines: Sequence[Mapping[str, float]],
+    drags: Mapping[tuple[str, float], float],
+) -> None:
+    """Write all figures so far."""
+    if path is not None:
+        content = {
+            "felt": lines,
+            "drag": [[*key, force] for key, force in drags.items()],
+            "runs": [asdict(one) for one in outcomes],
+        }
+        path.write_text(json.dumps(content, separators=(",", ":")) + "\n")
 
 
 def plot(outcomes: Sequence[Outcome], lines: Sequence[Mapping[str, float]], path: Path) -> None:
@@ -336,14 +386,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     todo = [case for case in cases(options.seeds) if case not in done]
     with multiprocessing.Pool(options.processes) as pool:
         lines = pool.map(felt, ROUND_TRIPS)
+        asked = itertools.product((OURS, *PEERS), ROUND_TRIPS)
+        drags = {(scheme, R): force for scheme, R, force in pool.map(drag, asked)}
         for count, outcome in enumerate(pool.imap(run, todo), 1):
             outcomes.append(outcome)
-            if count % 20 == 0 or count == len(todo):
+            if count % 20 == 0:
                 print(f"{count} of {len(todo)} runs", file=sys.stderr, flush=True)
-                if options.json:
-                    content = {"felt": lines, "runs": [asdict(one) for one in outcomes]}
-                    options.json.write_text(json.dumps(content, separators=(",", ":")) + "\n")
-    text = table(outcomes, lines)
+                save(options.json, outcomes, lines, drags)
+    save(options.json, outcomes, lines, drags)
+    text = table(outcomes, lines, drags)
     print(text)
     found = violations(outcomes, lines)
     print("\n".join(found), file=sys.stderr)

@@ -34,6 +34,7 @@ are played. It may be anything else in a silence.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -63,7 +64,7 @@ class Wave(NamedTuple):
 
     Attributes:
         n: the sender's tick; the receiver uses the newest only.
-        U: sum of T a over the ticks of this life, m numbers, W^(1/2)*s.
+        U: sum of T a over the ticks in which the sender plays, m numbers, W^(1/2)*s.
         G: energy shipped in this life, J.
         life: the number of the life.
     """
@@ -74,7 +75,7 @@ class Wave(NamedTuple):
     life: int = 0
 
 
-class _Face:
+class _Face(ABC):
     """What both faces share: the account, the play-out, and the outgoing sums.
 
     Attributes:
@@ -246,7 +247,7 @@ class _Face:
         """
         if self._away or self._play.jumped:
             if not self._away:
-                self._before = self._c
+                self._before, self._hold = self._c, 1.0
             self._away, self._along = False, 0.0
             self._slope = self._before
             self._arrears = [
@@ -265,9 +266,9 @@ class _Face:
         idle = self._before if self._hold == 1.0 else self._idle(moved)
         return [held + part * (to - held) for held, to in zip(idle, self._slope, strict=True)]
 
+    @abstractmethod
     def _idle(self, moved: Floats) -> Floats:
         """The wave of a face that does not hear."""
-        raise NotImplementedError
 
     def _made_up(self, arrears: Floats) -> Floats:
         """What is left of the arrears after this tick."""
@@ -360,7 +361,13 @@ class UserFace(_Face):
         """
         super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
         self._started = False
+        self._let_go = self._zero  # the force from which a new life's ramp to 0 begins
         self.change(D_V)
+
+    def renew(self, life: int) -> None:
+        """Begin a new life with the energy of this tank; the force goes to 0 by a ramp, unless a message comes."""
+        self._let_go, self._hold = self._f, 1.0 if any(self._f) else 0.0
+        super().renew(life)
 
     def change(self, D_V: Vector) -> None:
         """Take a different feedthrough from the next tick on, m/N.
@@ -404,14 +411,13 @@ class UserFace(_Face):
         return f
 
     def _idle(self, moved: Floats) -> Floats:
-        """h^-1 f_c(k-1), which holds the tool, or in part h^-1 b w_c, which leaves it free."""
+        """h^-1 f_c(k-1), which holds the tool; at the beginning of a life that of a force that goes to 0."""
         hold = self._hold
-        held = self._held(self._f)
         if hold == 1.0:
-            return held
-        T = self._T
-        free = self._sum_at(moved)
-        return [hold * kept + (1.0 - hold) * by / T for kept, by in zip(held, free, strict=True)]
+            return self._held(self._f)
+        f, T = [hold * force for force in self._let_go], self._T
+        w = [(by + bent) / T for by, bent in zip(moved, self._deflection(f), strict=True)]
+        return [motion + force for motion, force in zip(self._sum_at(w), self._held(f), strict=True)]
 
 
 class WorldFace(_Face):

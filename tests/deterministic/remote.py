@@ -158,6 +158,7 @@ class User:
         period = T if remote is None else remote.period
         block = SpringDamper(np.array([[V[0]]]), np.array([[V[1]]])).realisation(period)
         K = np.array([[period / 2.0 / DELTA]])
+        self.block, self.K = block, K
         self.coupling = CouplingCore(block, K, None, period, [1e9])
         self.D_V, self.hand, self.remote = block.D, hand, remote
         self._D = float(block.D[0, 0])
@@ -264,6 +265,19 @@ class RemoteSession:
             tick += 1
             self.t = tick * T
         return self
+
+    def restart(self, i: int, life: int) -> None:
+        """The coupling's process of user ``i`` has died, and a successor without energy has taken its place."""
+        user = self.users[i]
+        assert user.remote is not None
+        successor, _ = user.remote.ends(user.remote.period, user.D_V)
+        successor.tank.level = 0.0
+        successor.renew(life)
+        user.user, user._begun = successor, False
+        user.coupling = CouplingCore(user.block, user.K, None, user.remote.period, [1e9])
+        user.world.renew(life)
+        self.environment.clutches.freeze(i)
+        self._joining[i] = True
 
     def _tick_world(self, t: float) -> None:
         p: Floats = []

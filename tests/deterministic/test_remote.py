@@ -59,6 +59,25 @@ def test_without_a_link_the_same_delay_diverges() -> None:
     assert session.diverged is not None
 
 
+def test_a_successor_joins_in_a_new_life_where_the_tool_is() -> None:
+    """The coupling's process dies twice, under 0.1 N: no energy is made, no force steps, and the gap is right again."""
+    path = Path(0.02, 0.01, "uniform", 0.05)
+    hands = [lambda t: 0.1 if t > 0.1 else 0.0, *EXAMPLE_1[1:]]
+    session = RemoteSession([linked(path, 6.0), None, None], V, hands, seed=4)
+    user = session.users[0]
+    for life, at in ((1, 2.0), (2, 3.0)):
+        session.run(at)
+        session.restart(0, life)
+    session.run(3.01)
+    since = len(user.trace.f_c)
+    session.run(cases(12, 20))
+    assert user.least >= -2.0 * E_0
+    f = np.array(user.trace.f_c[since:])
+    assert np.abs(f[10:] - f[:-10]).max() < 0.5
+    R = 0.045 + user.user.latency + user.world.latency
+    assert user.trace.gap[-1] == pytest.approx(0.1 * R / (2.0 * 20.0), rel=0.2)
+
+
 @pytest.mark.parametrize("E_0", [0.02, 0.0])
 def test_a_constant_force_neither_creeps_nor_trembles(E_0: float) -> None:
     """1 N over 20 to 120 ms each way, 10 % lost, +100 millionths: the tool stays where it is."""

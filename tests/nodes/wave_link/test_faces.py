@@ -153,9 +153,20 @@ def test_a_survivor_at_the_user_lets_go_by_a_ramp() -> None:
     since = len(pair.f_c)
     pair.user.renew(1)
     pair.press(3e-3, 300)
-    assert steps(pair.f_c[since - 10 :]) <= abs(pair.f_c[since - 1]) * 1.01
+    assert steps(pair.f_c[since - 10 :]) <= abs(pair.f_c[since - 1]) * 0.11
     assert pair.f_c[-1] == 0.0
     assert not any(pair.f_c[since + round(RAMP / T) + 2 :])
+
+
+def test_a_change_of_depth_is_no_step_and_is_felt_as_its_latency() -> None:
+    pair = Pair(E_0=0.05).press(3e-3, 1500)
+    since = len(pair.f_c)
+    pair.user.set_depth(6.0)
+    pair.world.set_depth(1.0)
+    pair.press(3e-3, 3000)
+    assert steps(pair.f_c[since - 10 :]) < 0.3
+    R = T + pair.user.latency + pair.world.latency
+    assert pair.f_c[-1] == pytest.approx(-2.0 * B[0, 0] / R * (pair.x_c[-1] - pair.x_e[-1]), rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,20 @@ def test_a_constant_wave_is_played_at_its_own_rate(seed: int, jitter: int, depth
     assert np.abs(rate[1500:] - 1.0).max() <= 5e-3
 
 
+@pytest.mark.parametrize("depth", [30.0, 1.0])
+def test_a_wrong_depth_is_made_up_at_2_percent(depth: float) -> None:
+    line = PlayOut(T, T, 15.0)
+    sums = []
+    for n in range(3000):
+        if n == 500:
+            line.depth = depth
+        line.hear(n, [SLOPE * T * n])
+        sums.append(line.advance()[0])
+    rate = np.diff(sums[20:]) / (SLOPE * T)
+    assert np.abs(rate - 1.0).max() == pytest.approx(0.02, rel=0.01)
+    assert line.lag() == pytest.approx(depth, abs=0.1)
+
+
 @pytest.mark.parametrize("ppm", [100.0, -100.0])
 def test_clocks_that_differ_make_no_creep(ppm: float) -> None:
     """The depth stays where it is wanted: the rate follows the sender's clock."""
