@@ -38,7 +38,7 @@ def linked(path: Path, depth: float, b: float = 20.0, E_0: float = E_0, **option
     ("path", "depth", "gap"),
     [
         (Path(0.02, 0.1, "uniform", 0.1, 0.05), 25.0, 1e-4),
-        (Path(0.02, 0.1, "lumps", 0.1, 0.05), 90.0, 1e-3),
+        (Path(0.02, 0.04, "lumps", 0.1, 0.05), 40.0, 1e-3),
         (Path(0.05, 0.005, "machine", 0.01, outages=((0.8, 1.0), (1.5, 2.5))), 5.0, 1e-4),
         (Path(0.001, 0.0, rate=400.0), 5.0, 2e-4),  # a queue of 200 ms fills and empties both tanks
     ],
