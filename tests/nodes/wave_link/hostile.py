@@ -50,14 +50,18 @@ class HostileLine:
         m = self.m
         self.b = impedance(rng, m)
         self.T = (1e-3 * 2.0 ** rng.uniform(-2, 1), 1e-3 * 2.0 ** rng.uniform(-2, 1))
-        D = rng.normal(size=(m, m))
-        self.D_V = 1e-6 * 10.0 ** rng.uniform(-1, 3) * (D @ D.T + 0.1 * np.eye(m))
+        self.D_V = self.feedthrough()
         self.theta = [impedance(rng, m) * 0.05 if self.harvests else None for _ in range(2)]
         self.depth = [float(rng.uniform(0, 10)), float(rng.uniform(0, 10))]
         self.smoothing = [None, float(rng.uniform(1, 20))]
         self.user, self.world = self.new_user(self.E_0), self.new_world(self.E_0)
         self.x_c: Vector | None = None
         self.x_e = np.zeros(m)
+
+    def feedthrough(self) -> Vector:
+        """D_V of some coupling, m/N."""
+        D = self.rng.normal(size=(self.m, self.m))
+        return 1e-6 * 10.0 ** self.rng.uniform(-1, 3) * (D @ D.T + 0.1 * np.eye(self.m))
 
     def new_user(self, E_0: float) -> UserFace:
         return UserFace(
@@ -106,6 +110,9 @@ class HostileLine:
     def tick_user(self) -> None:
         """One tick at the user: p at random, or along the last force, where motion takes energy out."""
         rng, T = self.rng, self.T[0]
+        if rng.random() < 0.02:
+            self.D_V = self.feedthrough()
+            self.user.change(self.D_V)
         at = np.zeros(self.m) if self.x_c is None else self.x_c
         kind = rng.integers(0, 4)
         if kind == 0:

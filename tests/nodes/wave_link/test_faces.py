@@ -218,10 +218,12 @@ def test_a_different_feedthrough_holds_from_the_next_tick() -> None:
     pair = Pair(E_0=0.05).press(3e-3, 1000)
     pair.user.change(2.0 * D_V)
     before = pair.x_c[-1]
-    f = pair.user.step([3e-3])[0]
-    x_c = 3e-3 + 2.0 * D_V[0, 0] * f
-    hc = math.sqrt(2.0 * B[0, 0]) * pair.user._c[0]
-    assert hc == pytest.approx(B[0, 0] * (x_c - before) / T + f)
+    for x in (3e-3, 3.1e-3):
+        f = pair.user.step([x])[0]
+        x_c = x + 2.0 * D_V[0, 0] * f
+        hc = math.sqrt(2.0 * B[0, 0]) * pair.user._c[0]
+        assert hc == pytest.approx(B[0, 0] * (x_c - before) / T + f)
+        before = x_c
 
 
 @pytest.mark.parametrize(
