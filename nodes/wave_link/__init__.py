@@ -2,7 +2,7 @@
 
 It stands at the port (w(k), f(k)) with w = (x(k) - x(k-1))/T, of m ports. The *user's face* is in the coupling's
 process and plays the environment. The *world's face* is in the environment's process and plays a coupling. They
-exchange :class:`Wave` messages; each face has its own tick and its own period T.
+exchange :class:`Sums` messages; each face has its own tick and its own period T.
 
 | letter | is | shape, unit |
 |---|---|---|
@@ -10,7 +10,7 @@ exchange :class:`Wave` messages; each face has its own tick and its own period T
 | h | (2b)^(1/2), symmetric | m x m, (N*s/m)^(1/2) |
 | c, a | the incoming and the outgoing wave of a tick | m, W^(1/2) |
 | L | energy in a face's tank | J |
-| U | sum of T a over the ticks of a life | m, W^(1/2)*s |
+| U | sum of T a over the ticks in which a face plays | m, W^(1/2)*s |
 | G | energy that a face has shipped in this life; it never falls | J |
 | theta | level that the certificate leaves to the face, theta = theta^T >= 0 | m x m, N*s/m |
 | E_0 | L at the start, of each face | J |
@@ -26,6 +26,6 @@ the account that this rests on; :mod:`~manyhands.nodes.wave_link.play_out` decid
 depends on it. :mod:`~manyhands.nodes.wave_link.faces` joins the two.
 """
 
-from manyhands.nodes.wave_link.faces import UserFace, Wave, WorldFace
+from manyhands.nodes.wave_link.faces import Sums, UserFace, WorldFace
 
-__all__ = ["UserFace", "Wave", "WorldFace"]
+__all__ = ["Sums", "UserFace", "WorldFace"]

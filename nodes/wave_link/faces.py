@@ -59,8 +59,8 @@ _RESERVE: Final = 0.25  # part of E_0 that is no spare energy
 _GREATEST: Final = 1e12  # of any number in a message
 
 
-class Wave(NamedTuple):
-    """One face's message to the other.
+class Sums(NamedTuple):
+    """What one face sends the other; :class:`manyhands.protocol.messages.Wave` carries the first three.
 
     Attributes:
         n: the sender's tick; the receiver uses the newest only.
@@ -177,9 +177,9 @@ class _Face(ABC):
         self.silent = 0
         return True
 
-    def message(self) -> Wave:
+    def message(self) -> Sums:
         """The sums up to the tick that was stepped last."""
-        return Wave(self.n, tuple(self._U), self.tank.shipped, self.life)
+        return Sums(self.n, tuple(self._U), self.tank.shipped, self.life)
 
     @property
     def deaf(self) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from manyhands.nodes.wave_link import UserFace, Wave, WorldFace
+from manyhands.nodes.wave_link import Sums, UserFace, WorldFace
 from manyhands.nodes.wave_link.faces import _Face
 
 Vector = np.ndarray
@@ -43,7 +43,7 @@ class HostileLine:
     lost: float = 0.0
     moved: float = 0.0
     life: int = 0
-    sent: list[list[Wave]] = field(default_factory=lambda: [[], []])
+    sent: list[list[Sums]] = field(default_factory=lambda: [[], []])
 
     def __post_init__(self) -> None:
         self.rng = rng = np.random.default_rng(self.seed)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.nodes.wave_link import UserFace, Wave, WorldFace
+from manyhands.nodes.wave_link import Sums, UserFace, WorldFace
 from manyhands.nodes.wave_link.faces import RAMP
 
 T = 1e-3
@@ -172,17 +172,17 @@ def test_a_change_of_depth_is_no_step_and_is_felt_as_its_latency() -> None:
 @pytest.mark.parametrize(
     "message",
     [
-        Wave(10, (math.nan,), 1.0),
-        Wave(10, (math.inf,), 1.0),
-        Wave(10, (1e13,), 1.0),
-        Wave(10, (0.0, 0.0), 1.0),
-        Wave(10, (), 1.0),
-        Wave(10, (0.0,), 0.4),
-        Wave(10, (0.0,), math.nan),
-        Wave(10, (0.0,), math.inf),
+        Sums(10, (math.nan,), 1.0),
+        Sums(10, (math.inf,), 1.0),
+        Sums(10, (1e13,), 1.0),
+        Sums(10, (0.0, 0.0), 1.0),
+        Sums(10, (), 1.0),
+        Sums(10, (0.0,), 0.4),
+        Sums(10, (0.0,), math.nan),
+        Sums(10, (0.0,), math.inf),
     ],
 )
-def test_a_message_that_no_honest_face_sends_changes_nothing_and_is_counted(message: Wave) -> None:
+def test_a_message_that_no_honest_face_sends_changes_nothing_and_is_counted(message: Sums) -> None:
     for face in ends():
         assert face.hear(5, [0.0], 0.5)
         assert not face.hear(*message)
@@ -191,8 +191,8 @@ def test_a_message_that_no_honest_face_sends_changes_nothing_and_is_counted(mess
         assert face.hear(6, [0.0], 0.5)
 
 
-@pytest.mark.parametrize("message", [Wave(5, (1.0,), 9.0), Wave(4, (1.0,), 9.0), Wave(9, (1.0,), 9.0, life=1)])
-def test_old_messages_duplicates_and_other_lives_are_no_events(message: Wave) -> None:
+@pytest.mark.parametrize("message", [Sums(5, (1.0,), 9.0), Sums(4, (1.0,), 9.0), Sums(9, (1.0,), 9.0, life=1)])
+def test_old_messages_duplicates_and_other_lives_are_no_events(message: Sums) -> None:
     for face in ends():
         face.hear(5, [0.0], 0.5)
         assert not face.hear(*message)

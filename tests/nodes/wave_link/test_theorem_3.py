@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.wave_link import UserFace, Wave, WorldFace
+from manyhands.nodes.wave_link import Sums, UserFace, WorldFace
 from tests.support.cases import cases
 
 from .hostile import impedance
@@ -26,8 +26,8 @@ class CleanLine:
         self.user = UserFace(b, 1e-7 * np.eye(m), T, T, depth, E_0=10.0, smoothing=smoothing)
         self.world = WorldFace(b, T, T, depth, E_0=10.0, smoothing=smoothing)
         self.wall = np.linalg.inv(self.world.D_V) if wall else np.zeros((m, m))
-        self.up: deque[Wave] = deque(maxlen=up)
-        self.down: deque[Wave] = deque(maxlen=down + 1)
+        self.up: deque[Sums] = deque(maxlen=up)
+        self.down: deque[Sums] = deque(maxlen=down + 1)
         self.R = (up + down) * T + self.user.latency + self.world.latency
         self.x_e = np.zeros(m)
 
