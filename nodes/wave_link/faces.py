@@ -41,7 +41,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats, dot, linear_map
+from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus, plus
 from manyhands.nodes.wave_link.play_out import PlayOut
 from manyhands.nodes.wave_link.tank import Tank
 
@@ -56,7 +56,8 @@ MAKE_UP: Final = 0.25
 _MAKE_UP_TIME: Final = 0.3  # time constant of the same, s
 _SPARE: Final = 1.0  # time constant with which spare energy goes to the other face, s
 _RESERVE: Final = 0.25  # part of E_0 that is no spare energy
-_GREATEST: Final = 1e12  # of any number in a message
+_GREATEST: Final = 1e12  # of G, and of the length of U
+_SQUARE: Final = _GREATEST * _GREATEST
 
 
 class Sums(NamedTuple):
@@ -136,7 +137,7 @@ class _Face(ABC):
         self._hold = 0.0  # how far the idle wave of a user's face holds the tool; at 0 it leaves the tool free
         self._zero: Floats = [0.0] * len(b)
         self._x = self._f = self._c = self._before = self._slope = self._zero
-        self._line: Sequence[float] = self._zero
+        self._line = self._zero
         self._voice = 0.0  # way back through the ramp of F after a face went deaf
         self._begin(life)
 
@@ -148,10 +149,8 @@ class _Face(ABC):
 
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
-        self._U: Sequence[float] = self._zero
-        self._played: Sequence[float] = self._zero  # the sum that was played
-        self._reckoned: Sequence[float] = self._zero  # that of the tick before
-        self._arrears = self._zero
+        self._U = self._arrears = self._zero
+        self._played = self._reckoned = self._zero  # P, the sum that was played, and that of the tick before
         self._along = 0.0  # way through the ramp, from 0 to 1
         self._away = True  # whether the time line is taken up anew
         self._follows = False  # whether c(k) is the time line's own wave
@@ -165,15 +164,12 @@ class _Face(ABC):
         """
         if life != self.life or n <= self._play.newest:
             return False
-        if not (
-            self.tank.heard <= G <= _GREATEST
-            and len(U) == len(self._zero)
-            and all(-_GREATEST <= at <= _GREATEST for at in U)
-        ):
+        sums = list(U)
+        if not (self.tank.heard <= G <= _GREATEST and len(sums) == len(self._zero) and dot(sums, sums) <= _SQUARE):
             self.refused += 1
             return False
         self.tank.receive(G)
-        self._play.hear(n, U)
+        self._play.hear(n, sums)
         self.silent = 0
         return True
 
@@ -229,8 +225,8 @@ class _Face(ABC):
         else:
             if self._arrears is not self._zero:
                 self._arrears = self._made_up(self._arrears)
-            gain = self._gain
-            c = [gain * (to - late - at) for to, late, at in zip(line, self._arrears, self._played, strict=True)]
+            gain, late, P = self._gain, self._arrears, self._played
+            c = [gain * (line[i] - late[i] - P[i]) for i in range(len(P))]
         self._line = line
         self._c = paid = self.tank.pay(c)
         if paid is not c and self._follows:
@@ -239,7 +235,7 @@ class _Face(ABC):
             self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
         return paid
 
-    def _taken_up(self, line: Sequence[float], moved: Floats) -> Floats:
+    def _taken_up(self, line: Floats, moved: Floats) -> Floats:
         """c(k) on the way from the wave before a silence to that of the time line.
 
         The forces of both faces differ meanwhile. Their impulse is not made up for, so what was played is set anew
@@ -281,10 +277,10 @@ class _Face(ABC):
     def _leave(self, g: Floats, x: Floats, before: Floats, harvests: bool) -> None:
         """Book the outgoing wave a = c + 2 h^-1 g, with g the force on the link, N, and ship energy."""
         tank, T = self.tank, self._T
-        a = [come + by for come, by in zip(self._c, self._reflected(g), strict=True)]
+        a = plus(self._c, self._reflected(g))
         moved, harvest = self._zero, 0.0
         if self._theta is not None or not self._follows:
-            moved = [to - at for to, at in zip(x, before, strict=True)]
+            moved = minus(x, before)
             if self._theta is not None and harvests:
                 harvest = dot(moved, self._theta(moved))
         cost = tank.cost
@@ -293,8 +289,9 @@ class _Face(ABC):
         self.n += 1
         deaf = self._play.deaf
         if self._follows:
-            self._played = [at + T * by for at, by in zip(self._played, self._c, strict=True)]
-            self._U = [at + T * by for at, by in zip(self._U, a, strict=True)]
+            c, P, U = self._c, self._played, self._U
+            self._played = [P[i] + T * c[i] for i in range(len(c))]
+            self._U = [U[i] + T * a[i] for i in range(len(c))]
         else:
             self._reckon(moved, deaf)
         if not deaf:
@@ -401,10 +398,10 @@ class UserFace(_Face):
                 return self._zero
             else:
                 self._hold = max(0.0, self._hold - self._T / RAMP)
-        moved = [to - at for to, at in zip(p, before, strict=True)]
+        moved = minus(p, before)
         c = self._incoming(moved)
-        self._f = f = [by - drag for by, drag in zip(self._driven(c), self._damped(moved), strict=True)]
-        self._x = x = [at + by for at, by in zip(p, self._deflection(f), strict=True)]
+        self._f = f = minus(self._driven(c), self._damped(moved))
+        self._x = x = plus(p, self._deflection(f))
         self._leave([-force for force in f], x, before, harvests=True)
         if not self.aligned:
             self._U = self._sum_at(x)
@@ -471,9 +468,9 @@ class WorldFace(_Face):
         if not self.aligned and self._play.newest >= 0:
             self.aligned = True
             self._played = self._U = self._play.first
-            self._x, self._f = self._place(list(self._U)), self._zero
+            self._x, self._f = self._place(self._U), self._zero
         c = self._incoming(self._zero)
-        self._p = [at + by for at, by in zip(self._x, self._driven(c), strict=True)]
+        self._p = plus(self._x, self._driven(c))
         return self._p
 
     def step(self, f: Floats, harvests: bool = True) -> None:
@@ -484,7 +481,7 @@ class WorldFace(_Face):
             harvests: whether theta_e is earned; not in a tick in which the block's clutch has s < 1.
         """
         before, self._f = self._x, f
-        self._x = x = [at + by for at, by in zip(self._p, self._deflection(f), strict=True)]
+        self._x = x = plus(self._p, self._deflection(f))
         self._leave(f, x, before, harvests)
 
     def _idle(self, moved: Floats) -> Floats:

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import Final, TypeAlias
+
+from manyhands.nodes.arithmetic import Floats, dot, minus
 
 DEAF: Final = 0.03
 """Time beyond the newest message after which a face counts as deaf, s."""
@@ -26,10 +27,10 @@ _MEAN: Final = 0.1  # time constant of the mean depth, s
 _ASTRAY: Final = 0.25  # distance from the depth wanted that is jumped and not run, s
 _SPAN: Final = 0.005  # least time over which the last slope is taken, s
 
-_Known: TypeAlias = tuple[int, Sequence[float], float]
+_Known: TypeAlias = tuple[int, Floats, float]
 """A message that was heard: n, U, and what the straight way from the one before costs, J."""
 
-_NOTHING: Final[Sequence[float]] = ()
+_NOTHING: Final[Floats] = []
 
 
 class PlayOut:
@@ -100,7 +101,7 @@ class PlayOut:
         self._start = 0
         self._lateness = (0.0, -math.inf)  # sum and greatest, ticks of the sender
 
-    def hear(self, n: int, U: Sequence[float]) -> None:
+    def hear(self, n: int, U: Floats) -> None:
         """Take the sum U of tick n, which is newer than all before; U is kept."""
         known: _Known = (n, U, 0.0)
         if self.newest < 0:
@@ -109,8 +110,8 @@ class PlayOut:
             self._nu, self._mean = n - self.depth - self._nominal, self.depth
         else:
             last, before, _ = self._ahead[-1] if self._ahead else self._passed
-            square = sum([(to - come) * (to - come) for to, come in zip(U, before, strict=True)])
-            cost = square / (2.0 * (n - last) * self._period)
+            way = minus(U, before)
+            cost = dot(way, way) / (2.0 * (n - last) * self._period)
             known = (n, U, cost)
             self._ahead.append(known)
             self.owed += cost
@@ -119,7 +120,7 @@ class PlayOut:
         self.newest = n
         self._fresh = True
 
-    def advance(self) -> Sequence[float]:
+    def advance(self) -> Floats:
         """Move on by one tick of the receiver, and return the sum at nu; before the first message it is empty."""
         newest = self.newest
         if newest < 0:
@@ -167,7 +168,7 @@ class PlayOut:
         self._ticks += 1
         self._lateness = (total + late, max(greatest, late))
 
-    def _sum(self, nu: float) -> Sequence[float]:
+    def _sum(self, nu: float) -> Floats:
         """The sum at nu; nu does not fall."""
         ahead = self._ahead
         while ahead and ahead[0][0] <= nu:
