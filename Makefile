@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan flood loop watched soak users chaos faults lateness hostile pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan flood loop watched soak users chaos faults lateness hostile remote pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -97,6 +97,10 @@ RUNS ?= 1000
 hostile: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.hostile --runs $(RUNS) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.hostile --runs 200 --seed $(SEED) --honest
+
+# a remote user over every kind of network, beside what others do, in simulated time: a quarter of an hour
+remote: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.remote --json docs/remote.json --plot docs/images/remote.png --markdown docs/remote.md
 
 # memory of a session's processes over ten minutes
 soak: $(VENV)/.installed

@@ -48,6 +48,9 @@ MODULES = [
     "nodes/environment/late_arrivals",
     "nodes/environment/membership",
     "nodes/environment/node",
+    "nodes/wave_link/faces",
+    "nodes/wave_link/play_out",
+    "nodes/wave_link/tank",
 ]
 """The modules that a tick runs through. A class of theirs can be derived from in these modules alone."""
 

@@ -1,0 +1,516 @@
+"""The two faces of a wave link.
+
+A tick of the user's face, in the coupling's process:
+
+    f_c = (I + b D_V/T)^-1 (h c - b (p - x_c(k-1))/T),    x_c = p + D_V f_c,    a = c - 2 h^-1 f_c;
+
+a tick of the world's face, in the environment's process, which plays a coupling with D_V = T b^-1:
+
+    p = x_e(k-1) + T b^-1 h c,    x_e = p + T b^-1 f_e,    a = c + 2 h^-1 f_e.
+
+**A life** is one pair of sums. The first life of a link has the number 0. When one of the two processes has died, both
+faces go on in a new life, under a number that the link never had: the survivor calls ``renew``, and the successor of
+the dead one is made with E_0 = 0. Messages of other lives are ignored. The energy of a dead tank and the energy in
+transit are lost, and none is made.
+
+**How a life begins.** The user's face is free, f_c = 0, and its U is h^-1 b x_c. The world's face takes its position
+from the first message, x_e = b^-1 h U, and has no message to send before that; the environment keeps the block's clutch
+at s = 0 until the face is ``aligned``, and engages it then. So both faces agree on where the tool is. At the user the
+force comes by a ramp.
+
+**A deaf face** holds the tool: c = h^-1 f_c(k-1) at the user and c = -h^-1 f_e(k-1) at the world, which leaves w = 0 as
+long as the force does not change. It ships nothing. When messages come again, the incoming wave goes over from that
+wave to the time line's by a ramp of :data:`RAMP` seconds. What the line is ahead of what was played is made up slowly,
+by a wave that changes no force by more than :data:`MAKE_UP`; so is a wave that the tank did not pay for.
+
+**The gap between both tools** is the right one in the end, -f R/2b, as long as each face keeps
+
+    h P = b x_c + F_c,  h U = b x_c - F_c    (user),        h P = b x_e - F_e,  h U = b x_e + F_e    (world),
+
+with one F in both: P is the sum that it has played, U the one that it sends. F is the impulse of the force while waves
+are played. It may be anything else in a silence.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus, plus
+from manyhands.nodes.wave_link.play_out import PlayOut
+from manyhands.nodes.wave_link.tank import Tank
+
+Vector = NDArray[np.float64]
+
+RAMP: Final = 0.1
+"""Time in which the incoming wave goes over to the time line's, s."""
+
+MAKE_UP: Final = 0.25
+"""The greatest force of the wave that makes up for an outage, N."""
+
+_MAKE_UP_TIME: Final = 0.3  # time constant of the same, s
+_SPARE: Final = 1.0  # time constant with which spare energy goes to the other face, s
+_RESERVE: Final = 0.25  # part of E_0 that is no spare energy
+_GREATEST: Final = 1e12  # of G, and of the length of U
+_SQUARE: Final = _GREATEST * _GREATEST
+
+
+class Sums(NamedTuple):
+    """What one face sends the other; :class:`manyhands.protocol.messages.Wave` carries the first three.
+
+    Attributes:
+        n: the sender's tick; the receiver uses the newest only.
+        U: sum of T a over the ticks in which the sender plays, m numbers, W^(1/2)*s.
+        G: energy shipped in this life, J.
+        life: the number of the life.
+    """
+
+    n: int
+    U: tuple[float, ...]
+    G: float
+    life: int = 0
+
+
+class _Face(ABC):
+    """What both faces share: the account, the play-out, and the outgoing sums.
+
+    Attributes:
+        tank: the energy account, with L, G, the G heard and the ticks in which L limited a wave.
+        ledger: sum of the energy that entered the link at this port and of the harvest, J.
+        life: the number of the life.
+        n: ticks of this life; the next message has it.
+        silent: ticks since the newest message.
+        refused: messages that no honest face sends.
+    """
+
+    def __init__(
+        self,
+        b: Vector,
+        T: float,
+        peer_T: float,
+        depth: float,
+        *,
+        E_0: float = 0.0,
+        theta: Vector | None = None,
+        smoothing: float | None = None,
+        life: int = 0,
+    ) -> None:
+        """Start a life at rest.
+
+        Args:
+            b: the impedance, m x m, symmetric and positive definite, N*s/m; the same at both faces.
+            T: this face's period, s.
+            peer_T: the other face's period, s.
+            depth: how far the play-out stays behind the newest message, ticks of the other face.
+            E_0: the tank's energy at the start, J; 0 for the successor of a face that has died.
+            theta: the level that the certificate leaves to this face, m x m, N*s/m; None for 0.
+            smoothing: time constant of the incoming wave, ticks of this face, 1 or more; None for what fits the depth.
+            life: the number of the life.
+
+        Raises:
+            ValueError: a matrix or a number is not as described.
+        """
+        b = np.array(b, dtype=np.float64)
+        _check(b, T, peer_T, depth, E_0, theta)
+        eigenvalues, Q = np.linalg.eigh(b)
+        roots = np.sqrt(2.0 * eigenvalues)
+        self._h: Vector = (Q * roots) @ Q.T
+        self._h_inverse: Vector = (Q / roots) @ Q.T
+        self._b, self._T, self._peer_T = b, T, peer_T
+        self._reflected = linear_map(2.0 * self._h_inverse)
+        self._held = linear_map(self._h_inverse)
+        self._sum_at = linear_map(self._h_inverse @ b)  # U of a face that is at x without force
+        self._theta = None if theta is None or not np.any(theta) else linear_map(np.array(theta, dtype=np.float64) / T)
+        self._reserve, self._spare = _RESERVE * E_0, min(1.0, T / _SPARE)
+        self._most, self._part = T * MAKE_UP / float(roots[-1]), T / _MAKE_UP_TIME
+        self._given_smoothing, self._smoothing = smoothing, 1.0
+        self._play = PlayOut(T, peer_T, depth)
+        self.set_depth(depth)
+        self.tank = Tank(T, E_0)
+        self.ledger = 0.0
+        self.refused = 0
+        self._hold = 0.0  # how far the idle wave of a user's face holds the tool; at 0 it leaves the tool free
+        self._zero: Floats = [0.0] * len(b)
+        self._x = self._f = self._c = self._before = self._slope = self._zero
+        self._line = self._zero
+        self._voice = 0.0  # way back through the ramp of F after a face went deaf
+        self._begin(life)
+
+    def renew(self, life: int) -> None:
+        """Begin a new life with the energy of this tank; the other face, or its successor, begins it as well."""
+        self.tank.renew()
+        self._play.renew()
+        self._begin(life)
+
+    def _begin(self, life: int) -> None:
+        self.life, self.n, self.silent = life, 0, 0
+        self._U = self._arrears = self._zero
+        self._played = self._reckoned = self._zero  # P, the sum that was played, and that of the tick before
+        self._along = 0.0  # way through the ramp, from 0 to 1
+        self._away = True  # whether the time line is taken up anew
+        self._follows = False  # whether c(k) is the time line's own wave
+        self.aligned = False
+
+    def hear(self, n: int, U: Sequence[float], G: float, life: int = 0) -> bool:
+        """Take a message of the other face; returns whether it is the newest of this life.
+
+        An older one, a duplicate and one of a different life change nothing. Neither does one that no honest face
+        sends: with numbers that are not finite, a G that has fallen, or a wrong number of ports.
+        """
+        if life != self.life or n <= self._play.newest:
+            return False
+        sums = list(U)
+        if not (self.tank.heard <= G <= _GREATEST and len(sums) == len(self._zero) and dot(sums, sums) <= _SQUARE):
+            self.refused += 1
+            return False
+        self.tank.receive(G)
+        self._play.hear(n, sums)
+        self.silent = 0
+        return True
+
+    def message(self) -> Sums:
+        """The sums up to the tick that was stepped last."""
+        return Sums(self.n, tuple(self._U), self.tank.shipped, self.life)
+
+    @property
+    def deaf(self) -> bool:
+        """Whether no message came for so long that this face holds the tool; so it is before the first one."""
+        return self._play.deaf
+
+    @property
+    def depth(self) -> float:
+        """How far the play-out is behind the newest message, ticks of the other face; negative beyond it."""
+        return self._play.lag()
+
+    @property
+    def latency(self) -> float:
+        """What the play-out and the smoothing of this face add to the round trip, s."""
+        return self._play.depth * self._peer_T + (self._smoothing - 1.0) * self._T
+
+    def set_depth(self, depth: float) -> None:
+        """Change the depth, ticks of the other face; the play-out jumps there, and the wave follows by the ramp."""
+        self._play.place(depth)
+        given = self._given_smoothing
+        self._smoothing = max(1.0, 0.25 * depth * self._peer_T / self._T if given is None else given)
+        self._gain = 1.0 / (self._smoothing * self._T)
+
+    def measure(self) -> None:
+        """Begin to measure the depth that the messages need; do this while joining, at s = 0."""
+        self._play.measure()
+
+    @property
+    def measured(self) -> float:
+        """The depth at which no message since :meth:`measure` would have come too late, ticks of the other face."""
+        return self._play.measured()
+
+    def _incoming(self, moved: Floats) -> Floats:
+        """c(k), paid for; ``moved`` is how far the tool would go without force, m."""
+        play = self._play
+        self.silent += 1
+        self._reckoned = self._played
+        line = play.advance()
+        self._follows = not (play.deaf or self._away or play.jumped or self._along < 1.0)
+        if play.deaf:
+            if self._along > 0.0:
+                self._hold, self._voice = 1.0, self._along
+            self._along, self._away = 0.0, True
+            self._before = c = self._idle(moved)
+        elif not self._follows:
+            c = self._taken_up(line, moved)
+        else:
+            if self._arrears is not self._zero:
+                self._arrears = self._made_up(self._arrears)
+            gain, late, P = self._gain, self._arrears, self._played
+            c = [gain * (line[i] - late[i] - P[i]) for i in range(len(P))]
+        self._line = line
+        self._c = paid = self.tank.pay(c)
+        if paid is not c and self._follows:
+            # what the tank did not pay for comes later, and not at once: a longer wave costs more than two short ones
+            missing = self._smoothing * self._T
+            self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
+        return paid
+
+    def _taken_up(self, line: Floats, moved: Floats) -> Floats:
+        """c(k) on the way from the wave before a silence to that of the time line.
+
+        The forces of both faces differ meanwhile. Their impulse is not made up for, so what was played is set anew
+        in each of these ticks; the arrears are what the motion before has left.
+        """
+        if self._away or self._play.jumped:
+            if not self._away:
+                self._before, self._hold = self._c, 1.0
+            self._away, self._along = False, 0.0
+            self._slope = self._before
+            self._arrears = [
+                to - at - (self._smoothing - 1.0) * self._T * by
+                for to, at, by in zip(line, self._played, self._slope, strict=True)
+            ]
+        else:
+            weight, gain = 1.0 / self._smoothing, 1.0 / self._T
+            self._slope = [
+                by + weight * (gain * (to - at) - by) for by, to, at in zip(self._slope, line, self._line, strict=True)
+            ]
+        self._along = min(1.0, self._along + self._T / RAMP)
+        behind = (self._smoothing - 1.0) * self._T
+        self._played = [to - late - behind * by for to, late, by in zip(line, self._arrears, self._slope, strict=True)]
+        part = _eased(self._along)
+        idle = self._before if self._hold == 1.0 else self._idle(moved)
+        return [held + part * (to - held) for held, to in zip(idle, self._slope, strict=True)]
+
+    @abstractmethod
+    def _idle(self, moved: Floats) -> Floats:
+        """The wave of a face that does not hear."""
+
+    def _made_up(self, arrears: Floats) -> Floats:
+        """What is left of the arrears after this tick."""
+        size = math.hypot(*arrears)
+        step = min(self._part * size, self._most)
+        if size <= 1e-12:
+            return self._zero
+        return [at * (1.0 - step / size) for at in arrears]
+
+    def _leave(self, g: Floats, x: Floats, before: Floats, harvests: bool) -> None:
+        """Book the outgoing wave a = c + 2 h^-1 g, with g the force on the link, N, and ship energy."""
+        tank, T = self.tank, self._T
+        a = plus(self._c, self._reflected(g))
+        moved, harvest = self._zero, 0.0
+        if self._theta is not None or not self._follows:
+            moved = minus(x, before)
+            if self._theta is not None and harvests:
+                harvest = dot(moved, self._theta(moved))
+        cost = tank.cost
+        own = tank.earn(a, harvest)
+        self.ledger += own - cost + harvest  # by (S), the energy of the force along the motion
+        self.n += 1
+        deaf = self._play.deaf
+        if self._follows:
+            c, P, U = self._c, self._played, self._U
+            self._played = [P[i] + T * c[i] for i in range(len(c))]
+            self._U = [U[i] + T * a[i] for i in range(len(c))]
+        else:
+            self._reckon(moved, deaf)
+        if not deaf:
+            if self._along < 1.0 and self._hold == 1.0:  # what the wave of the silence costs is paid here
+                own = max(0.0, own - (1.0 - _eased(self._along)) * 0.5 * T * dot(self._before, self._before))
+            s = min(own, max(0.0, tank.level - self._reserve))
+            spare = tank.level - s - self._reserve - self._play.owed
+            tank.ship(s if spare <= 0.0 else s + self._spare * spare)
+
+    def _reckon(self, moved: Floats, deaf: bool) -> None:
+        """Keep P and U in a tick of a face that holds the tool, or did so a moment ago: h (P + U) = 2 b x, of any F.
+
+        Two faces that hold have forces that need not agree, and the impulse of the difference would have to be made up
+        for by a motion: 1 N*s is worth 2.5 cm at b = 20 N*s/m. So F stands still in a silence, after a ramp; and then
+        it follows the other face's until the ramp back is over.
+        """
+        way, before = self._sum_at(moved), self._reckoned
+        if deaf:
+            self._voice = max(0.0, self._voice - self._T / RAMP)
+            part, T = _eased(self._voice), self._T
+            played = zip(before, way, self._c, strict=True)
+            self._played = [at + by + part * (T * wave - by) for at, by, wave in played]
+        sums = zip(self._U, way, self._played, before, strict=True)
+        self._U = [at + 2.0 * by - (to - come) for at, by, to, come in sums]
+
+
+class UserFace(_Face):
+    """The face in the coupling's process: it plays the environment to one coupling block.
+
+    A tick is :meth:`hear` for each message, :meth:`step`, :meth:`message`.
+
+    Attributes:
+        aligned: whether a message of this life was played; before that the face is free.
+    """
+
+    def __init__(
+        self,
+        b: Vector,
+        D_V: Vector,
+        T: float,
+        peer_T: float,
+        depth: float,
+        *,
+        E_0: float = 0.0,
+        theta: Vector | None = None,
+        smoothing: float | None = None,
+        life: int = 0,
+    ) -> None:
+        """Start a life, free.
+
+        Args:
+            b: the impedance, m x m, symmetric and positive definite, N*s/m; the same at both faces.
+            D_V: the block's feedthrough, m x m, m/N.
+            T: the coupling's period, s.
+            peer_T: the environment's period, s.
+            depth: how far the play-out stays behind the newest message, ticks of the environment.
+            E_0: the tank's energy at the start, J; 0 for the successor of a face that has died.
+            theta: theta_c, m x m, N*s/m; None for 0.
+            smoothing: time constant of the incoming wave, ticks of the coupling, 1 or more; None for what fits.
+            life: the number of the life.
+
+        Raises:
+            ValueError: a matrix or a number is not as described.
+        """
+        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
+        self._started = False
+        self._let_go = self._zero  # the force from which a new life's ramp to 0 begins
+        self.change(D_V)
+
+    def renew(self, life: int) -> None:
+        """Begin a new life with the energy of this tank; the force goes to 0 by a ramp, unless a message comes."""
+        self._let_go, self._hold = self._f, 1.0 if any(self._f) else 0.0
+        super().renew(life)
+
+    def change(self, D_V: Vector) -> None:
+        """Take a different feedthrough from the next tick on, m/N.
+
+        Raises:
+            ValueError: its shape is wrong.
+        """
+        D_V = np.array(D_V, dtype=np.float64)
+        if D_V.shape != self._b.shape:
+            raise ValueError(f"found a feedthrough of shape {D_V.shape}; expected {self._b.shape}")
+        closed = np.linalg.inv(np.eye(len(D_V)) + self._b @ D_V / self._T)
+        self._driven, self._damped = linear_map(closed @ self._h), linear_map(closed @ self._b / self._T)
+        self._deflection = linear_map(D_V)
+
+    def step(self, p: Floats) -> Floats:
+        """f_c(k), N, for the block's free tool position p(k), m.
+
+        The first p of all is where the tool is; the list is kept until the next call.
+        """
+        if not self._started:
+            self._started, self._x = True, p
+        before = self._x
+        if not self.aligned:
+            if self._play.newest >= 0:
+                self.aligned = True
+                self._played = self._U = self._sum_at(before)
+            elif self._hold == 0.0:  # a free end: both waves are h^-1 b w_c, and no energy passes
+                self._x, self._U, self._f = p, self._sum_at(p), self._zero
+                self.n += 1
+                self.silent += 1
+                return self._zero
+            else:
+                self._hold = max(0.0, self._hold - self._T / RAMP)
+        moved = minus(p, before)
+        c = self._incoming(moved)
+        self._f = f = minus(self._driven(c), self._damped(moved))
+        self._x = x = plus(p, self._deflection(f))
+        self._leave([-force for force in f], x, before, harvests=True)
+        if not self.aligned:
+            self._U = self._sum_at(x)
+        return f
+
+    def _idle(self, moved: Floats) -> Floats:
+        """h^-1 f_c(k-1), which holds the tool; at the beginning of a life that of a force that goes to 0."""
+        hold = self._hold
+        if hold == 1.0:
+            return self._held(self._f)
+        f, T = [hold * force for force in self._let_go], self._T
+        w = [(by + bent) / T for by, bent in zip(moved, self._deflection(f), strict=True)]
+        return [motion + force for motion, force in zip(self._sum_at(w), self._held(f), strict=True)]
+
+
+class WorldFace(_Face):
+    """The face in the environment's process: it plays a coupling with the feedthrough ``D_V`` = T b^-1.
+
+    A tick is :meth:`hear` for each message, :meth:`tool`, :meth:`step`, :meth:`message`.
+
+    Attributes:
+        D_V: m x m, m/N; it never changes.
+        aligned: whether a message of this life was played. The environment engages the block's clutch, and sends the
+            face's messages, from then on; before that the clutch is at s = 0.
+    """
+
+    def __init__(
+        self,
+        b: Vector,
+        T: float,
+        peer_T: float,
+        depth: float,
+        *,
+        E_0: float = 0.0,
+        theta: Vector | None = None,
+        smoothing: float | None = None,
+        life: int = 0,
+    ) -> None:
+        """Start a life at rest.
+
+        Args:
+            b: the impedance, m x m, symmetric and positive definite, N*s/m; the same at both faces.
+            T: the environment's period, s.
+            peer_T: the coupling's period, s.
+            depth: how far the play-out stays behind the newest message, ticks of the coupling.
+            E_0: the tank's energy at the start, J; 0 for the successor of a face that has died.
+            theta: theta_e, m x m, N*s/m; None for 0.
+            smoothing: time constant of the incoming wave, ticks of the environment, 1 or more; None for what fits.
+            life: the number of the life.
+
+        Raises:
+            ValueError: a matrix or a number is not as described.
+        """
+        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
+        self._hold = 1.0
+        inverse = np.linalg.inv(self._b)
+        self.D_V: Vector = T * (inverse + inverse.T) / 2.0
+        self._deflection, self._driven = linear_map(self.D_V), linear_map(self.D_V @ self._h)
+        self._place = linear_map(inverse @ self._h)  # x of a face without force, from U
+        self._p = self._zero
+
+    def tool(self) -> Floats:
+        """p(k), m: the position that the tool takes without force."""
+        if not self.aligned and self._play.newest >= 0:
+            self.aligned = True
+            self._played = self._U = self._play.first
+            self._x, self._f = self._place(self._U), self._zero
+        c = self._incoming(self._zero)
+        self._p = plus(self._x, self._driven(c))
+        return self._p
+
+    def step(self, f: Floats, harvests: bool = True) -> None:
+        """Take f_e(k) at the face, N, for the last :meth:`tool`.
+
+        Args:
+            f: the environment's answer to this block, behind its clutch; the list is kept until the next call.
+            harvests: whether theta_e is earned; not in a tick in which the block's clutch has s < 1.
+        """
+        before, self._f = self._x, f
+        self._x = x = plus(self._p, self._deflection(f))
+        self._leave(f, x, before, harvests)
+
+    def _idle(self, moved: Floats) -> Floats:
+        """-h^-1 f_e(k-1), which holds the tool."""
+        return [-kept for kept in self._held(self._f)]
+
+
+def _eased(along: float) -> float:
+    """sin^2(pi/2 along): from 0 to 1 without a corner."""
+    return math.sin(0.5 * math.pi * along) ** 2
+
+
+def _check(b: Vector, T: float, peer_T: float, depth: float, E_0: float, theta: Vector | None) -> None:
+    """Check the data of a face.
+
+    Raises:
+        ValueError: a matrix or a number is not as described.
+    """
+    m = b.shape[0] if b.ndim == 2 else 0
+    if m == 0 or b.shape != (m, m) or not np.array_equal(b, b.T) or not np.linalg.eigvalsh(b)[0] > 0.0:
+        raise ValueError(f"found an impedance b = {b.tolist()}; expected a symmetric, positive definite matrix")
+    for name, found, unit in (("T", T, "s"), ("peer_T", peer_T, "s")):
+        if not 0.0 < found < math.inf:
+            raise ValueError(f"found a period {name} = {found!r} {unit}; expected a positive one")
+    for name, found in (("depth", depth), ("E_0", E_0)):
+        if not 0.0 <= found < math.inf:
+            raise ValueError(f"found {name} = {found!r}; expected 0 or more")
+    if theta is None:
+        return
+    level = np.array(theta, dtype=np.float64)
+    if level.shape != (m, m) or not np.array_equal(level, level.T) or not np.linalg.eigvalsh(level)[0] >= 0.0:
+        raise ValueError(f"found theta = {level.tolist()}; expected a symmetric, positive semidefinite matrix")
