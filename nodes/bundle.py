@@ -28,7 +28,8 @@ from manyhands.design.levels.contract import DeviceShare, loop_gain
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
-from manyhands.protocol.messages import Role
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.messages import Role, Start
 
 MOST_RUNGS = 8
 """The most rungs of a ladder besides rung 0, as many as a session file may state."""
@@ -74,6 +75,9 @@ class Common:
         telemetry_ticks: ticks between two telemetry messages.
         telemetry_first: ticks before the first one, at most as many; they differ, so that the nodes of a session do not
             all send telemetry in the same tick.
+        rate: ticks of the node in one of the session's; not 1 at a wave link's site with a period of its own.
+        phase: when its tick 0 is, after the session's, s. Sites and their world need no common instant, so they take
+            turns at the processors.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
@@ -94,6 +98,8 @@ class Common:
     peers: tuple[Peer, ...]
     telemetry_ticks: int
     telemetry_first: int
+    rate: float = 1.0
+    phase: float = 0.0
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -423,6 +429,50 @@ class DeviceBundle:
 
 
 @dataclass(frozen=True, eq=False)
+class WaveEnd:
+    """One end of the wave link between a coupling and the environment (docs/decisions/0033-wave-links.md).
+
+    Attributes:
+        b: the wave impedance, m_i x m_i, N*s/m; the same at both ends.
+        theta: the level that the certificate leaves to this end, m_i x m_i, N*s/m; None for 0.
+        tank: E_0, J.
+        peer_period: T of the other end, s.
+        depth: how far the play-out stays behind the newest wave, ticks of the other end; None where it is measured.
+
+    Raises:
+        ValueError: a number is out of its range, or b is not symmetric positive definite.
+    """
+
+    b: Matrix
+    theta: Matrix | None
+    tank: float
+    peer_period: float
+    depth: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.b.ndim != 2 or np.any(self.b != self.b.T) or not np.linalg.eigvalsh(self.b)[0] > 0.0:
+            raise ValueError(f"found b of shape {self.b.shape}; expected it symmetric positive definite")
+        if not 0.0 <= self.tank < math.inf or not 0.0 < self.peer_period < math.inf:
+            raise ValueError(
+                f"found a tank of {self.tank} J and a period of {self.peer_period} s; expected both finite"
+            )
+        if self.depth is not None and not 0.0 <= self.depth < math.inf:
+            raise ValueError(f"found a depth of {self.depth} ticks; expected a finite number, at least 0")
+
+
+def own_start(common: Common, start: Start) -> Start:
+    """``start`` in the node's own ticks, from its own instant of tick 0."""
+    epoch = start.epoch + from_seconds(common.phase)
+    return Start(epoch, round(start.ticks * common.rate), round(start.tick * common.rate))
+
+
+def wave_feedthrough(b: Matrix, period: float) -> Matrix:
+    """D_V = T b^-1 of the world's end, m x m, m/N, with T the environment's ``period``, s."""
+    inverse = np.linalg.inv(b)
+    return matrix(0.5 * period * (inverse + inverse.T))
+
+
+@dataclass(frozen=True, eq=False)
 class CouplingBundle:
     """A coupling block's part of the session.
 
@@ -433,6 +483,7 @@ class CouplingBundle:
         level: Delta_V,i, m_i x m_i, N*s/m; None for an uncertified session.
         limits: the limits of its devices.
         softer: the block at rungs 1, 2, ... of the ladder.
+        wave: its end of its wave link; None where its loop closes inside the tick.
 
     Raises:
         ValueError: there are too many rungs, a matrix has not the shape that it has at rung 0, or a further rung has no
@@ -445,6 +496,7 @@ class CouplingBundle:
     level: Matrix | None
     limits: Limits
     softer: tuple[CouplingRung, ...] = ()
+    wave: WaveEnd | None = None
 
     def __post_init__(self) -> None:
         _require_few_rungs(self.rungs)
@@ -485,6 +537,7 @@ class EnvironmentBundle:
             softens couplings, else the certificate's; 0 where no delay is covered.
         budgets: the energy that each coupling may put into the others, in the order of the peers.
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
+        waves: its ends of wave links, by coupling.
 
     Raises:
         ValueError: there are both or neither of E and a model, or budgets, storage or rungs do not fit. A model with a
@@ -505,6 +558,7 @@ class EnvironmentBundle:
     longest_tau: float = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
     storage: Matrix | None = None
+    waves: Mapping[str, WaveEnd] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
@@ -618,6 +672,12 @@ def _device_rung(data: Any) -> DeviceRung:
     return DeviceRung(_tau(data["tau"]), float(data["period_tolerance"]), share)
 
 
+def _wave_end(data: Any) -> WaveEnd:
+    depth = None if data["depth"] is None else float(data["depth"])
+    theta = _optional_array(data["theta"])
+    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth)
+
+
 def _is_time(value: Any) -> bool:
     return type(value) in (float, int) and 0.0 <= value < 1e9
 
@@ -637,6 +697,8 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "peers": lambda peers: all(_are_texts((p.name, p.address, *p.ports)) and type(p.binds) is bool for p in peers),
     "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
+    "rate": lambda rate: _is_time(rate) and rate > 0.0,
+    "phase": lambda phase: _is_time(phase),
 }
 """The checks of :class:`Common`'s entries, which a node then uses without further checks."""
 
@@ -664,5 +726,7 @@ _READ: dict[str, Any] = {
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
     "time": lambda time: time,
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
+    "wave": lambda data: None if data is None else _wave_end(data),
+    "waves": lambda all_: {str(name): _wave_end(data) for name, data in all_.items()},
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }

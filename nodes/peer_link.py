@@ -127,6 +127,27 @@ class PeerLink:
         """The link, once its handshake is finished; None before."""
         return self.link if self.handshake is None else None
 
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """The frames that were not admitted, by reason."""
+        return self.gate.dropped
+
+    @property
+    def stamp(self) -> int:
+        """The stamp of the latest signal admitted, ns; 0 before the first."""
+        return self.gate.stamp
+
+    def resume(self) -> None:
+        """Begin in a session that runs already; a link that carries the tick's signals needs nothing for that."""
+
+    def forget(self) -> None:
+        """Take the next signal as the first one, whose step has no bound."""
+        self.gate.forget()
+
+    def figures(self) -> Mapping[str, float]:
+        """Figures of the link itself, for telemetry and report; a link that carries the tick's signals has none."""
+        return {}
+
     def share(self, values: Floats) -> Floats:
         """This link's part of the node's ``values``."""
         return [values[at] for at in self._at] if self._part is None else values[self._part]
@@ -288,13 +309,17 @@ class PeerLink:
             self.lose()
             return Received.NOTHING
         self.handshake, self.hello, self.new = None, handshake.peer, True
+        self._begin_life()
+        return Received.RECONNECTED
+
+    def _begin_life(self) -> None:
+        """Begin anew with a peer that has shaken hands."""
         before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
         self._last, self.tick = b"", -1
-        return Received.RECONNECTED
 
     def _flood(self, tick: int) -> str:
-        kinds = ", ".join(f"{reason} {count}" for reason, count in self.gate.dropped.items() if count)
+        kinds = ", ".join(f"{reason} {count}" for reason, count in self.dropped.items() if count)
         return (
             f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
             f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
@@ -404,6 +429,7 @@ def establish(
     clock: Clock,
     feedthrough: Values | None = None,
     bounds: Mapping[str, Bounds] | None = None,
+    ends: Mapping[str, Callable[[Peer, Link | None], PeerLink]] | None = None,
 ) -> tuple[list[PeerLink], dict[str, LinkHello]]:
     """Shake hands on every link, in the session's order.
 
@@ -417,6 +443,7 @@ def establish(
             whatever the session's clock.
         feedthrough: D_V of a coupling, m/N, which is sent to the environment alone.
         bounds: the bounds of a peer's signals; the signals of peers without an entry are not bounded.
+        ends: what makes the ends of wave links, by peer; a peer without an entry exchanges the signals of the tick.
 
     Returns:
         The peer links in the order of the peers, and by peer the hellos of the peers that are present.
@@ -430,15 +457,18 @@ def establish(
     deadline = Instant(clock.now() + HANDSHAKE_TIME)
     for peer in common.peers:
         link = links.get(peer.name)
-        peer_link = PeerLink(
-            hello_to(common, peer, feedthrough),
-            peer,
-            link,
-            admits[peer.name],
-            positions(common.ports, peer.ports),
-            clock,
-            (bounds or {}).get(peer.name),
-        )
+        if ends and peer.name in ends:
+            peer_link = ends[peer.name](peer, link)
+        else:
+            peer_link = PeerLink(
+                hello_to(common, peer, feedthrough),
+                peer,
+                link,
+                admits[peer.name],
+                positions(common.ports, peer.ports),
+                clock,
+                (bounds or {}).get(peer.name),
+            )
         peer_links.append(peer_link)
         if link is not None:
             hellos[peer.name] = shake_hands(link, handshake_of(peer_link), clock, deadline)

@@ -16,7 +16,16 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED, BundleError, Common, CouplingBundle, DeviceBundle, EnvironmentBundle, load
+from manyhands.nodes.bundle import (
+    SIMULATED,
+    BundleError,
+    Common,
+    CouplingBundle,
+    DeviceBundle,
+    EnvironmentBundle,
+    load,
+    own_start,
+)
 from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.log import Log, LogEvent, log_path
 from manyhands.nodes.peer_link import bind_links
@@ -225,8 +234,8 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     life.enter_loop()
     try:
         for member in others:
-            member.node.loop(start, life, member.control)
-        leader.node.loop(start, life, leader.control)
+            member.node.loop(own_start(member.common, start), life, member.control)
+        leader.node.loop(own_start(leader.common, start), life, leader.control)
     finally:
         life.leave_loop()
         if granted is not None:

@@ -97,6 +97,13 @@ INTERFACE_LEAST = "interface_min"  # J, the least of a device's interface accoun
 INTERFACE_TICKS = "interface_ticks"  # ticks in which a device's interface changed a motion or a force
 INTERFACE_KEPT_BACK = "interface_kept_back"  # J that the changed motions kept from being lost
 INTERFACE_OFFSET = "interface_offset"  # m, the greatest offset between a device and the motion sent
+WAVE_LEDGER = (
+    "wave_ledger"  # J that entered a wave link at this end; with a coupling's name in the environment's figures
+)
+WAVE_TANK = "wave_tank"  # J in the tank of this end
+WAVE_CLIPPED = "wave_clipped"  # ticks in which the tank limited a wave
+WAVE_DEAF = "wave_deaf"  # 1 while no wave has come for so long that this end holds the tool
+WAVE_LATENCY = "wave_latency_us"  # what the play-out of this end adds to the round trip
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 
@@ -202,14 +209,14 @@ def shown(telemetry: Telemetry) -> Telemetry:
 
 def stray_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
     """The number of frames that the gates did not admit, as a figure of telemetry."""
-    return {NOT_ADMITTED: float(sum(count for peer_link in peer_links for count in peer_link.gate.dropped.values()))}
+    return {NOT_ADMITTED: float(sum(count for peer_link in peer_links for count in peer_link.dropped.values()))}
 
 
 def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, int]:
     """The numbers of frames that the gates did not admit, by reason, over all links."""
     out: dict[str, int] = {}
     for peer_link in peer_links:
-        for reason, count in peer_link.gate.dropped.items():
+        for reason, count in peer_link.dropped.items():
             out[f"dropped_{reason}"] = out.get(f"dropped_{reason}", 0) + count
     return out
 

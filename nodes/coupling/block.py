@@ -107,6 +107,7 @@ class Block:
 
     def settle(self, tick: int) -> None:
         """Step past ``tick``, and keep its row; all this can wait until the forces are on their way."""
+        self.environment.settle(tick)
         self.core.absorb(self.applied)
         self.ticks = tick + 1
         row, ledger = self._filled, self.core.ledger
@@ -145,6 +146,7 @@ class Block:
             names.RUNG: float(self.rung),
             **names.ledger_figures(self.core.ledger),
             **names.stray_frames([*devices, self.environment]),
+            **self.environment.figures(),
             **self._events.take(self.ticks - rows, self.ticks),
         }
         traces = {
@@ -158,7 +160,7 @@ class Block:
         """Ticks, ledger, ticks with a clipped force, and the frames that were not admitted."""
         return Report(
             self.ticks,
-            names.ledger_figures(self.core.ledger),
+            {**names.ledger_figures(self.core.ledger), **self.environment.figures()},
             {
                 names.SATURATED: self.core.saturated,
                 names.JUMPS: self.jumps,

@@ -19,6 +19,7 @@ from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
 from manyhands.protocol.messages import Absent, Force, Reaction, Report, Role, Rung, Sample, SignalMessage, Start
 from manyhands.protocol.transport import Link
@@ -54,7 +55,8 @@ class CouplingNode:
         limits = self._bundle.limits
         step = [self._common.period * speed for speed in limits.speed]
         bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
-        self.peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds)
+        ends = user_ends(self._bundle, self._clock)
+        self.peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds, ends)
         self._devices = tuple(j for j in self.peer_links if j.peer.role is Role.DEVICE)
         (environment,) = (j for j in self.peer_links if j.peer.role is Role.ENVIRONMENT)
         self._block = Block(self._bundle, environment)
@@ -78,6 +80,8 @@ class CouplingNode:
         self._life = life
         block.begin(life)
         self._resumes = start.tick > 0
+        if self._resumes:
+            block.environment.resume()
         tick = start.tick
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(clock.now())
@@ -92,7 +96,7 @@ class CouplingNode:
             if sampled is None:
                 break
             tick = sampled
-            stamp = devices[0].gate.stamp
+            stamp = devices[0].stamp
             block.send(x, tick, stamp)
             received = block.hear(tick, turn)
             if received is not Received.SIGNAL:
@@ -235,7 +239,7 @@ class CouplingNode:
     def _forget(self) -> None:
         """Take the next samples as first ones, without a bound on their step: the block joins from there by a ramp."""
         for peer_link in self._devices:
-            peer_link.gate.forget()
+            peer_link.forget()
 
     def _report_absences(self, block: Block, present: Collection[PeerLink]) -> None:
         """Report to an environment that is back which devices are missing; it would wait for their samples."""

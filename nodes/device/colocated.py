@@ -20,6 +20,7 @@ from manyhands.nodes.peer_link import Listener, PeerLink, Received, establish, h
 from manyhands.nodes.process import Node
 from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
 from manyhands.protocol.transport import Link
@@ -37,7 +38,9 @@ class CarriedBlock:
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the environment, which receives D_V."""
         admits: dict[str, type[SignalMessage]] = {peer.name: Reaction for peer in self.bundle.common.peers}
-        (environment,), _ = establish(self.bundle.common, links, admits, RealtimeClock(), self.bundle.block.D)
+        clock, D_V = RealtimeClock(), self.bundle.block.D
+        ends = user_ends(self.bundle, clock)
+        (environment,), _ = establish(self.bundle.common, links, admits, clock, D_V, ends=ends)
         self.block = Block(self.bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -49,6 +52,8 @@ class CarriedBlock:
         if self.block is None:
             raise ValueError("the coupling was started before its handshake")
         self.control = control
+        if start.tick > 0:
+            self.block.environment.resume()
         self.block.begin(life)
 
     def listen(self) -> None:

@@ -16,7 +16,7 @@ and the supervisor's messages change memberships, and memberships move the clutc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
@@ -111,12 +111,14 @@ class MembershipRecord:
         state: active, rejoining, frozen or gone.
         absences: how often the coupling was frozen or lost.
         since: the tick at which it became active last.
+        joins: whether it has never been active.
     """
 
-    __slots__ = ("_misses", "_until", "absences", "since", "state")
+    __slots__ = ("_misses", "_until", "absences", "joins", "since", "state")
 
     def __init__(self, state: Membership = Membership.ACTIVE) -> None:
         self.state = state
+        self.joins = state is not Membership.ACTIVE
         self.absences = 0
         self._misses = 0  # absences with fewer than FORGIVEN ticks of activity between them
         self.since = 0
@@ -132,7 +134,7 @@ class MembershipRecord:
         if after is before:
             return False
         if after is Membership.ACTIVE:
-            self.since = tick
+            self.since, self.joins = tick, False
         elif before is Membership.ACTIVE:
             self.absences += 1
             self._misses = 0 if tick - self.since >= FORGIVEN else self._misses + 1
@@ -167,12 +169,16 @@ class Member:
         early: a later tick and the frame of the signal that came for it too early; None where there is none.
         arrived: when its latest signal was read, ns.
         frozen_late: how often it was frozen for being late or silent.
+        linked: whether it is there by a wave link in real time: it is never waited for.
     """
 
-    __slots__ = ("arrived", "due", "early", "frozen_late", "index", "membership", "peer_link", "rung", "wanted")
+    __slots__ = (
+        "arrived", "due", "early", "frozen_late", "index", "linked", "membership", "peer_link", "rung", "wanted",
+    )  # fmt: skip
 
-    def __init__(self, peer_link: PeerLink, index: int, state: Membership) -> None:
+    def __init__(self, peer_link: PeerLink, index: int, state: Membership, linked: bool = False) -> None:
         self.peer_link, self.index, self.membership = peer_link, index, MembershipRecord(state)
+        self.linked = linked
         self.rung = self.wanted = 0
         self.due = 0
         self.early: tuple[int, bytes] | None = None
@@ -181,7 +187,7 @@ class Member:
 
     def missing(self, tick: int) -> bool:
         """Whether the environment waits for its signal of ``tick``."""
-        if self.peer_link.tick == tick:
+        if self.peer_link.tick == tick or self.linked:
             return False
         return self.membership.state is Membership.ACTIVE or (
             self.membership.state is Membership.REJOINING and self.due <= tick
@@ -196,6 +202,8 @@ class Members:
         order: the same members in the order in which they are read; the coupling that was waited for longest is last.
         active: the members to which a tick's forces are sent; kept, so that a tick need not search for them.
         all_active: whether every member is active.
+        anybody_out: whether any member is not active that has been before, or was from the start.
+        awaited: whether the signals of any active member close the tick; otherwise the clock does.
         last: the tick after the session's last; 0 for a session without an end.
         log: receives the members that were frozen, lost or returned; None for no log.
         events: the same with their ticks, for the recording.
@@ -210,8 +218,11 @@ class Members:
         life: Life,
         resumes: bool,
         independent: bool = True,
+        linked: Collection[str] = (),
     ) -> None:
         """All members are active; where the environment resumes a session, all are rejoining and join by the ramp.
+
+        So do members that are there by wave links in real time, once their waves have come.
 
         Args:
             peer_links: the links to the couplings, in the order of the core's blocks.
@@ -220,11 +231,17 @@ class Members:
             life: fails when a coupling floods its link.
             resumes: whether the session runs already, and this process replaces one that was lost.
             independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
+            linked: the couplings that are there by wave links in real time.
         """
         self._core, self._rungs, self._independent = core, rungs, independent
         self._digests: dict[str, str] = {}
         self.all = [
-            Member(peer_link, i, Membership.REJOINING if resumes else Membership.ACTIVE)
+            Member(
+                peer_link,
+                i,
+                Membership.REJOINING if resumes or peer_link.peer.name in linked else Membership.ACTIVE,
+                peer_link.peer.name in linked,
+            )
             for i, peer_link in enumerate(peer_links)
         ]
         self.order = list(self.all)
@@ -233,8 +250,8 @@ class Members:
         self.ahead = self.last = 0
         self.log: Log | None = None
         self.events = TickEvents()
-        if resumes:
-            for member in self.all:
+        for member in self.all:
+            if member.membership.state is Membership.REJOINING:
                 core.clutches.freeze(member.index)
         self._shifting = False
         self._life = life
@@ -299,12 +316,15 @@ class Members:
     def forget(self) -> None:
         """Take the next signals as first ones: the devices have let go meanwhile, and have moved without signals."""
         for member in self.all:
-            member.peer_link.gate.forget()
+            member.peer_link.forget()
 
     def let_in_again(self, tick: int) -> None:
-        """Raise every force by the ramp again: the devices have waited too long, and exert no force by now."""
+        """Raise every force by the ramp again: the devices have waited too long, and exert no force by now.
+
+        Devices behind wave links have not waited.
+        """
         for member in self.all:
-            if member.membership.state is Membership.ACTIVE and member.wanted == member.rung:
+            if not member.linked and member.membership.state is Membership.ACTIVE and member.wanted == member.rung:
                 self._core.clutches.freeze(member.index)
                 self._core.clutches.engage(member.index)
         self.forget()
@@ -396,7 +416,9 @@ class Members:
 
     def soonest(self, tick: int) -> int:
         """The tick to wait at: ``tick``, or the first tick of a rejoining member where no member is awaited before."""
-        dues = [member.due for member in self.all if member.membership.state is Membership.REJOINING]
+        dues = [
+            member.due for member in self.all if member.membership.state is Membership.REJOINING and not member.linked
+        ]
         return tick if self.active or self._resumes or not dues else max(tick, min(dues))
 
     def catch_up(self, tick: int) -> None:
@@ -476,10 +498,15 @@ class Members:
             self.log.note(noted, peer=member.peer_link.peer.name, tick=tick, heard=event.value)
         if member.membership.state is not Membership.ACTIVE:
             self._core.clutches.freeze(member.index)
-            member.peer_link.gate.forget()  # it joins from wherever it is then, so its next signal has no step bound
+            member.peer_link.forget()  # it joins from wherever it is then, so its next signal has no step bound
         self._sort()
         return True
 
     def _sort(self) -> None:
         self.active = [member for member in self.all if member.membership.state is Membership.ACTIVE]
         self.all_active = len(self.active) == len(self.all)
+        self.anybody_out = any(
+            member.membership.state is not Membership.ACTIVE and not (member.linked and member.membership.joins)
+            for member in self.all
+        )
+        self.awaited = any(not member.linked for member in self.active)

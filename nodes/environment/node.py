@@ -16,7 +16,7 @@ import numpy as np
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.bundle import Common, EnvironmentBundle
+from manyhands.nodes.bundle import REALTIME, Common, EnvironmentBundle
 from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
@@ -27,10 +27,12 @@ from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.wave_link.ends import datagram_socket, world_ends
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
+from manyhands.protocol.transport.datagrams import DatagramSocket
 
 
 class EnvironmentTelemetry:
@@ -119,6 +121,7 @@ class EnvironmentNode:
         self._feedthrough: dict[str, Values] = {}
         self.core: Core | None = None
         self.members: Members | None = None
+        self._datagrams: DatagramSocket | None = None
         self._account = EnvironmentTelemetry(bundle.common)
         self._frozen_ticks = 0
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
@@ -135,7 +138,9 @@ class EnvironmentNode:
         """
         admits = {peer.name: Tool for peer in self._common.peers}
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
-        self.peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds)
+        self._datagrams = datagram_socket(self._bundle, self._clock)
+        ends = world_ends(self._bundle, self._clock, self._datagrams)
+        self.peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds, ends=ends)
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
         for peer_link in self.peer_links:
@@ -173,7 +178,12 @@ class EnvironmentNode:
             raise ValueError("the environment was started before its handshakes")
         bundle = self._bundle
         rungs, independent = bundle.feedthrough_rungs, bundle.independent
-        members = self.members = Members(self.peer_links, core, rungs, life, start.tick > 0, independent)
+        realtime, resumes = self._common.clock == REALTIME, start.tick > 0
+        linked = frozenset(bundle.waves) if realtime else frozenset()
+        members = self.members = Members(self.peer_links, core, rungs, life, resumes, independent, linked)
+        if resumes:
+            for peer_link in self.peer_links:
+                peer_link.resume()
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
         clock, account, late = self._clock, self._account, self._late
@@ -183,11 +193,22 @@ class EnvironmentNode:
         epoch, period = start.epoch, self._period
         tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
         self._due = now
+        slot, datagrams = max(0, -((epoch - now) // period)), self._datagrams
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 members.obey(word, control, tick)
-            if not (members.all_active and self._all_heard(members, p, tick)):
+            if datagrams is not None:
+                datagrams.read()
+            if linked and not members.awaited:
+                # everybody is there by a wave link, so nothing closes the tick but the clock
+                clock.sleep_until(Instant(epoch + slot * period))
+                for member in members.order:
+                    members.hear(member, p, tick, NOT_AT_ALL)
+                members.resumed()
+                now = self._due = clock.now()
+                slot = max(slot + 1, -((epoch - now) // period))
+            elif not (members.all_active and self._all_heard(members, p, tick)):
                 found = self._wait(members, p, tick, now, life, control)
                 self._passed = ()
                 if found is None:
@@ -210,12 +231,12 @@ class EnvironmentNode:
                 life.fail(f"{self._common.name}: {core.failure}")
             members.shift()
             for member in members.active:
-                member.peer_link.send(Reaction, tick, member.peer_link.gate.stamp, f)
+                member.peer_link.send(Reaction, tick, member.peer_link.stamp, f)
             answered = now
             self._due = now + (epoch - now) % period  # the next multiple of T, at which devices sample
             give_way()  # ZeroMQ's thread sends the forces first; what does not depend on them is done after
             core.settle()
-            self._frozen_ticks += not members.all_active
+            self._frozen_ticks += members.anybody_out
             account.tick(tick, core)
             tick += 1
             if account.due:
@@ -223,6 +244,8 @@ class EnvironmentNode:
         self._publish(control, core, members)
         if tick == start.ticks and not members.all_active:
             self._say_goodbye(members, p, tick)
+        if datagrams is not None:
+            datagrams.close()
 
     def _say_goodbye(self, members: Members, p: Floats, tick: int) -> None:
         """Answer the frozen couplings after the last tick, for a short time, so that they end with the others.
@@ -274,7 +297,7 @@ class EnvironmentNode:
         """Charge the members that were late, freeze those that are late again and again, and read the latest last."""
         late = self._late
         arrivals = [
-            (member.arrived, member.index) for member in members.order if member.membership.state is Membership.ACTIVE
+            (member.arrived, member.index) for member in members.order if member in members.active and not member.linked
         ]
         if not arrivals:
             return
@@ -412,6 +435,11 @@ class EnvironmentNode:
             return {}
         return {
             **names.ledger_figures(core.ledger),
+            **{
+                f"{figure}_{peer_link.peer.name}": value
+                for peer_link in self.peer_links
+                for figure, value in peer_link.figures().items()
+            },
             **names.enforcement_figures(core.controller),
             **names.energy_figures(core.energy, [peer_link.peer.name for peer_link in self.peer_links]),
         }

@@ -192,6 +192,11 @@ class _Face(ABC):
         """What the play-out and the smoothing of this face add to the round trip, s."""
         return self._play.depth * self._peer_T + (self._smoothing - 1.0) * self._T
 
+    @property
+    def wanted_depth(self) -> float:
+        """The depth that was set last, ticks of the other face."""
+        return self._play.depth
+
     def set_depth(self, depth: float) -> None:
         """Change the depth, ticks of the other face; the play-out jumps there, and the wave follows by the ramp."""
         self._play.place(depth)

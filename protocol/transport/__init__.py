@@ -52,6 +52,11 @@ class Link(Protocol):
         """
         ...
 
+    @property
+    def host(self) -> str:
+        """The host at which this end has reached the other; empty for the end that binds, and within one machine."""
+        ...
+
     def trouble(self) -> Trouble | None:
         """The known failure of the connection; None without one.
 

@@ -49,16 +49,24 @@ HUB_DROPS: Final = (
 
 
 class ZmqLink:
-    """A PAIR socket, the DEALER end of a hub, or either end of an outlet."""
+    """A PAIR socket, the DEALER end of a hub, or either end of an outlet.
 
-    def __init__(self, socket: "zmq.Socket[bytes]", door: Doorkeeper | None, watched: bool = False) -> None:
+    Attributes:
+        host: see :class:`~manyhands.protocol.transport.Link`.
+    """
+
+    def __init__(
+        self, socket: "zmq.Socket[bytes]", door: Doorkeeper | None, watched: bool = False, host: str = ""
+    ) -> None:
         """Take over a socket.
 
         Args:
             socket: bound, or about to connect.
             door: answers connection requests; None for a transport without keys.
             watched: whether :meth:`trouble` reports on its connection; only before the socket connects.
+            host: where it connects to; empty for none.
         """
+        self.host = host
         self._socket, self._door = socket, door
         # pyzmq's send without its wrapper for text, groups and routes: a third of the cost in a tick
         self._send = super(zmq.Socket, socket).send
@@ -262,6 +270,12 @@ HUB: Final = "supervisor"
 """The name of the process whose key a hub proves."""
 
 
+def host_of(endpoint: str) -> str:
+    """The host of a tcp endpoint, without the brackets of an IPv6 address; empty for an endpoint of this machine."""
+    scheme, _, place = endpoint.partition("://")
+    return place.rpartition(":")[0].strip("[]") if scheme == "tcp" else ""
+
+
 def is_address(place: str) -> bool:
     """Whether ``place`` is HOST:PORT; ZeroMQ itself would accept a port with other characters after its digits."""
     host, _, port = place.rpartition(":")
@@ -327,7 +341,7 @@ class ZmqTransport:
         """The other end of a link that ``peer`` has bound; see :class:`~manyhands.protocol.transport.Transport`."""
         socket = self._socket(zmq.PAIR, LINK_QUEUE_FRAMES)
         self._connect(socket, endpoint, peer)
-        return self._link(socket)
+        return self._link(socket, host=host_of(endpoint))
 
     def bind_outlet(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link to ``peer`` alone, one way; see :class:`~manyhands.protocol.transport.Transport`.
@@ -412,8 +426,8 @@ class ZmqTransport:
         socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES + overhead)
         return socket
 
-    def _link(self, socket: "zmq.Socket[bytes]", watched: bool = False) -> ZmqLink:
-        link = ZmqLink(socket, self._door, watched)
+    def _link(self, socket: "zmq.Socket[bytes]", watched: bool = False, host: str = "") -> ZmqLink:
+        link = ZmqLink(socket, self._door, watched, host)
         self._links.append(link)
         return link
 

@@ -99,6 +99,8 @@ class _Boxes:
 class MemoryLink:
     """One end of a link; ``identity`` names this end to the other."""
 
+    host = ""
+
     def __init__(
         self, boxes: _Boxes, inbox: _Mailbox, identity: str | None, sends: bool = True, receives: bool = True
     ) -> None:

@@ -1,0 +1,440 @@
+"""The ends of a wave link in their nodes: peer links on which waves travel in place of the tick's signals.
+
+A coupling's loop sends p(k) to its peer and listens for f_v(k). With a wave link the peer is a :class:`UserEnd`: its
+face answers at once, from the waves that have come, and the environment's process is not waited for. The environment's
+loop listens for p(k) and sends f_v(k). There the peer is a :class:`WorldEnd`: its face gives p(k) at once. So neither
+loop knows of wave links, and the waves may come late, twice or never.
+
+**A life of the link** is one handshake. A peer that was lost and comes back shakes hands on a new connection, so no
+wave of an earlier life can come. Both faces then begin a new life (:mod:`manyhands.nodes.wave_link.faces`). The process
+that comes back begins with an empty tank.
+
+**Joining.** The first wave says where the user's tool is. In real time the world's end then listens for
+:data:`JOINING` seconds, with its clutch at s = 0, and measures how late waves come. The depth of its play-out follows
+from that. Then its coupling is active, and the clutch raises the force by its ramp. The user's end measures for as long
+from the world's first wave on.
+
+**Datagrams.** Beyond one machine ZeroMQ's TCP delivers a wave late wherever an earlier packet was lost. So over an
+encrypted tcp link the world's end offers a path of datagrams in each life
+(:mod:`manyhands.protocol.transport.datagrams`), and the waves take it as long as they come through.
+
+**Under the simulated clock** no time passes, so the ends wait for the waves of the ticks that are due: a wave leaves
+and arrives in its tick, and the play-out alone delays it. So a run is the same every time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd, wave_feedthrough
+from manyhands.nodes.peer_link import Listener, PeerLink, Received, hello_to, positions
+from manyhands.nodes.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.wave_link.faces import UserFace, WorldFace
+from manyhands.nodes.wave_link.play_out import DEAF
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
+from manyhands.protocol.codec import LAYOUTS, WaveWriter, decode, encode, type_of
+from manyhands.protocol.gate import WaveGate
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import Absent, PathKey, Role, Rung, SignalMessage, Tool, Values, Wave
+from manyhands.protocol.transport import Link, TransportError
+from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
+
+JOINING: Final = 0.3
+"""Time for which an end measures how late waves come before its depth is settled, s."""
+
+WINDOW: Final = 1.0
+"""The same later on, s: an end goes on to measure, for a machine or a network may become worse. A wave that comes later
+than the depth allows for costs energy of the tank, and where the tank is empty, the tool creeps."""
+
+CALM: Final = 10
+"""Windows that must have needed less before the depth becomes less."""
+
+FIRST_DEPTH: Final = 0.004
+"""The depth of the play-out until it is measured, s."""
+
+AT_ONCE: Final = 64
+"""Frames that are read in one tick: a flood must not keep the loop from its other work."""
+
+MARGIN: Final = 0.5
+"""What is added to the depth that was measured, ticks of the sender."""
+
+ROUNDING: Final = 1e-9
+"""Added to a number of ticks before it is rounded down, for it is a quotient of two periods."""
+
+PATH_KEY_ID: Final = LAYOUTS[PathKey][0]
+
+Face = UserFace | WorldFace
+
+
+class _End(PeerLink):
+    """What both ends share: frames to waves, lives, and the figures.
+
+    Attributes:
+        face: the face at this end.
+    """
+
+    face: Face
+
+    def __init__(self, common: Common, peer: Peer, link: Link | None, clock: Clock, wave: WaveEnd) -> None:
+        """Join ``peer``; the subclass makes the face.
+
+        Args:
+            common: the common part of the node's bundle.
+            peer: the node at the other end.
+            link: the connection; None where the peer is absent.
+            clock: a realtime clock.
+            wave: what the bundle says of this end.
+        """
+        hello = hello_to(common, peer, wave_feedthrough(wave.b, wave.peer_period))
+        super().__init__(hello, peer, link, Tool, positions(common.ports, peer.ports), clock)
+        self._waits = common.clock == SIMULATED
+        self._peer_period = from_seconds(wave.peer_period)
+        self._ratio = common.period / wave.peer_period
+        self._gate = self._new_gate()
+        self._waves = WaveWriter(len(peer.ports))
+        # ticks for which this end measures how late waves come, at first; 0 where its depth is given
+        self._joining = 0 if self._waits or wave.depth is not None else math.ceil(JOINING / common.period)
+        self._window = math.ceil(WINDOW / common.period)
+        self._needed: deque[float] = deque(maxlen=CALM)  # the depth that each window would have needed
+        self._deepest = DEAF / wave.peer_period
+        self._ticks = 0  # of the present window
+        self._strays = 0
+        self._path: DatagramPath | None = None
+        self._encrypted = common.transport == "tcp" and bool(common.public) and not self._waits
+        self._zeros: Floats = [0.0] * len(peer.ports)
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """The frames that were no waves of this link, by reason; a wave that is not the newest is no event."""
+        return {**self._gate.dropped, "old_tick": 0}
+
+    @property
+    def stamp(self) -> int:
+        """0, for waves have no stamps."""
+        return 0
+
+    def forget(self) -> None:
+        """Do nothing: no bound of a wave depends on the wave before."""
+
+    def resume(self) -> None:
+        """Begin with an empty tank: this process takes the place of one that was lost, and so is its energy."""
+        self.face.tank.level = 0.0
+
+    def send_again(self) -> None:
+        """Do nothing: the next wave holds all before it."""
+
+    def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
+        """Do nothing: neither end waits for a tick of the other."""
+
+    def notify(self, message: Rung | Absent) -> None:
+        """Do nothing: rungs end at the site, and the other end notices itself that waves are missing."""
+
+    def lose(self) -> None:
+        """Close the link to a peer that is gone, and begin a new life."""
+        super().lose()
+        self._begin_life()
+
+    def figures(self) -> dict[str, float]:
+        """The account of this end, J; ticks with a limited wave, whether it is deaf; the delay of its play-out, us."""
+        face = self.face
+        return {
+            names.WAVE_LEDGER: face.ledger,
+            names.WAVE_TANK: face.tank.level,
+            names.WAVE_CLIPPED: float(face.tank.clipped),
+            names.WAVE_DEAF: float(face.deaf),
+            names.WAVE_LATENCY: face.latency * 1e6,
+        }
+
+    def _begin_life(self) -> None:
+        self.face.renew(0)
+        if self._path is not None:
+            self._path.close()
+            self._path = None
+        before, self._gate = self._gate, self._new_gate()
+        self._gate.dropped.update(before.dropped)
+        self._needed.clear()
+        self._ticks, self.tick = 0, -1
+
+    def _new_gate(self) -> WaveGate:
+        width = len(self.peer.ports)
+        return WaveGate(width) if self._waits else WaveGate(width, self._peer_period, self._clock)
+
+    def _take_waves(self) -> bool:
+        """Take in all waves that are there, of which the newest counts; returns whether a handshake has finished."""
+        for _ in range(AT_ONCE):
+            link = self.link
+            frame = None if link is None else link.recv(NOT_AT_ALL)
+            if frame is None:
+                break
+            if self._take_frame(frame):
+                return True
+        if self._path is not None and (wave := self._path.receive()) is not None:
+            self.face.hear(wave.tick, wave.sums, wave.shipped)
+        return False
+
+    def _await_wave(self, n: int, timeout: Duration) -> Received:
+        """Wait for the wave ``n``, at most ``timeout``: SIGNAL, or RECONNECTED, or NOTHING."""
+        due = Instant(self._clock.now() + timeout)
+        while self._gate.newest is None or self._gate.newest.tick < n:
+            link = self.link
+            frame = None if link is None else link.recv(Duration(max(0, due - self._clock.now())))
+            if frame is None:
+                return Received.NOTHING
+            if self._take_frame(frame):
+                return Received.RECONNECTED
+        return Received.SIGNAL
+
+    def _take_frame(self, frame: bytes) -> bool:
+        if self.handshake is not None:
+            return self._shake(frame, self.handshake) is Received.RECONNECTED
+        if self._path is not None and self._path.take(frame):
+            self._strays = 0  # the path hands on the newest wave, whatever carried it
+            return False
+        if type_of(frame) == PATH_KEY_ID and self._take_key(frame):
+            return False
+        wave = self._gate.admitted(frame)
+        if wave is not None:
+            self._strays = 0
+            self.face.hear(wave.tick, wave.sums, wave.shipped)
+        else:
+            self._strays += 1
+        return False
+
+    def _take_key(self, frame: bytes) -> bool:
+        """Take up a path that the other end offers, where this end expects an offer; returns whether it was one."""
+        return False
+
+    def _flooded(self, listener: Listener) -> bool:
+        if self._strays <= MAX_STRAY_FRAMES:
+            return False
+        listener.flooded(self._flood(self.tick))
+        return True
+
+    def _send_wave(self) -> bool:
+        link = self.link
+        if link is None or self.handshake is not None:
+            return False
+        message = self.face.message()
+        if self._path is not None:
+            return self._path.send(Wave(message.n, message.U, message.G))
+        return link.send(self._waves.frame(message.n, message.U, message.G))
+
+    def _measure(self) -> bool:
+        """Count a tick in which waves come, and choose the depth; returns whether it is settled."""
+        if not self._joining:
+            return True
+        if self._ticks == 0:
+            self.face.measure()
+        self._ticks += 1
+        if self._ticks < (self._window if self._needed else self._joining):
+            return bool(self._needed)
+        self._ticks = 0
+        self._needed.append(self.face.measured + MARGIN)
+        # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
+        # nothing for DEAF holds the tool anyway
+        deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]
+        if (
+            deepest > self.face.wanted_depth or len(self._needed) == CALM
+        ):  # a depth grows at once, and shrinks when calm
+            self.face.set_depth(deepest)
+        return True
+
+
+class UserEnd(_End):
+    """A coupling's end of its wave link: to the block it is the environment, which answers at once."""
+
+    def __init__(self, common: Common, peer: Peer, link: Link | None, clock: Clock, wave: WaveEnd, D_V: Values) -> None:
+        """Begin a life; ``D_V`` is the block's feedthrough, m x m, m/N, and the rest is as for both ends."""
+        super().__init__(common, peer, link, clock, wave)
+        self.face = self._face = user_face(common, wave, D_V)
+        self._f = self._zeros
+        self._datagrams: DatagramSocket | None = None
+
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+        """Answer p(k) from the waves that have come; the world's wave leaves once the force is on its way."""
+        if not self._waits:
+            self._take_waves()
+        self._f = self._face.step(self.share(values))
+        if self._waits:  # the world waits for the wave before it answers with one
+            self._send_wave()
+        return True
+
+    def settle(self, tick: int) -> None:
+        """Send the world the wave of ``tick``, once the force is applied or on its way to the device."""
+        if not self._waits:
+            self._send_wave()
+            if self._face.aligned:
+                self._measure()
+
+    def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
+        """Put f_v(k), which the face has given, into the node's ``values``.
+
+        Under the simulated clock this waits for the wave that the world sends in the tick.
+        """
+        if self._flooded(listener):
+            return Received.NOTHING
+        if self._waits:
+            received = self._await_wave(math.floor(self._face.n * self._ratio + ROUNDING), timeout)
+            if received is not Received.SIGNAL:
+                return received
+        self.put(values, self._f)
+        self.tick = tick
+        return Received.SIGNAL
+
+    def _take_key(self, frame: bytes) -> bool:
+        link = self.link
+        if link is None or not self._encrypted or self._path is not None:
+            return False
+        key = decode(frame, MAX_CONTROL_BYTES)
+        if not isinstance(key, PathKey):
+            return False
+        try:
+            if self._datagrams is None:
+                self._datagrams = DatagramSocket.unbound(self._clock)
+            width = len(self.peer.ports)
+            self._path = self._datagrams.take_up(key, link.host, link, width, self._peer_period)
+        except TransportError:  # no datagrams from here: the waves stay with ZeroMQ
+            return True
+        self._path.gate.dropped.update(self._gate.dropped)
+        self._gate = self._path.gate
+        return True
+
+
+class WorldEnd(_End):
+    """The environment's end of a wave link: to the environment it is a coupling, which is always there in time."""
+
+    def __init__(
+        self,
+        common: Common,
+        peer: Peer,
+        link: Link | None,
+        clock: Clock,
+        wave: WaveEnd,
+        datagrams: DatagramSocket | None = None,
+    ) -> None:
+        """Begin a life; ``datagrams`` is the socket that all ends of the process share, None for none."""
+        super().__init__(common, peer, link, clock, wave)
+        self._datagrams = datagrams if self._encrypted else None
+        self.face = self._face = world_face(common, wave)
+        self._answered = True  # whether the face has the force of its last tick
+        self._asked = -1  # the tick in which the face moved last
+
+    def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
+        """Put p(k), which the face gives, into the node's ``values``; NOTHING before the first wave and while joining.
+
+        A second call in a tick does nothing more.
+        """
+        if self._flooded(listener) or self._asked == tick:
+            return Received.NOTHING
+        if self._waits:
+            received = self._await_wave(math.floor(self._face.n * self._ratio + ROUNDING) + 1, timeout)
+            if received is not Received.SIGNAL:
+                return received
+        else:
+            self._offer_path()
+            if self._take_waves():
+                return Received.RECONNECTED
+        self._asked = tick
+        if not self._answered:  # the coupling was not active: its clutch is open, and no force acts on the face
+            self._face.step(self._zeros)
+            self._answered = True
+        if self._gate.newest is None:
+            return Received.NOTHING
+        p = self._face.tool()
+        self._answered = False
+        if not self._measure():
+            return Received.NOTHING
+        self.put(values, p)
+        self.tick = tick
+        return Received.SIGNAL
+
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+        """Give the face f_e(k) behind the clutch, and send the user a wave."""
+        self._face.step(self.share(values))
+        self._answered = True
+        return self._send_wave()
+
+    def _begin_life(self) -> None:
+        super()._begin_life()
+        self._answered = True
+
+    def _offer_path(self) -> None:
+        """Offer the coupling a path for its datagrams, once in a life."""
+        link = self.link
+        if self._datagrams is None or self._path is not None or link is None or not self.here:
+            return
+        try:
+            path = self._datagrams.offer(link, len(self.peer.ports), self._peer_period)
+        except TransportError:  # too many ports for a datagram: the waves stay with ZeroMQ
+            self._datagrams = None
+            return
+        path.gate.dropped.update(self._gate.dropped)
+        self._path, self._gate = path, path.gate
+        link.send(encode(path.key))
+
+
+def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
+    """What makes a coupling's end of its wave link, for :func:`manyhands.nodes.peer_link.establish`."""
+    wave = bundle.wave
+    if wave is None:
+        return {}
+
+    def make(peer: Peer, link: Link | None) -> UserEnd:
+        return UserEnd(bundle.common, peer, link, clock, wave, bundle.block.D)
+
+    return {peer.name: make for peer in bundle.common.peers if peer.role is Role.ENVIRONMENT}
+
+
+def world_ends(
+    bundle: EnvironmentBundle, clock: Clock, datagrams: DatagramSocket | None = None
+) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
+    """What makes the environment's ends of wave links, by coupling, for
+    :func:`manyhands.nodes.peer_link.establish`; ``datagrams`` is the socket of :func:`datagram_socket`.
+    """
+
+    def make(peer: Peer, link: Link | None) -> WorldEnd:
+        return WorldEnd(bundle.common, peer, link, clock, bundle.waves[peer.name], datagrams)
+
+    return dict.fromkeys(bundle.waves, make)
+
+
+def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket | None:
+    """The environment's socket for the datagrams of all its wave links, which its couplings may reach from elsewhere.
+
+    It has the host and the number of the TCP port of the first link with a wave link, so one port more is to be opened
+    in a firewall. Links of this machine have any port of the loopback. None where no wave may go by datagram: without
+    wave links, without keys, within one machine's ipc, and under the simulated clock.
+    """
+    common = bundle.common
+    if not bundle.waves or common.transport != "tcp" or not common.public or common.clock == SIMULATED:
+        return None
+    address = next(peer.address for peer in common.peers if peer.name in bundle.waves)
+    host, _, port = address.rpartition(":") if address else ("127.0.0.1", "", "0")
+    try:
+        return DatagramSocket.bound(host.strip("[]"), int(port) if port.isdecimal() else 0, clock)
+    except TransportError:  # the port is taken, or UDP is forbidden: the waves stay with ZeroMQ
+        return None
+
+
+def user_face(common: Common, wave: WaveEnd, D_V: Values) -> UserFace:
+    """The face of a coupling's end at the start of a session; ``D_V`` is the block's feedthrough, m x m, m/N."""
+    depth = _first_depth(common, wave)
+    return UserFace(wave.b, D_V, common.period, wave.peer_period, depth, E_0=wave.tank, theta=wave.theta)
+
+
+def world_face(common: Common, wave: WaveEnd) -> WorldFace:
+    """The face of an environment's end at the start of a session."""
+    depth = _first_depth(common, wave)
+    return WorldFace(wave.b, common.period, wave.peer_period, depth, E_0=wave.tank, theta=wave.theta)
+
+
+def _first_depth(common: Common, wave: WaveEnd) -> float:
+    """The depth of the play-out until it is measured, ticks of the other end."""
+    if wave.depth is not None:
+        return wave.depth
+    return 0.0 if common.clock == SIMULATED else FIRST_DEPTH / wave.peer_period
