@@ -21,7 +21,8 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle, wave_feedthrough
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
@@ -29,6 +30,8 @@ from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
+from manyhands.nodes.wave_link.ends import user_face, world_face
+from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 from manyhands.protocol.clock import Instant, from_seconds
 
 _PROGRESS_TICKS = 1000
@@ -57,6 +60,8 @@ class Simulation:
         guards: the guards of the devices' limits, by name.
         couplings: the blocks' cores by name; a coupling that returns from silence has a new core.
         environment: the environment's core; its blocks are ``couplings``, in this order.
+        user_faces: the faces of wave links at the couplings, by coupling.
+        world_faces: the faces of wave links at the environment, by coupling.
         ledgers: every party's energy ledger by node, a coupling's since it last started; parties without a promised
             level are absent.
     """
@@ -81,6 +86,8 @@ class Simulation:
         self.devices: dict[str, DeviceCore] = {}
         self.guards: dict[str, Guard] = {}
         self.couplings: dict[str, CouplingCore] = {}
+        self.user_faces: dict[str, UserFace] = {}
+        self.world_faces: dict[str, WorldFace] = {}
         self.ledgers: dict[str, Ledger] = {}
         D_V = np.zeros((m, m))
         environment: EnvironmentBundle | None = None
@@ -97,13 +104,15 @@ class Simulation:
                 case CouplingBundle():
                     self._coupling_bundles[name], self._coupling_ports[name] = bundle, ports
                     self._start_coupling(name)
-                    D_V[np.ix_(ports, ports)] = bundle.block.D
+                    wave = bundle.wave
+                    D_V[np.ix_(ports, ports)] = bundle.block.D if wave is None else wave_feedthrough(wave.b, T)
                 case EnvironmentBundle():
                     environment = bundle
         if environment is None:
             raise AssertionError("every session has an environment")
         blocks = tuple(self._coupling_ports.values())
         self.environment = environment_core(environment, D_V, blocks)
+        self.world_faces = {name: world_face(environment.common, wave) for name, wave in environment.waves.items()}
         if self.environment.ledger is not None:
             self.ledgers[ENVIRONMENT] = self.environment.ledger
 
@@ -112,6 +121,12 @@ class Simulation:
         bundle = self._coupling_bundles[name]
         coupling = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
         self.couplings[name] = coupling
+        if bundle.wave is not None:
+            came_back = name in self.user_faces
+            self.user_faces[name] = user_face(bundle.common, bundle.wave, bundle.block.D)
+            if came_back:
+                self.user_faces[name].tank.level = 0.0
+                self.world_faces[name].renew(0)
         if coupling.ledger is not None:
             self.ledgers[name] = coupling.ledger
 
@@ -146,9 +161,10 @@ class Simulation:
         session = self._prepared.session
         m = len(session.ports)
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
-        reported, p = np.zeros(m), np.zeros(m)
+        reported, p, tool = np.zeros(m), np.zeros(m), np.zeros(m)
+        through_waves: dict[str, Floats] = {}
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
-        couplings = self._active(())
+        couplings, linked = self._active(()), self._linked(())
         silent: set[str] = set()
         model = self.environment if isinstance(self.environment, EnforcedCore) else None
         period = from_seconds(session.period)
@@ -162,20 +178,30 @@ class Simulation:
                 for name in begins.get(k, ()):
                     silent.add(name)
                     self.environment.clutches.freeze(blocks[name])
-                couplings = self._active(silent)
+                couplings, linked = self._active(silent), self._linked(silent)
             for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k, now)))
                 device.sample(displacement)
                 x[k, ports] = displacement
                 reported[ports] = guard.report(displacement)
             for _, coupling, ports in couplings:
-                p[ports] = coupling.free_position(reported[ports].tolist())
-            f_v[k] = self.environment.react(p.tolist())
+                p[ports] = tool[ports] = coupling.free_position(reported[ports].tolist())
+            for name, user, world, ports in linked:
+                through_waves[name] = user.step(p[ports].tolist())
+                wave = user.message()
+                world.hear(wave.n, wave.U, wave.G)
+                tool[ports] = world.tool()
+            f_v[k] = self.environment.react(tool.tolist())
             if model is not None and model.failure is not None:
                 raise ModelFailure(model.failure)
             self.environment.settle()
             if traces is not None:
                 traces.keep(ENVIRONMENT, k, self.environment.tools, self.environment.masses)
+            for name, user, world, ports in linked:
+                world.step(f_v[k, ports].tolist())
+                wave = world.message()
+                user.hear(wave.n, wave.U, wave.G)
+                f_v[k, ports] = through_waves[name]
             for name, coupling, ports in couplings:
                 f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)
@@ -195,6 +221,14 @@ class Simulation:
     def _active(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
         """The couplings that are not silent, with their ports."""
         return [(name, core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
+
+    def _linked(self, silent: Collection[str]) -> list[tuple[str, UserFace, WorldFace, NDArray[np.intp]]]:
+        """Both faces of each wave link whose coupling is not silent, with its ports."""
+        return [
+            (name, user, self.world_faces[name], self._coupling_ports[name])
+            for name, user in self.user_faces.items()
+            if name not in silent
+        ]
 
 
 def _by_tick(

@@ -31,6 +31,9 @@ TICKS = 350  # telemetry comes every 100: the last is a part
 LIMITS = {"dx": 1.25, "dz": 0.5}  # N; both bite now and then
 SATURATING = tuple(f"devices.{device}.limits={{force: {limit}}}" for device, limit in LIMITS.items())
 
+ONE_LINK = ("couplings.cx.wave_link={b: 20, depth: 2}",)
+ALL_LINKED = tuple(f"couplings.{name}.wave_link={{b: 20}}" for name in ("cx", "cy", "cz"))
+
 Node = DeviceNode | CouplingNode | EnvironmentNode
 Loops = Callable[[Prepared], tuple[dict[str, Node], dict[str, Any]]]
 
@@ -110,6 +113,25 @@ def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...
         for port, limit in zip((0, 2), LIMITS.values(), strict=True):
             assert np.max(np.abs(recording.f_v[:, port])) == limit
             assert np.any(np.abs(recording.f_v[:, port]) < limit)
+
+
+@pytest.mark.parametrize("overrides", [ONE_LINK, ALL_LINKED], ids=["one wave link", "all linked"])
+def test_loops_with_wave_links_give_the_simulations_numbers(overrides: tuple[str, ...], run_loops: Loops) -> None:
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides))
+    nodes, lines = run_loops(prepared)
+    simulation = Simulation(prepared)
+    expected = simulation.run(TICKS)
+    for i, name in enumerate(prepared.session.devices):
+        np.testing.assert_array_equal(lines[name].trace("x")[:, 0], expected.x[:, i])
+        np.testing.assert_array_equal(lines[name].trace("f_v")[:, 0], expected.f_v[:, i])
+    assert np.max(np.abs(expected.f_v)) > 0.5
+    for name, user in simulation.user_faces.items():
+        world = simulation.world_faces[name]
+        assert user.ledger + world.ledger >= -2.0 * 0.005
+        assert nodes[name].report().figures["wave_ledger"] == user.ledger
+        assert nodes["environment"].report().figures[f"wave_ledger_{name}"] == world.ledger
+    in_tick = Simulation(prepare(load_session(SESSIONS / "example1.yaml"))).run(TICKS)
+    assert np.max(np.abs(in_tick.x - expected.x)) > 1e-5  # the delay is felt
 
 
 @pytest.mark.parametrize("overrides", [(), SATURATING], ids=["within limits", "saturating"])
