@@ -162,7 +162,12 @@ def world_differences(data: Mapping[str, Any], world: World) -> list[str]:
 def save_world(world: World, path: Path) -> None:
     """Write the file whole or not at all."""
     with replacing(path) as file:
-        file.write((pretty({"id": world.id, **world_content(world)}) + "\n").encode())
+        file.write(world_json(world).encode())
+
+
+def world_json(world: World) -> str:
+    """The text of the file."""
+    return pretty({"id": world.id, **world_content(world)}) + "\n"
 
 
 def is_world(data: Mapping[str, Any]) -> bool:

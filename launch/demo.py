@@ -140,7 +140,7 @@ def run_demo(
         print_certificate(out, decentralised.certificate)
         save_certificate(decentralised.certificate, folder / "certificate.json")
         if clock == REALTIME:
-            for line in certified_lines(decentralised.certificate, decentralised.session, profile, time.time()):
+            for line in certified_lines(decentralised, decentralised.session, profile, time.time()):
                 say(err, line)
     recorded = folder / "run.mcap"
     outcome = run_session(

@@ -27,23 +27,10 @@ from manyhands.launch.design_report import (
     progress_on,
 )
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
-from manyhands.launch.plan.sites import IN_TICK, in_tick, site, world
+from manyhands.launch.plan.prepare import IN_TICK
+from manyhands.launch.plan.sites import in_tick, part_file, part_names, site, world
 from manyhands.launch.run.display import say
 from manyhands.launch.session import ENVIRONMENT, Session
-
-
-def part_names(session: Session) -> tuple[str, ...]:
-    """The parts of a session with wave links, by name: its sites, the users in the tick, the world."""
-    others = (IN_TICK,) if len(session.wave_links) < len(session.couplings) else ()
-    return (*session.wave_links, *others, ENVIRONMENT)
-
-
-def part_file(output: Path, name: str) -> Path:
-    """The file of a part beside that of the world: its name before the suffixes, ``two.cx.cert.json``."""
-    if name == ENVIRONMENT:
-        return output
-    stem, dot, suffixes = output.name.partition(".")
-    return output.with_name(f"{stem}.{name}{dot}{suffixes}")
 
 
 def require_parts(session: Session, output: Path | None, only: str | None) -> None:

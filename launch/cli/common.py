@@ -221,7 +221,7 @@ def settle_delay(
             keep_profile(profile)
         except OSError as error:
             say(err, f"warning: the measurement is not kept: {error.filename}: {error.strerror}")
-    chosen = allowance(profile, session.period)
+    chosen = allowance(profile, session.device_period)
     return session.with_delay(chosen.tau, chosen.period_tolerance), profile
 
 

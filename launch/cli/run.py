@@ -36,7 +36,7 @@ from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import NotCertified, must_measure, require_in_tick
+from manyhands.launch.plan.prepare import NotCertified, must_measure
 from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
@@ -72,7 +72,12 @@ def simulate(
         from manyhands.nodes.telemetry import energy_figures
 
         loaded = load_named(session, overrides)
-        require_in_tick(loaded)
+        for name in loaded.wave_links:
+            if loaded.period_of(name) != loaded.period:
+                refuse(
+                    f"couplings.{name}.wave_link.period: found {loaded.period_of(name):g} s; expected the session's "
+                    f"{loaded.period:g} s for a simulation in one process; launch --clock simulated runs it as it is"
+                )
         ticks = kept_ticks(loaded, duration)
         if output is not None:
             require_suffix(output)
@@ -80,7 +85,7 @@ def simulate(
         if certificate is None:
             loaded, _ = settle_delay(loaded, realtime=False)
         prepared = prepare_session(loaded, certificate, uncertified=True)
-        if prepared.certificate is None and not uncertified:
+        if not prepared.certified and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
         warn_of_model(err, loaded)
         simulation = Simulation(prepared)
@@ -157,7 +162,6 @@ def launch(
         require_one_of("--clock", clock, CLOCKS)
         require_one_of("--transport", transport, SCHEMES)
         loaded = load_named(session, overrides)
-        require_in_tick(loaded)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
         if directory is not None:
             require_new(directory)
@@ -200,9 +204,8 @@ def launch(
                 text = f"{error}; the delay of {tau} was measured here: design.tau=0 asks for a certificate without any"
                 raise NotCertified(text) from error
             raise
-        if clock == REALTIME and prepared.certificate is not None:
-            for line in certified_lines(prepared.certificate, settled, profile, time.time()):
-                say(err, line)
+        for line in certified_lines(prepared, settled, profile, time.time()) if clock == REALTIME else ():
+            say(err, line)
         warn_of_model(err, loaded)
         kept = None if directory is None else SessionDirectory(directory)
         outcome = run_session(
@@ -216,7 +219,7 @@ def launch(
             directory=kept,
             together=together,
         )
-        if profile is not None and outlived(profile, loaded.period, outcome.report):
+        if profile is not None and outlived(profile, loaded.device_period, outcome.report):
             drop_profile(profile)  # the next launch measures anew
         print_report(out, outcome.report)
         end(outcome.code)

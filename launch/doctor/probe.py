@@ -281,14 +281,22 @@ def at_rest(session: Session, form: Form | None = None) -> Session:
         for name, device in session.devices.items()
     }  # fmt: skip
     links = [{"between": [port, "ground"], "stiffness": 1.0, "damping": 1.0} for port in session.ports]
+    couplings: dict[str, dict[str, Any]] = {
+        name: {"ports": list(ports)} for name, ports in session.blocks_by_name.items()
+    }
+    for name, link in session.wave_links.items():  # sites keep their own periods, but for another rate of the session
+        own = link.period_in(session.period) if form.period == session.period else form.period
+        couplings[name]["wave_link"] = {"b": 1.0, "period": own}
+    # a wave link needs a coupling; one that yields as soon as anything pulls keeps the session at rest as well
+    design = {"coupling": "given", "stiffness": 1.0, "damping": 1.0} if session.wave_links else {"coupling": "none"}
     return Session.model_validate(
         {
             "session": "doctor",
             "period": form.period,
             "devices": devices,
-            "couplings": {name: {"ports": list(ports)} for name, ports in session.blocks_by_name.items()},
+            "couplings": couplings,
             "environment": {"type": "network", "links": links},
-            "design": {"coupling": "none", "objective": "feasible"},
+            "design": {**design, "objective": "feasible"},
             "colocate": form.colocated,
         }
     )
@@ -392,6 +400,11 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
     nodes = outcome.report["nodes"]  # a node that sent no last report is absent
     devices = [name for name, role in rested.graph.nodes.items() if role is Role.DEVICE]
     late = sum(nodes[name][names.LATE] for name in devices if name in nodes)
-    periods = [nodes[name][names.PERIOD]["p99"] for name in devices if names.PERIOD in nodes.get(name, {})]
-    own = rested.session.period * 1e6
+    session = rested.session
+    own = session.device_period * 1e6
+    periods = [
+        nodes[name][names.PERIOD]["p99"]
+        for name in devices
+        if names.PERIOD in nodes.get(name, {}) and session.period_of(name) == session.device_period
+    ]
     return Ticking(way, Spread.of(delays.tau), len(delays.tau), late, delays.slowest, max(periods, default=own))

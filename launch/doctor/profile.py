@@ -189,6 +189,7 @@ def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str
         "transport": transport,
         "encrypted": encrypted,
         "period": plan.session.period,
+        "sites": [[number[name], plan.session.period_of(name)] for name in plan.session.wave_links],
         "nodes": [[role.value, len(graph.ports[name])] for name, role in graph.nodes.items()],
         "links": [[number[link.binder], number[link.connector], len(link.ports)] for link in graph.links],
         "places": [[number[name], processor] for name, processor in places.items()],

@@ -17,10 +17,13 @@ from rich.table import Table
 from manyhands.design.budget import needed_share
 from manyhands.design.certificate import Certificate
 from manyhands.design.models.statespace import symmetric_part
+from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.doctor.advice import Worth, longer_period
 from manyhands.launch.doctor.probe import Form, Way, forms_of
 from manyhands.launch.doctor.profile import QUANTILE, Profile, allowance, kept_profile
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.session import Session
+from manyhands.launch.session.errors import listed
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,30 @@ def _newtons(stiffness: float | None) -> str:
     return "" if stiffness is None else f"{stiffness:.0f}" if stiffness > 0.0 else "none"
 
 
-def certified_lines(certificate: Certificate, session: Session, profile: Profile | None, now: float) -> Iterator[str]:
+def certified_lines(prepared: Prepared, session: Session, profile: Profile | None, now: float) -> Iterator[str]:
     """What a run is certified for, in one line; and a second where the machine is too slow for the period.
+
+    With wave links there is one for each part of the session; parts with the same figures share a line.
+
+    Args:
+        prepared: the certified run.
+        session: the session with its delay.
+        profile: this machine's for the session; None where there is none.
+        now: s since the epoch.
+    """
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for part, certificate in prepared.parts.items():
+        alike.setdefault(tuple(_certified(certificate, session, profile, now)), []).append(part)
+    if prepared.certificate is not None:
+        alike[tuple(_certified(prepared.certificate, session, profile, now))] = []
+    for lines, parts in alike.items():
+        who = f"{session.name}, {listed(parts)}" if parts else session.name
+        for line in lines:
+            yield f"{who}: {line}"
+
+
+def _certified(certificate: Certificate, session: Session, profile: Profile | None, now: float) -> Iterator[str]:
+    """The lines about one certificate, without the session's name.
 
     Args:
         certificate: the certificate of the run.
@@ -140,8 +165,8 @@ def certified_lines(certificate: Certificate, session: Session, profile: Profile
         profile: this machine's for the session; None where there is none.
         now: s since the epoch.
     """
-    loop, T = certificate.loop, session.period
-    name, tau = session.name, certificate.tau
+    loop, T = certificate.loop, certificate.loop.period
+    tau = certificate.tau
     if profile is None:
         measured = "not measured here"
     else:
@@ -152,10 +177,12 @@ def certified_lines(certificate: Certificate, session: Session, profile: Profile
     worth = Worth(loop, share)
     given = stiffness_range(certificate)
     text = "" if given is None else f"; stiffness {_between(*given)}"
+    if (felt := certificate.margins.get(FELT_STIFFNESS)) is not None:
+        text += f", felt as {felt:.4g} N/m through the wave link"
     periods = f" and periods up to {_ms((1.0 + loop.period_tolerance) * T)}" if loop.period_tolerance else ""
     here = "" if loop.punctual else f"{worth.weakest(tau):.4g} N/m for these and "
     yield (
-        f"{name}: certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
+        f"certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
         f"{worth.weakest(0.0, 0.0):.4g} N/m without delay"
     )
     if profile is not None and not allowance(profile, T).covered and tau >= T:
@@ -163,7 +190,7 @@ def certified_lines(certificate: Certificate, session: Session, profile: Profile
         together = " or colocate=true" if may_be_together else ""
         found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
         yield (
-            f"{name}: one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "
+            f"one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "
             f"period of {_ms(T)}; use a longer period (period={longer_period(found):g}){together}: manyhands doctor "
             "compares them"
         )

@@ -32,11 +32,13 @@ from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Sess
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.session import ENVIRONMENT
+from manyhands.launch.session.wave_link import WaveLink
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.arithmetic import feedthrough_digest
 from manyhands.nodes.bundle import (
     MAX_TELEMETRY_TICKS,
     OWN,
+    REALTIME,
     WALL,
     BrowserHand,
     Bundle,
@@ -52,6 +54,8 @@ from manyhands.nodes.bundle import (
     RecordedMotion,
     SimulatedHand,
     Source,
+    WaveEnd,
+    wave_feedthrough,
 )
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
@@ -154,36 +158,55 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     """
     session = prepared.session
     commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
-    rungs = _rungs(prepared)
-    of_devices = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in rungs)
+    rungs = {name: _rungs(prepared, name) for name in session.couplings}
     bundles: dict[str, Bundle] = {}
-    tank = None if prepared.certificate is None else session.faults.enforced_tank  # without a certificate, no promise
+    tank = session.faults.enforced_tank if prepared.certified else None  # without a certificate, no promise
     for name in session.devices:
+        coupling = next(coupling for coupling in session.couplings if name in session.devices_of(coupling))
+        of_devices = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in rungs[coupling])
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits, time, tank)
-    for index, name in enumerate(prepared.loop.partition.names):
-        own, *softer = (CouplingRung(rung.blocks[index], rung.gains[index], rung.levels[index]) for rung in rungs)
+    for name in session.couplings:
+        own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
         limits = limits_at(session, commons[name].ports)
-        bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer))
+        link = session.wave_links.get(name)
+        wave = None if link is None else _wave_end(link, len(limits.force), session.period, harvests=True)
+        bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
     E, Phi_E, model = _environment(prepared)
+    waves = {
+        name: _wave_end(link, len(session.blocks_by_name[name]), link.period_in(session.period))
+        for name, link in session.wave_links.items()
+    }
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
         E,
         Phi_E,
-        *_widest([tool_bounds(session, rung.blocks) for rung in rungs]),
-        {name: feedthrough_digest(block.D) for name, block in zip(session.couplings, prepared.blocks, strict=True)},
-        {name: tuple(rung.blocks[i].D for rung in rungs[1:]) for i, name in enumerate(session.couplings)},
+        *_widest(
+            [tool_bounds(session, [rung.block for rung in of_one]) for of_one in zip(*rungs.values(), strict=True)]
+        ),
+        {
+            name: feedthrough_digest(wave_feedthrough(waves[name].b, session.period) if name in waves else block.D)
+            for name, block in zip(session.couplings, prepared.blocks, strict=True)
+        },
+        {name: tuple(rung.block.D for rung in softer) for name, (_, *softer) in rungs.items()},
         independent=prepared.ladder is None or prepared.ladder.independent,
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
         masses=mass_names(session),
-        longest_tau=rungs[-1 if session.faults.breach == "soften" else 0].tau,
+        longest_tau=_longest_tau(prepared, rungs),
         budgets=budgets(session),
         storage=None if model is not None else _storage(prepared),
+        waves=waves,
     )
     return bundles
+
+
+def _wave_end(link: WaveLink, ports: int, peer_period: float, harvests: bool = False) -> WaveEnd:
+    """One end of a wave link; the user's end alone harvests, from what its site's certificate leaves."""
+    theta = matrix(np.diag(link.harvest_of(ports))) if harvests else None
+    return WaveEnd(matrix(link.impedance(ports)), theta, link.tank, peer_period, link.depth)
 
 
 def _storage(prepared: Prepared) -> Matrix | None:
@@ -203,6 +226,8 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
         level = environment.level if environment.enforced else None
         return None, level, ModelName(given.model, given.parameters)
     E = environment.environment(prepared.session.period)
+    if prepared.world is not None:
+        return E, matrix(prepared.world.Phi_E), None
     if prepared.certificate is None:
         return E, None, None
     return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
@@ -210,37 +235,45 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
 
 @dataclass(frozen=True, eq=False)
 class _Rung:
-    """What is in force at one rung.
+    """What is in force for one coupling and its devices at one rung.
 
     Attributes:
         tau: the delay inside the tick that the rung covers, s.
         period_tolerance: rho; the rung covers periods up to (1 + rho) T.
         share: the share of the devices' levels that remains behind their samplers.
-        gains: K of each block, m/N.
-        blocks: the blocks of V.
-        levels: the level of each block; None for each where nothing is certified.
+        K: of the block, m/N.
+        block: the block of V.
+        level: of the block; None where nothing is certified.
     """
 
     tau: float
     period_tolerance: float
     share: DeviceShare
-    gains: tuple[Matrix, ...]
-    blocks: tuple[StateSpace, ...]
-    levels: tuple[Matrix | None, ...]
+    K: Matrix
+    block: StateSpace
+    level: Matrix | None
 
 
-def _rungs(prepared: Prepared) -> list[_Rung]:
-    """The rung in force at the start, then the softer rungs to which the couplings may change."""
-    loop, certificate, ladder = prepared.loop, prepared.certificate, prepared.ladder
+def _rungs(prepared: Prepared, coupling: str) -> list[_Rung]:
+    """The rung in force at the start, then the softer rungs to which the coupling may change."""
+    at = list(prepared.session.couplings).index(coupling)
+    block, certificate, ladder = prepared.blocks[at], prepared.certificate_of(coupling), prepared.ladder
     if certificate is None:
         share = DeviceShare()
-        return [_Rung(0.0, 0.0, share, loop.loop_gain(share.kappa), prepared.blocks, (None,) * len(prepared.blocks))]
+        return [_Rung(0.0, 0.0, share, prepared.loop.loop_gain(share.kappa)[at], block, None)]
     rungs = []
     for proof in (certificate,) if ladder is None else ladder.rungs:
-        share = proof.levels.device
-        gains = loop.loop_gain(share.kappa)
-        rungs.append(_Rung(proof.tau, proof.period_tolerance, share, gains, proof.blocks, proof.levels.Delta_V))
-    return [replace(rungs[0], blocks=prepared.blocks), *rungs[1:]]
+        at, share = proof.loop.partition.names.index(coupling), proof.levels.device
+        K, level = proof.loop.loop_gain(share.kappa)[at], proof.levels.Delta_V[at]
+        rungs.append(_Rung(proof.tau, proof.period_tolerance, share, K, proof.blocks[at], level))
+    return [replace(rungs[0], block=block), *rungs[1:]]
+
+
+def _longest_tau(prepared: Prepared, rungs: Mapping[str, Sequence[_Rung]]) -> float:
+    """The longest delay that the users in the tick may have, s; 0 where there are none."""
+    session = prepared.session
+    last = -1 if session.faults.breach == "soften" else 0
+    return max((of_one[last].tau for name, of_one in rungs.items() if name not in session.wave_links), default=0.0)
 
 
 def _widest(bounds: Sequence[tuple[PortBounds, PortBounds]]) -> tuple[PortBounds, PortBounds]:
@@ -270,13 +303,14 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
             other = link.connector if binds else link.binder
             address = run.reach.address(graph, index) if binds else ""
             peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
-    every = _telemetry_ticks(prepared.session.period, _columns(prepared.session, graph, name, run.clock))
+    period = prepared.session.period_of(name)
+    every = _telemetry_ticks(period, _columns(prepared.session, graph, name, run.clock))
     return Common(
         session=prepared.session.name,
         name=name,
         role=graph.nodes.get(name, Role.OBSERVER),
         certificate=prepared.id,
-        period=prepared.session.period,
+        period=period,
         clock=run.clock,
         transport=run.reach.transport,
         public=run.reach.public(name),
@@ -287,7 +321,19 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
         peers=tuple(peers),
         telemetry_ticks=every,
         telemetry_first=_telemetry_first(every, list(graph.nodes).index(name) if name in graph.nodes else 0, graph),
+        rate=prepared.session.period / period,
+        phase=_phase(prepared.session, name) if run.clock == REALTIME else 0.0,
     )
+
+
+def _phase(session: Session, node: str) -> float:
+    """When the first tick of a node is, s: sites take turns, and then comes their world; all others begin at 0."""
+    sites = list(session.wave_links)
+    turn = session.period_of(node) / (len(sites) + 1)
+    if node == ENVIRONMENT:
+        return turn * len(sites) if len(sites) == len(session.couplings) else 0.0
+    own = (i for i, name in enumerate(sites) if node == name or node in session.devices_of(name))
+    return turn * next(own, 0)
 
 
 def mass_names(session: Session) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -45,7 +45,7 @@ from manyhands.design.problem import (
 )
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session, SessionError
+from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
@@ -54,6 +54,7 @@ from manyhands.launch.session.fields import Interval
 if TYPE_CHECKING:
     from manyhands.design.ladder import Ladder
     from manyhands.design.synthesis import Designed
+    from manyhands.design.world import World
 
 
 def haptic_loop(session: Session) -> HapticLoop:
@@ -185,6 +186,10 @@ class NotCertified(Exception):
     """A run was refused because its session is not certified; the text states the reason and a remedy."""
 
 
+IN_TICK: Final = "in-tick"
+"""The name of the part of all users without a wave link; no coupling may have it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared(Plan):
     """A planned session with the coupling of its run.
@@ -196,6 +201,10 @@ class Prepared(Plan):
         id: the certificate's id, or one of the uncertified session; all processes of the run must agree on it.
         ladder: the certificate and those for longer delays; None where there are none.
         notes: one sentence for each delay of the ladder without a certificate: why it has none.
+        world: the certificate of the world of a session with wave links; None for every other run. Then
+            ``certificate`` is None, and every party has one of its own.
+        parts: the certificates of the parties of such a world, by part: a coupling with a wave link, or the users in
+            the tick (:data:`manyhands.launch.plan.sites.IN_TICK`).
     """
 
     loop: HapticLoop
@@ -204,17 +213,27 @@ class Prepared(Plan):
     id: str
     ladder: Ladder | None = None
     notes: tuple[str, ...] = ()
+    world: World | None = None
+    parts: Mapping[str, Certificate] = field(default_factory=dict)
 
+    @property
+    def certified(self) -> bool:
+        """Whether the run is proved stable."""
+        return self.certificate is not None or self.world is not None
 
-def require_in_tick(session: Session) -> None:
-    """Refuse to run a session with wave links: they are designed and proved, and not yet run.
+    def certificate_of(self, node: str) -> Certificate | None:
+        """The certificate that a device or a coupling runs under; None for an uncertified run."""
+        if self.world is None:
+            return self.certificate
+        session = self.session
+        couplings = (name for name in session.couplings if node == name or node in session.devices_of(name))
+        coupling = next(couplings)
+        return self.parts[coupling if coupling in session.wave_links else IN_TICK]
 
-    Raises:
-        SessionError: a coupling of the session has a wave link.
-    """
-    for name in session.wave_links:
-        expected = "couplings without wave links: these are designed, proved (verify) and budgeted, and not yet run"
-        raise SessionError(session.name, None, f"couplings.{name}.wave_link", "a wave link", expected)
+    @property
+    def certificates(self) -> tuple[Certificate, ...]:
+        """All certificates of the run's parties; one, or with wave links one for each part."""
+        return tuple(self.parts.values()) if self.certificate is None else (self.certificate,)
 
 
 def certify(session: Session, progress: Progress | None = None) -> Designed:
@@ -318,9 +337,9 @@ def prepare(
     Raises:
         CertificateError: the certificate cannot be read.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
-        SessionError: a coupling of the session has a wave link.
     """
-    require_in_tick(session)
+    if session.wave_links and not uncertified:
+        return _prepare_parts(_settled(session), certificate, progress)
     if certificate is not None:
         proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)
@@ -334,6 +353,37 @@ def prepare(
             return unproved(session, error)
     ladder, notes = _ladder(session, proof, progress)
     return Prepared(session, haptic_loop(session), proof.blocks, proof, proof.id, ladder, notes)
+
+
+def _prepare_parts(session: Session, certificate: Path | None, progress: Progress | None) -> Prepared:
+    """Settle each part of a session with wave links: the world, the sites, and the users in the tick.
+
+    Args:
+        session: the session, with its delay.
+        certificate: the file of the world, with those of the parts beside it; None to design them.
+        progress: called with each step of the design, as a text.
+
+    Raises:
+        CertificateError: a certificate cannot be read.
+        NotCertified: a part is not certified.
+    """
+    from manyhands.launch.plan import sites  # it makes the parts' loops with this module's functions
+
+    if certificate is not None:
+        world, parts = sites.read_parts(certificate, session)
+    else:
+        try:
+            parts = {part.name: part.design(progress).certificate for part in sites.parts(session)}
+            world = sites.world(session, progress)
+        except DesignError as error:
+            raise NotCertified(f"{session.name} is not certified: {error}") from error
+    blocks = []
+    for name in session.couplings:
+        part = parts[name if name in session.wave_links else IN_TICK]
+        blocks.append(part.blocks[part.loop.partition.names.index(name)])
+    every = json.dumps([world.id, *(part.id for part in parts.values())])
+    id = hashlib.sha256(every.encode()).hexdigest()
+    return Prepared(session, haptic_loop(session), tuple(blocks), None, id, world=world, parts=parts)
 
 
 def _settled(session: Session) -> Session:

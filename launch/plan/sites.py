@@ -7,11 +7,13 @@ certificate is the same, byte for byte, whoever else takes part (docs/decisions/
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, differences
+from manyhands.design.certificate import Certificate, differences, read_plain
+from manyhands.design.errors import CertificateError
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.problem import (
     CouplingRequest,
@@ -22,15 +24,22 @@ from manyhands.design.problem import (
     SpringDamperGiven,
 )
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
-from manyhands.launch.plan.prepare import Progress, coupling_request, haptic_loop, session_environment, stated_delay
-from manyhands.launch.session import Session
+from manyhands.design.world import is_world, world_differences
+from manyhands.launch.plan.prepare import (
+    IN_TICK,
+    NotCertified,
+    Progress,
+    coupling_request,
+    haptic_loop,
+    read_certificate,
+    session_environment,
+    stated_delay,
+)
+from manyhands.launch.session import ENVIRONMENT, Session
 
 if TYPE_CHECKING:
     from manyhands.design.synthesis import Designed
     from manyhands.design.world import World
-
-IN_TICK: Final = "in-tick"
-"""The name of the part of all users without a wave link; no coupling may have it."""
 
 
 class SessionPart(NamedTuple):
@@ -110,6 +119,63 @@ def world(session: Session, progress: Progress | None = None) -> World:
     }
     environment = session_environment(session)
     return design_world(session.name, session.period, environment, _partition(session), links, progress)
+
+
+def parts(session: Session) -> tuple[SessionPart, ...]:
+    """The sites of a session, in the order of its couplings, and then the users in the tick where there are any.
+
+    Raises:
+        Infeasible, NotCertified: as :func:`in_tick`.
+    """
+    sites = tuple(site(session, name) for name in session.wave_links)
+    return (*sites, in_tick(session)) if len(sites) < len(session.couplings) else sites
+
+
+def part_names(session: Session) -> tuple[str, ...]:
+    """The parts of a session with wave links, by name: its sites, the users in the tick, the world."""
+    others = (IN_TICK,) if len(session.wave_links) < len(session.couplings) else ()
+    return (*session.wave_links, *others, ENVIRONMENT)
+
+
+def part_file(output: Path, name: str) -> Path:
+    """The file of a part beside that of the world: its name before the suffixes, ``two.cx.cert.json``."""
+    if name == ENVIRONMENT:
+        return output
+    stem, dot, suffixes = output.name.partition(".")
+    return output.with_name(f"{stem}.{name}{dot}{suffixes}")
+
+
+def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certificate]]:
+    """Read the certificate of a world and those of its parts beside it, and prove all of them for ``session``.
+
+    Raises:
+        CertificateError: a file is missing, or is no certificate.
+        NotCertified: one does not hold, or is of another session.
+    """
+    from manyhands.design.proof import ProofInputError, prove_world  # imported here: not every command proves
+
+    data = read_plain(path)
+    if not is_world(data):
+        raise CertificateError(
+            f"{path}: found a certificate of one loop; expected that of a world, for the session has wave links"
+        )
+    try:
+        failing = [finding for finding in prove_world(data) if not finding.holds]
+    except ProofInputError as error:
+        raise CertificateError(f"{path}: {error}") from error
+    if failing:
+        raise NotCertified(f"{path}: not proved: {failing[0].condition} ({failing[0].argument}); design it anew")
+    own = world(session)
+    if (found := world_differences(data, own)) or data["id"] != own.id:
+        different = found[0] if found else "its level differs from the one that is designed for the session"
+        raise NotCertified(f"{path}: a world of another session: {different}; design this session anew")
+    parts: dict[str, Certificate] = {}
+    for name in part_names(session)[:-1]:
+        file = part_file(path, name)
+        certificate = parts[name] = read_certificate(file)
+        if found := differences_from(certificate, session):
+            raise NotCertified(f"{file}: a certificate of another session: {found[0]}; design this session anew")
+    return own, parts
 
 
 def differences_from(certificate: Certificate, session: Session) -> list[str]:

@@ -147,6 +147,13 @@ def kept_files(prepared: Prepared) -> dict[str, bytes]:
     out = {SESSION_FILE: text.encode()}
     if prepared.certificate is not None:
         out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
+    if prepared.world is not None:
+        from manyhands.design.world import world_json  # it loads the exact prover, which not every command needs
+        from manyhands.launch.plan.sites import part_file
+
+        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
+        for name, part in prepared.parts.items():
+            out[part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
     return out
 
 

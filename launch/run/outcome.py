@@ -181,13 +181,13 @@ def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
         prepared: the session with its certificate.
         clock: "realtime" or "simulated".
     """
-    certificate, session = prepared.certificate, prepared.session
+    session = prepared.session
     late = any(session.in_wall_time(name, clock) for name in session.devices)
-    if certificate is None or not late:
+    if not prepared.certified or not late:
         return None
     return {
-        "tau": certificate.tau,
-        "period_tolerance": certificate.period_tolerance,
+        "tau": min(certificate.tau for certificate in prepared.certificates),
+        "period_tolerance": min(certificate.period_tolerance for certificate in prepared.certificates),
         "enforced": session.faults.enforced_tank is not None,
         "tank": session.faults.tank,
     }

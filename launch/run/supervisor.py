@@ -336,7 +336,7 @@ class Supervisor:
         if sender in self._reach.remote:
             self._received.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
-        if isinstance(message, Telemetry) and message.tick > self._most_ticks():
+        if isinstance(message, Telemetry) and message.tick > self._most_ticks(sender):
             self._untimely += 1
             return
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
@@ -361,10 +361,11 @@ class Supervisor:
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
 
-    def _most_ticks(self) -> int:
-        now = self._clock.now()
+    def _most_ticks(self, node: str) -> int:
+        now, period = self._clock.now(), self._session.period_of(node)
         elapsed = Duration(now - (now if self._began is None else self._began))
-        return most_ticks(elapsed, self._session.period, self._clock_name, self.conductor.ticks)
+        ticks = round(self.conductor.ticks * self._session.period / period)
+        return most_ticks(elapsed, period, self._clock_name, ticks)
 
     def carry_out(self, instructions: Iterable[Instruction], hub: Hub, processes: Processes) -> None:
         """Do what the conductor decided: send messages, release names, start and end processes."""
@@ -440,7 +441,13 @@ class Supervisor:
         code = EXIT_FAILED if conductor.faults else EXIT_OK
         if conductor.interrupted and ended_by is not None:
             code = 128 + int(ended_by)
-        ticks = min(max((report.ticks for report in conductor.reports.values()), default=0), self._most_ticks())
+        lasted = max(
+            (
+                min(report.ticks, self._most_ticks(node)) * self._session.period_of(node)
+                for node, report in conductor.reports.items()
+            ),
+            default=0.0,
+        )
         recording = None
         if self._record:
             recording = self._collector.recording(self._session.name, conductor.certificate, self._session.period)
@@ -452,7 +459,7 @@ class Supervisor:
                 self._session.name,
                 conductor.certificate,
                 self._clock_name,
-                ticks * self._session.period,
+                lasted,
                 self._graph.nodes,
                 {**conductor.left, **conductor.reports},
                 self._refused,

@@ -361,6 +361,22 @@ class Session(SessionModel):
         """The wave link of each coupling that has one, in the order of the couplings."""
         return {name: block.wave_link for name, block in self.couplings.items() if block.wave_link is not None}
 
+    def period_of(self, node: str) -> float:
+        """T of a node, s: that of its site where a wave link has one of its own, else the session's."""
+        for name, link in self.wave_links.items():
+            if node == name or node in self.devices_of(name):
+                return link.period_in(self.period)
+        return self.period
+
+    @property
+    def device_period(self) -> float:
+        """T of the devices whose delays a design is for, s: the session's; where all users have wave links, the
+        shortest of their sites.
+        """
+        if len(self.wave_links) < len(self.couplings):
+            return self.period
+        return min(link.period_in(self.period) for link in self.wave_links.values())
+
     def devices_of(self, coupling: str) -> tuple[str, ...]:
         """The devices that have a port in a coupling, in the session's order."""
         own = set(self.blocks_by_name[coupling])

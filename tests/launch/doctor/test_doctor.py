@@ -470,7 +470,7 @@ def test_the_table_names_what_is_missing_and_what_is_too_slow(worth: Worth) -> N
 def test_the_stiffness_of_a_run_is_that_of_its_couplings(name: str, overrides: list[str], text: str) -> None:
     prepared = prepare(load_named(name, overrides))
     assert prepared.certificate is not None
-    (line,) = certified_lines(prepared.certificate, prepared.session, None, 0.0)
+    (line,) = certified_lines(prepared, prepared.session, None, 0.0)
     assert line.startswith("example-1: certified for delays up to 0 ms (not measured here); stiffness ")
     assert text in line
 

@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import content, from_content, to_json
-from manyhands.design.errors import Infeasible
+from manyhands.design.errors import CertificateError, Infeasible
 from manyhands.design.ladder import automatic_delays, design_ladder
 from manyhands.design.levels.contract import margin_of
 from manyhands.design.proof import prove, prove_together, prove_world
 from manyhands.design.wave_link import felt_mass
 from manyhands.design.world import World, world_content, world_differences
 from manyhands.launch.plan.sites import IN_TICK, SessionPart, differences_from, in_tick, site, world
-from manyhands.launch.session import Session, SessionError, WaveLink, load_session
+from manyhands.launch.session import Session, WaveLink, load_session
 
 DEVICE = "{dof: 1, osp: 1.37, driver: simulated, mass: 0.2}"
 LINKED = {
@@ -258,8 +258,45 @@ def test_the_impedance_for_a_mass_is_exactly_within_it(mass: float, round_trip: 
     assert felt_mass(np.array([[b]]), round_trip)[0, 0] == pytest.approx(mass, rel=1e-12)
 
 
-def test_a_session_with_a_wave_link_is_not_yet_run(tmp_path: Path) -> None:
-    from manyhands.launch.plan.prepare import prepare
+def test_a_prepared_session_runs_each_party_under_its_own_certificate(tmp_path: Path) -> None:
+    from manyhands.launch.plan.bundles import RunPlan, cut
+    from manyhands.launch.plan.prepare import IN_TICK, prepare
+    from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 
-    with pytest.raises(SessionError, match=r"couplings.cx.wave_link: found a wave link; expected couplings without"):
-        prepare(session(tmp_path))
+    prepared = prepare(session(tmp_path))
+    assert prepared.certificate is None
+    assert prepared.certified
+    assert prepared.world is not None
+    assert prepared.parts.keys() == {"cx", "cy", IN_TICK}
+    bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
+    for coupling, device in (("cx", "dx"), ("cy", "dy"), ("cz", "dz")):
+        own = prepared.certificate_of(coupling)
+        assert own is prepared.certificate_of(device) is prepared.parts.get(coupling, prepared.parts[IN_TICK])
+        block, hand = bundles[coupling], bundles[device]
+        assert isinstance(block, CouplingBundle)
+        assert isinstance(hand, DeviceBundle)
+        assert hand.rungs[0].tau == own.tau
+        np.testing.assert_array_equal(block.level, own.levels.Delta_V[0])
+        assert block.common.period == own.loop.period
+        assert (block.wave is not None) == (coupling in prepared.session.wave_links)
+    world = bundles["environment"]
+    assert isinstance(world, EnvironmentBundle)
+    np.testing.assert_array_equal(world.Phi_E, prepared.world.Phi_E)
+    assert world.waves.keys() == {"cx", "cy"}
+
+
+def test_certificates_of_a_run_are_read_from_its_folder_and_of_no_other(tmp_path: Path) -> None:
+    from manyhands.launch.plan.prepare import NotCertified, prepare
+    from manyhands.launch.run.directory import kept_files
+
+    given = session(tmp_path)
+    prepared = prepare(given)
+    for name, text in kept_files(prepared).items():
+        (tmp_path / name).write_bytes(text)
+    again = prepare(given, tmp_path / "certificate.json")
+    assert again.id == prepared.id
+    with pytest.raises(NotCertified, match=r"certificate\.cx\.json: a certificate of another session"):
+        prepare(session(tmp_path, None, "devices.dx.osp=1.2"), tmp_path / "certificate.json")
+    (tmp_path / "certificate.cx.json").unlink()
+    with pytest.raises(CertificateError, match=r"certificate\.cx\.json"):
+        prepare(given, tmp_path / "certificate.json")
